@@ -453,7 +453,7 @@ impl Coupled {
                 for job in &self.jobs {
                     let count = job.parts.bodies.iter().map(|body| body.x.len() as u64).sum::<u64>();
                     vertices += count;
-                    ordinary += match job.group.bodies.len() > free::MOST_TOGETHER {
+                    ordinary += match job.group.bodies.len() > free::MAX_TOGETHER {
                         true => ORDINARY_APART * count,
                         false => ORDINARY * count + ORDINARY_HELD * job.report.held,
                     };

@@ -1,4 +1,4 @@
-//! An island: coupled bodies, advanced together with adaptive steps that end where a pair changes its phase.
+//! An island: coupled bodies, advanced together with adaptive steps that end where a pair changes phase.
 
 use glam::DVec3;
 use pulp::Arch;
@@ -19,38 +19,38 @@ use super::{
 use crate::model::{oscillator::Oscillator, phase::Phase};
 
 /// A step that has not converged after this many corrections is split.
-const MOST_SWEEPS: u32 = 24;
+const MAX_SWEEPS: u32 = 24;
 /// Largest number of steps of one [`Island::advance`].
-const MOST_STEPS: u64 = 20_000;
+const MAX_STEPS: u64 = 20_000;
 /// Largest number of phase changes of one pair in one [`Island::advance`].
-const MOST_CHANGES: u32 = 200;
+const MAX_CHANGES: u32 = 200;
 /// With fewer vertices than this, a second thread does not pay off.
 const PARALLEL_VERTICES: usize = 4096;
 /// A step has converged when the remaining corrections are below this fraction of the tolerance, so that its error is
 /// the discretisation error, not that of unfinished iteration.
 const SETTLED: f64 = 3e-2;
-/// A larger tolerance than this [radii/s] makes steps longer, but does not end their iteration earlier: otherwise its
-/// remainder, which is of low order, would be the error of steps that are much shorter than the tolerance asks for.
-pub(super) const FINEST: f64 = 1e-6;
-/// A step may be longer than [`Island::pace`] by this factor if that saves another step: its expected error is nine tenths
-/// of the tolerance then, and it spares far more steps than are tried in vain.
+/// Larger tolerances than this make steps longer, but do not end their iteration earlier [radii/s]. Otherwise its
+/// remainder, which is of low order, would dominate the error of steps much shorter than the tolerance requires.
+pub(super) const MAX_SETTLED_TOLERANCE: f64 = 1e-6;
+/// A step may be longer than [`Island::pace`] by this factor if that saves another step. Its expected error is then
+/// nine tenths of the tolerance, and this saves far more steps than are rejected.
 const HOPED: f64 = 1.15;
-/// Distances this close to a threshold, relative to it, count as on it.
+/// Distances within this fraction of a threshold count as on it.
 const STANDING: f64 = 1e-12;
 /// Largest ratio of a step's length to that of the previous step.
-const MOST_GROWTH: f64 = 4.0;
-/// Steps of islands with more bodies than this do not end where a gradual change of strength begins or ends: it is smooth
-/// enough for the error estimate, and others would have to wait for it.
-const MOST_WAITING: usize = 8;
-/// A step that is taken again with slightly different neighbours may have this error, over the tolerance, before a shorter
-/// one is tried.
-const MOST_ERROR_AGAIN: f64 = 3.0;
-/// Islands of more bodies than this take steps body by body: events of one would end the steps of all.
-pub(in crate::sim) const MOST_TOGETHER: usize = 100;
-/// Work of the force of a plane on a vertex, for which nine equations are solved.
+const MAX_GROWTH: f64 = 4.0;
+/// In islands with more bodies than this, steps do not end where a gradual change of strength begins or ends: it is
+/// smooth enough for the error estimate, and all bodies would need shorter steps.
+const MAX_WAITING: usize = 8;
+/// Largest error over tolerance of a step that is repeated with slightly different neighbours, before a shorter one is
+/// tried.
+const MAX_ERROR_REPEATED: f64 = 3.0;
+/// In larger islands each body takes its own steps: otherwise every event would end the steps of all bodies.
+pub(in crate::sim) const MAX_TOGETHER: usize = 100;
+/// Work of the force of a plane on a vertex, a solution of nine equations [units].
 const HOLD: u64 = 200;
 /// Largest rotation of a body's frame in a step [rad].
-const MOST_TURN: f64 = 1.0;
+const MAX_TURN: f64 = 1.0;
 
 /// A phase change of a pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -76,19 +76,19 @@ pub struct Change {
 pub struct Report {
     /// Phase changes, in order of time.
     pub changes: Vec<Change>,
-    /// Steps taken; of bodies with steps of their own, the most of any.
+    /// Steps taken; where bodies take their own steps, the largest number of any body.
     pub steps: u64,
-    /// Steps taken, counted for every body.
+    /// Steps taken, summed over bodies.
     pub body_steps: u64,
-    /// Number of rejected steps, which were retried with shorter ones.
+    /// Number of rejected steps, retried with shorter ones.
     pub rejected: u64,
     /// Number of correction sweeps over all bodies.
     pub sweeps: u64,
-    /// Largest number of vertices in contact with planes in a sweep, counted once for every plane.
+    /// Largest number of contacts of vertices with planes in a sweep; not counted where bodies take their own steps.
     pub held: u64,
     /// Sum over the steps of the largest estimated error [radii].
     pub error: f64,
-    /// What changed the energy of the bodies.
+    /// Energy added to the bodies, by cause.
     pub ledger: Ledger,
 }
 
@@ -97,7 +97,7 @@ pub struct Report {
 pub enum Failure {
     /// A pair chatters: it changes its phase over and over.
     #[error(
-        "the pair of bodies {a} and {b} changed its phase {MOST_CHANGES} times by t = {time:.9} s within one step: where \
+        "the pair of bodies {a} and {b} changed its phase {MAX_CHANGES} times by t = {time:.9} s within one step: where \
          attraction turns into repulsion at once, bodies chatter; give the core a width (core_width), or thresholds that \
          are farther apart"
     )]
@@ -122,27 +122,27 @@ pub enum Failure {
         /// Length of the last step tried [s].
         step: f64,
     },
-    /// It has taken more work than it may, or is interrupted.
+    /// The limit of work is reached, or the run is interrupted.
     #[error("stopped at t = {time:.9} s")]
     Stopped {
         /// Index of the body with the most vertices.
         body: usize,
         /// Time of the failure [s].
         time: f64,
-        /// Length of the last step tried [s].
+        /// Expected length of the next step [s].
         step: f64,
     },
 }
 
-/// What an island is made of, and what it is taken apart into, so that its lists are used again.
+/// The parts of an island, into which it is taken apart to reuse its lists.
 #[derive(Clone, Debug, Default)]
 pub(in crate::sim) struct Parts {
     pub bodies: Vec<Body>,
     pub pairs: Vec<Pair>,
     pub field: Field,
-    /// How far each body got so far.
+    /// Motion of each body so far.
     pub ways: Vec<Way>,
-    /// The step length that each body last met the tolerance with [s]; as long as it likes if there is none.
+    /// Step length at which each body is expected to meet the tolerance [s]; unlimited where missing.
     pub paces: Vec<f64>,
 }
 
@@ -154,37 +154,37 @@ pub struct Island {
     pub(super) field: Field,
     pub(super) tolerance: f64,
     pub(super) time: f64,
-    /// The step length that last met the tolerance [s].
+    /// Step length that is expected to meet the tolerance [s].
     pub(super) pace: f64,
     pub(super) paces: Vec<f64>,
-    /// How far each body got so far.
+    /// Motion of each body so far.
     pub(super) ways: Vec<Way>,
-    /// What it has to keep to as a part of a larger island.
+    /// Constraints on the steps of an island that is a part of a larger one.
     pub(super) part: Option<Part>,
-    /// With more bodies than this, they take steps of their own.
-    pub(super) most_together: usize,
+    /// With more bodies than this, each takes its own steps.
+    pub(super) max_together: usize,
     scratch: Scratch,
 }
 
-/// How far a body got in the steps since the island was made.
+/// Extremes of a body's motion since the island was created.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Way {
-    /// Where its centre was at first [scene unit].
+    /// Initial position of the centre [scene unit].
     pub from: DVec3,
-    /// The largest distance of its centre from there [scene unit].
+    /// Largest distance of the centre from there [scene unit].
     pub centre: f64,
-    /// The largest distance of a vertex from the centre [scene unit].
+    /// Upper bound of the distance of a vertex from the centre [scene unit].
     pub extent: f64,
-    /// The largest |x| in the end [scene unit].
+    /// Largest |x| at the end [scene unit].
     pub displacement: f64,
-    /// The largest |u| in the end [scene unit/s].
+    /// Largest |u| at the end [scene unit/s].
     pub speed: f64,
 }
 
-/// Buffers, reused from step to step, by any island.
+/// Buffers, reused between steps and islands.
 #[derive(Clone, Debug, Default)]
 pub(in crate::sim) struct Scratch {
-    /// Of the bodies with vertices.
+    /// By body, up to the last with vertices.
     pub(super) courses: Vec<Course>,
     acting: Vec<Acting>,
     pub(super) places: Vec<[Place; 5]>,
@@ -195,7 +195,7 @@ pub(in crate::sim) struct Scratch {
     changes: Vec<u32>,
     pub(super) arch: Arch,
     pub(super) relaxation: Relaxation,
-    /// Of islands with more bodies.
+    /// Left over from islands with more bodies.
     spare: Spare,
 }
 
@@ -206,7 +206,8 @@ struct Spare {
     pairs_of: Vec<Vec<u32>>,
 }
 
-/// Makes a list as long as it is to be, without losing what elements have allocated.
+/// Resizes a list to `count` elements. Surplus elements go to `spare` and come from there, so that they keep their
+/// allocations.
 fn resize<T: Default>(list: &mut Vec<T>, spare: &mut Vec<T>, count: usize) {
     while list.len() > count {
         spare.extend(list.pop());
@@ -217,13 +218,13 @@ fn resize<T: Default>(list: &mut Vec<T>, spare: &mut Vec<T>, count: usize) {
 }
 
 impl Scratch {
-    /// Buffers of one who uses these instructions.
+    /// Buffers of a solver that uses these instructions.
     pub fn new(arch: Arch) -> Scratch {
         Scratch { arch, ..Scratch::default() }
     }
 }
 
-/// The time in a step at which a pair reaches a level at which it changes.
+/// The instant of a step at which a pair reaches a level where the step has to end.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Crossing {
     /// Time as a fraction of the step.
@@ -247,20 +248,20 @@ pub(super) struct Outcome {
     pub estimate: f64,
 }
 
-/// What corrections of a body in a step of length `h` [s] must come to for it to have converged [scene unit].
+/// Corrections of a body below this size count as converged, in a step of length `h` [s] [scene unit].
 pub(super) fn settled(tolerance: f64, radius: f64, h: f64) -> f64 {
-    SETTLED * tolerance.min(FINEST) * radius * h
+    SETTLED * tolerance.min(MAX_SETTLED_TOLERANCE) * radius * h
 }
 
 impl Island {
-    /// An island that keeps an error of `tolerance` [radii/s], at t = 0; pairs start in the phases that they are given
-    /// with. Bodies on prescribed paths must be at the start of their paths.
+    /// An island at t = 0 whose error stays within `tolerance` [radii/s]. Pairs start in their given phases. Bodies on
+    /// prescribed paths must be at the start of their paths.
     pub fn new(bodies: Vec<Body>, pairs: Vec<Pair>, field: Field, tolerance: f64) -> Island {
         let parts = Parts { bodies, pairs, field, ..Parts::default() };
         Island::resume(parts, tolerance, 0.0)
     }
 
-    /// The same at `time` [s].
+    /// Like [`Island::new`], at `time` [s] and from existing lists.
     pub(in crate::sim) fn resume(parts: Parts, tolerance: f64, time: f64) -> Island {
         let Parts { bodies, pairs, field, mut ways, mut paces } = parts;
         paces.resize(bodies.len(), f64::INFINITY);
@@ -279,23 +280,23 @@ impl Island {
             paces,
             ways,
             part: None,
-            most_together: MOST_TOGETHER,
+            max_together: MAX_TOGETHER,
             scratch,
         }
     }
 
-    /// What it is made of.
+    /// Takes the island apart.
     pub(in crate::sim) fn into_parts(self) -> Parts {
         let Island { bodies, pairs, field, ways, paces, .. } = self;
         Parts { bodies, pairs, field, ways, paces }
     }
 
-    /// How many bodies there are up to the last that has vertices; those after it only act on others.
+    /// Number of bodies up to the last that has vertices; those after it only act on others.
     pub(super) fn stepped(&self) -> usize {
         self.bodies.iter().rposition(|body| !body.shape.rest.is_empty()).map_or(0, |last| last + 1)
     }
 
-    /// The number of pairs, of which it finds out when they change; it is told of the others.
+    /// Number of pairs, the first ones, whose phase changes are found here. Changes of the others are found elsewhere.
     fn found(&self) -> usize {
         self.part.as_ref().map_or(self.pairs.len(), |part| part.found)
     }
@@ -325,7 +326,7 @@ impl Island {
         Conserved::of(&self.bodies.iter().collect::<Vec<_>>(), &self.pairs, &self.field)
     }
 
-    /// The bodies as they are, for the forces on them.
+    /// A view of the current state, for computing forces.
     pub fn snapshot(&self) -> Snapshot<'_> {
         Snapshot::new(self.bodies.iter().collect(), self.pairs.clone(), self.field.clone(), self.time)
     }
@@ -333,7 +334,7 @@ impl Island {
     /// Advances the island to `end` [s].
     ///
     /// # Errors
-    /// If a pair chatters, or the tolerance would require steps that are too short. The state is then that of the last
+    /// If a pair chatters, or the tolerance would require steps that are too short. The state is then that at the last
     /// instant reached.
     pub fn advance(&mut self, end: f64, paths: &dyn Paths, report: &mut Report) -> Result<(), Failure> {
         let mut scratch = std::mem::take(&mut self.scratch);
@@ -342,7 +343,7 @@ impl Island {
         done
     }
 
-    /// The same with buffers of the caller's, and as long as `work` allows.
+    /// Like [`Island::advance`], with buffers of the caller and within the limit of `work`.
     pub(in crate::sim) fn advance_with(
         &mut self,
         scratch: &mut Scratch,
@@ -365,7 +366,7 @@ impl Island {
                 scratch.pairs_of[body].push(index);
             }
         }
-        if self.part.is_none() && count > self.most_together {
+        if self.part.is_none() && count > self.max_together {
             return self.advance_apart(scratch, end, paths, work, report);
         }
         let mut steps = 0;
@@ -375,8 +376,8 @@ impl Island {
                 self.jump(paths, report);
             }
             self.leave_phases(scratch, paths, report)?;
-            let told = self.part.as_ref().map_or(f64::INFINITY, |part| part.next_stop(self.time));
-            let stop = f64::min(end, self.field.next_break(self.time)).min(told);
+            let scheduled = self.part.as_ref().map_or(f64::INFINITY, |part| part.next_stop(self.time));
+            let stop = f64::min(end, self.field.next_break(self.time)).min(scheduled);
             let left = stop - self.time;
             let parts = (left / (HOPED * self.pace)).ceil().max(1.0);
             let mut next = if parts > 1.0 { self.time + left / parts } else { stop };
@@ -393,14 +394,16 @@ impl Island {
                     return Err(self.stopped());
                 }
                 let factor = match &outcome {
-                    Some(outcome) if outcome.error <= if is_known { MOST_ERROR_AGAIN } else { 1.0 } => break *outcome,
+                    Some(outcome) if outcome.error <= if is_known { MAX_ERROR_REPEATED } else { 1.0 } => {
+                        break *outcome;
+                    }
                     Some(outcome) => (0.85 * libm::pow(outcome.error, -0.2)).clamp(0.1, 0.7),
                     None => 0.4,
                 };
                 report.rejected += 1;
                 is_known = false;
                 self.part.iter_mut().for_each(Part::forget_ends);
-                if h < shortest || steps >= MOST_STEPS {
+                if h < shortest || steps >= MAX_STEPS {
                     let body = outcome.map_or(0, |outcome| outcome.body);
                     return Err(Failure::Unresolved { body, time: self.time, step: h });
                 }
@@ -409,8 +412,8 @@ impl Island {
             };
             let h = next - self.time;
             let factor = 0.85 * libm::pow(outcome.error.max(1e-9), -0.2);
-            // a step that was cut short says nothing about longer ones
-            self.pace = if factor > MOST_GROWTH { self.pace.max(MOST_GROWTH * h) } else { factor * h };
+            // a step that was cut short does not limit the next one
+            self.pace = if factor > MAX_GROWTH { self.pace.max(MAX_GROWTH * h) } else { factor * h };
             report.steps += 1;
             report.body_steps += count as u64;
             report.error += outcome.estimate;
@@ -443,7 +446,8 @@ impl Island {
         self.finish(scratch, paths, report)
     }
 
-    /// What jumps in the end has done so; velocities are felt from then on.
+    /// Applies jumps of position at the end, and changes of phase due there. Jumps of velocity ([`Island::kick`])
+    /// follow at the start of the next interval.
     pub(super) fn finish(
         &mut self,
         scratch: &mut Scratch,
@@ -463,7 +467,7 @@ impl Island {
         self.field.breaks.binary_search_by(|at| at.total_cmp(&self.time)).is_ok()
     }
 
-    /// The vertices of bodies whose paths' velocities jump stay in motion as they were.
+    /// Where the velocity of a path jumps, adds the resulting jump to the velocities of the body's vertices.
     pub(super) fn kick(&mut self, paths: &dyn Paths) {
         for (index, body) in self.bodies.iter_mut().enumerate().filter(|(_, body)| !body.is_free()) {
             let kick = paths.kick(index, self.time);
@@ -473,7 +477,7 @@ impl Island {
         }
     }
 
-    /// Bodies on paths jump to where these go on, and their vertices with them.
+    /// Moves bodies on paths across jumps of position, together with their vertices.
     pub(super) fn jump(&mut self, paths: &dyn Paths, report: &mut Report) {
         for index in 0..self.bodies.len() {
             let body = &mut self.bodies[index];
@@ -485,7 +489,7 @@ impl Island {
             if from == to.position {
                 continue;
             }
-            // its influence on free bodies, there less here
+            // change of the energy of the influence between it and free bodies
             let own = index as u32;
             for pair in self.pairs.iter().filter(|pair| pair.a == own || pair.b == own) {
                 let (a, b) = (&self.bodies[pair.a as usize], &self.bodies[pair.b as usize]);
@@ -494,8 +498,8 @@ impl Island {
                     conserved::influence(a, b, &self.field, pair.law.strength(pair.phase, q))
                 };
                 let after = energy(a, b);
-                let there = Body { centre: from, ..self.bodies[index].clone() };
-                let before = if pair.a == own { energy(&there, b) } else { energy(a, &there) };
+                let old = Body { centre: from, ..self.bodies[index].clone() };
+                let before = if pair.a == own { energy(&old, b) } else { energy(a, &old) };
                 report.ledger.prescribed += after - before;
             }
         }
@@ -540,7 +544,7 @@ impl Island {
         report: &mut Report,
     ) -> Option<Outcome> {
         let span = self.span(next);
-        // more vertices are active whenever some that are not may have come into reach
+        // repeat with more active vertices if inactive ones may have come into reach
         let mut wide = 1.0;
         while self.converge(scratch, &span, wide, paths, work, report)? {
             let Scratch { courses, acting, places, .. } = &*scratch;
@@ -555,8 +559,8 @@ impl Island {
         None
     }
 
-    /// Finds what acts on all bodies at the start of a step to `next`.
-    pub(super) fn look(&self, scratch: &mut Scratch, next: f64, paths: &dyn Paths, work: &Tally<'_>) {
+    /// Evaluates the forces on all bodies at the start of a step to `next`.
+    pub(super) fn evaluate_start(&self, scratch: &mut Scratch, next: f64, paths: &dyn Paths, work: &Tally<'_>) {
         let span = self.span(next);
         let vertices = self.select(scratch, &span, 1.0, paths);
         work.spend((vertices + 16 * scratch.courses.len() + self.pairs.len()) as u64);
@@ -571,8 +575,8 @@ impl Island {
         Span::new(self.time, next, origin)
     }
 
-    /// Begins a step, and finds the vertices that something may reach in it, for bands `wide` times the expected ones: how
-    /// many they are.
+    /// Begins a step, and finds the vertices that something may reach in it, for bands `wide` times the expected ones.
+    /// Returns their number.
     fn select(&self, scratch: &mut Scratch, span: &Span, wide: f64, paths: &dyn Paths) -> usize {
         let arch = scratch.arch;
         for (i, body) in self.bodies.iter().enumerate() {
@@ -596,8 +600,8 @@ impl Island {
         vertices
     }
 
-    /// Solves the equations of a step with the active vertices that are found for bands `wide` times the expected ones;
-    /// false if the budget is spent, `None` if the iteration does not converge.
+    /// Solves the equations of a step, with active vertices for bands `wide` times the expected ones. Returns false if
+    /// the limit of work is reached, `None` if the iteration does not converge.
     fn converge(
         &self,
         scratch: &mut Scratch,
@@ -610,7 +614,7 @@ impl Island {
         let arch = scratch.arch;
         let vertices = self.select(scratch, span, wide, paths);
         let parallel = vertices >= PARALLEL_VERTICES;
-        // a sweep: every active vertex at four nodes, what is shared by the others, and every pair
+        // a sweep: at four nodes, every active vertex, the sums of every body, and every pair
         let sweep_work = 4 * (vertices + 16 * scratch.courses.len() + self.pairs.len()) as u64;
         if !work.spend(sweep_work) {
             return Some(false);
@@ -627,7 +631,7 @@ impl Island {
         let wanted = |body: &Body| rough * settled(self.tolerance, body.radius, span.h);
         let mut before = f64::INFINITY;
         let mut growing = 0;
-        for sweep in 0..MOST_SWEEPS {
+        for sweep in 0..MAX_SWEEPS {
             if !work.spend(sweep_work) {
                 return Some(false);
             }
@@ -636,7 +640,7 @@ impl Island {
             let held = scratch.courses.iter().map(|course| course.held.len() as u64).sum();
             report.held = report.held.max(held);
             work.spend(HOLD * held);
-            // how far a correction moves the vertices, over the tolerance
+            // largest correction over the wanted size
             let follow = |((body, course), places): ((&Body, &mut Course), &mut [Place; 5]),
                           looks: std::ops::Range<usize>| {
                 let rounding = 4e-15 * (places[0].centre.length() + body.shape.extent) * f64::max(1.0, 1.0 / span.h);
@@ -675,7 +679,7 @@ impl Island {
         None
     }
 
-    /// Evaluates what acts on all bodies, at the nodes from `first` on, for their current estimated positions.
+    /// Evaluates the forces on all bodies at the nodes from `first` on, for their currently estimated positions.
     fn evaluate(&self, scratch: &mut Scratch, span: &Span, first: usize, parallel: bool) {
         let Scratch { courses, acting, places, pairs_of, arch, .. } = scratch;
         let evaluate = |(i, (course, acting)): (usize, (&mut Course, &mut Acting))| {
@@ -713,7 +717,7 @@ impl Island {
         }
     }
 
-    /// Evaluates what acts on all bodies at a single sample.
+    /// Evaluates the forces on all bodies at a single sample.
     fn evaluate_at(&self, scratch: &mut Scratch, span: &Span, look: usize) {
         let Scratch { courses, acting, places, pairs_of, arch, .. } = scratch;
         for (i, (course, acting)) in courses.iter_mut().zip(acting).enumerate() {
@@ -754,26 +758,26 @@ impl Island {
             let h = span.h;
             let bends = course.bends(arch, body);
             let Oscillator { omega, damping } = body.oscillator;
-            // Lobatto quadrature integrates the quartic part of the residual exactly, so it does not affect a slow
-            // oscillator; the part of a bend that counts is of higher order in the ratio of the step to the time scales
+            // Lobatto quadrature integrates the quartic part of the residual exactly, so that part does not affect a
+            // slow oscillator. The part that counts is of higher order in the ratio of the step to the time scales
             // involved.
             let planes = self.field.planes.iter().map(|plane| plane.stiffness).sum::<f64>();
             let rate = (course.stiffness + planes).sqrt() + omega + 2.0 * damping;
             let rough = f64::min(1.0, 0.5 * rate * h);
             let left = rough * rough;
-            // effect of a force error on the displacement, now or after the oscillator has converted the velocity;
-            // nothing bounds that of a centre, so count one second
+            // effect of a force error on the displacement: in the step, or later, after the oscillator has turned the
+            // velocity into a displacement; a centre keeps its velocity, so count one second
             let swing = 1.0 / omega.max(2.0 * damping).max(1.0);
             let constant = f64::min(0.5 * h * h, 2.0 / (omega * omega));
             let vertex = 0.2 * (constant + h * swing) * left * bends.force;
-            // nothing is known of the time scales of a program's force
+            // the time scales of a program's force are not known
             let is_given = self.field.forces.iter().any(|(forced, _)| *forced as usize == i);
             let centre = 0.1 * h * (1.0 + 0.5 * h) * if is_given { 1.0 } else { left } * bends.acceleration;
             let turn = 0.1 * h * left * bends.spin * body.shape.extent;
             let estimate = (vertex + centre + turn) / body.radius;
             let turned = course.frames[3].turned.length();
             let error = estimate / (self.tolerance * h);
-            let error = if turned > MOST_TURN { error.max(2.0) } else { error };
+            let error = if turned > MAX_TURN { error.max(2.0) } else { error };
             if !(error <= worst.error) {
                 worst = Outcome { error, body: i, estimate };
             }
@@ -781,17 +785,19 @@ impl Island {
         worst
     }
 
-    /// The levels of q at which a step ends: whether the crossing must fall, rise or either, and the new phase if any.
+    /// The levels of q at which a step ends, each with the direction of the crossing (whether it falls; `None`: either)
+    /// and the new phase, if any.
     fn levels(&self, pair: &Pair) -> impl Iterator<Item = (f64, Option<bool>, Option<Phase>)> + use<> {
         let Pair { phase, law, .. } = *pair;
         let ends = law.rim(phase).into_iter().flat_map(|rim| rim.ends());
-        let are_waited_for = self.bodies.len() <= MOST_WAITING;
+        let are_waited_for = self.bodies.len() <= MAX_WAITING;
         let ends = ends.filter(move |&level| level > 0.0 && are_waited_for).map(|level| (level, None, None));
         let ways = law.thresholds.transitions(phase).filter(move |way| !law.is_gradual(phase, way.to));
         ways.map(|way| (way.level, Some(way.falling), Some(way.to))).chain(ends)
     }
 
-    /// Where a pair's distance passes a level in the step just tried, as a polynomial; `None` if it stays away from it.
+    /// Polynomial, in the step just tried, whose zeros are the instants at which a pair's q passes `level`; `None` if
+    /// it has none.
     fn course_of(&self, scratch: &Scratch, pair: &Pair, level: f64, h: f64) -> Option<Polynomial> {
         let (a, b) = (&scratch.places[pair.a as usize], &scratch.places[pair.b as usize]);
         let rim = level * (self.bodies[pair.a as usize].radius + self.bodies[pair.b as usize].radius);
@@ -810,8 +816,8 @@ impl Island {
         Some(if stands { polynomial.starting_at_zero() } else { polynomial })
     }
 
-    /// Changes the phases of pairs that passed a threshold in the step from `start` to now at which their strength does
-    /// not jump: nothing has to end there.
+    /// Changes the phases of pairs that passed a threshold without a jump of strength in the step from `start` [s]
+    /// until now; no step has to end there.
     pub(super) fn pass_gradually(
         &mut self,
         scratch: &mut Scratch,
@@ -851,7 +857,7 @@ impl Island {
         Ok(())
     }
 
-    /// The first instant of the step just tried at which a pair changes.
+    /// The first instant of the step just tried at which a step has to end.
     pub(super) fn first_crossing(&self, scratch: &Scratch, h: f64) -> Option<Crossing> {
         let mut first: Option<Crossing> = None;
         for (index, pair) in self.pairs.iter().enumerate().take(self.found()) {
@@ -872,7 +878,7 @@ impl Island {
         first
     }
 
-    /// Retries the step so that it ends where the pair reaches the level.
+    /// Repeats the step so that it ends where the pair reaches the level. Returns this time [s].
     fn end_at(
         &self,
         scratch: &mut Scratch,
@@ -883,11 +889,11 @@ impl Island {
         report: &mut Report,
     ) -> f64 {
         let Crossing { theta, pair, level, .. } = crossing;
-        const MOST_TRIES: u32 = 5;
+        const MAX_TRIES: u32 = 5;
         let (a, b) = (self.pairs[pair].a as usize, self.pairs[pair].b as usize);
         let rim = level * (self.bodies[a].radius + self.bodies[b].radius);
         let mut end = self.time + theta * (next - self.time);
-        for _ in 0..MOST_TRIES {
+        for _ in 0..MAX_TRIES {
             if end <= self.time {
                 return self.time;
             }
@@ -931,7 +937,7 @@ impl Island {
             let radii = self.bodies[pair.a as usize].radius + self.bodies[pair.b as usize].radius;
             let apart = a.centre - b.centre;
             let rate = apart.dot(a.velocity - b.velocity);
-            // one that jumps may pass two thresholds at once
+            // a body that jumps may pass two thresholds at once
             for first in [true, false] {
                 let beyond = self.pairs[index].law.thresholds.transitions(self.pairs[index].phase).find(|way| {
                     let side = if way.falling { 1.0 } else { -1.0 };
@@ -946,6 +952,7 @@ impl Island {
         Ok(())
     }
 
+    /// Changes the phase of a pair now.
     fn change(&mut self, index: usize, to: Phase, scratch: &mut Scratch, report: &mut Report) -> Result<(), Failure> {
         let pair = self.pairs[index];
         for i in [pair.a as usize, pair.b as usize] {
@@ -966,10 +973,10 @@ impl Island {
         self.count(index, self.time, scratch)
     }
 
-    /// Counts a change of phase.
+    /// Counts a change of phase; fails if the pair chatters.
     fn count(&self, index: usize, time: f64, scratch: &mut Scratch) -> Result<(), Failure> {
         scratch.changes[index] += 1;
         let Pair { a, b, .. } = self.pairs[index];
-        if scratch.changes[index] > MOST_CHANGES { Err(Failure::Chatter { a, b, time }) } else { Ok(()) }
+        if scratch.changes[index] > MAX_CHANGES { Err(Failure::Chatter { a, b, time }) } else { Ok(()) }
     }
 }

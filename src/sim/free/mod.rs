@@ -59,7 +59,7 @@ pub use body::{Body, Motion, Shape};
 pub use conserved::Conserved;
 pub use field::{Driven, Field, NoPaths, Pair, Paths, Push};
 pub use island::{Change, Failure, Island, Report, Way};
-pub(super) use island::{MOST_TOGETHER, Parts, Scratch};
+pub(super) use island::{MAX_TOGETHER, Parts, Scratch};
 pub use ledger::Ledger;
 pub use observed::{Forces, Snapshot};
 

@@ -1,19 +1,20 @@
 //! Large islands: every body takes its own steps.
 //!
-//! If all bodies of an island take the same steps, the event of one pair ends the step of all. In a heap of hundreds,
-//! events are so frequent that steps become too short. But over the length of a frame, a body is hardly affected by its
-//! neighbours' neighbours. A large island is therefore advanced by waveform relaxation (Lelarasmee, Ruehli &
+//! If all bodies of an island take the same steps, an event of one pair ends the step of all. In a heap of hundreds,
+//! events are so frequent that steps become too short. But within a frame, a body is hardly affected by its neighbours'
+//! neighbours. A large island is therefore advanced by waveform relaxation (Lelarasmee, Ruehli &
 //! Sangiovanni-Vincentelli 1982): each body alone, as an island of one, on the latest tracks of the others. This is
-//! repeated until no track changes; each round reduces the difference by about the square of the frame's length over
-//! the time scale of the influence. A body whose neighbours' tracks did not change is not advanced again.
+//! repeated until no track changes. Each round reduces the differences by a factor of about (h/T)², where h is the
+//! length of the stretch and T the time scale of the influence. A body whose neighbours' tracks did not change is not
+//! advanced again.
 //!
-//! Bodies exchange only the positions of centres and their displacements by reactions. The reaction on a sphere is
-//! computed with the vertices on which the sphere acts, at the instants of their steps. It acts on the centre alone, so
-//! its first and second integrals, known exactly for every step, are all that the other body needs: momentum is
-//! conserved although steps differ, up to the remaining difference between rounds.
+//! Bodies exchange only the tracks of centres and the integrals of reactions. The reaction on a sphere is computed with
+//! the vertices on which the sphere acts, in the steps of their body. It acts on the centre of the sphere alone, so its
+//! first and second integrals, known exactly for every step, are all that the other body needs. Momentum is conserved
+//! although steps differ, up to the remaining difference between rounds.
 //!
-//! The pair's first body finds its events; the second one ends its step at these times, too. So do bodies near either,
-//! because the acceleration of their sources jumps there.
+//! The events of a pair are found with its first body. The second body ends its steps at these times too, and so do the
+//! neighbours of both, because the accelerations of the two bodies jump there.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -29,100 +30,101 @@ use super::{
     body::{Body, Motion, Shape},
     crossing::Curve,
     field::{Driven, Paths, Push},
-    island::{FINEST, Failure, Island, Parts, Report, Scratch, settled},
+    island::{Failure, Island, MAX_SETTLED_TOLERANCE, Parts, Report, Scratch, settled},
     step::{Course, Place, combine, larger},
     weights::Late,
 };
 use crate::model::phase::Phase;
 
-/// Rounds after which a shorter stretch is tried.
-const MOST_ROUNDS: u32 = 16;
-/// A body is advanced again when what it sees has changed by more than this times [`settled`], a third of the tolerance: of
-/// that, it would change by a small fraction.
-const MOST_STALE: f64 = 10.0;
-/// The same share of a tolerance that is larger than what [`settled`] goes by.
+/// Largest number of rounds before a shorter stretch is tried.
+const MAX_ROUNDS: u32 = 16;
+/// A body is advanced again when its neighbours' records have changed by more than this times [`settled`], a third of
+/// the tolerance; its own track would change by a small fraction of that.
+const MAX_STALE: f64 = 10.0;
+/// Factor on that share for tolerances above [`MAX_SETTLED_TOLERANCE`], at which [`settled`] stops growing; the limit is
+/// never below [`MAX_STALE`].
 const LOOSE: f64 = 0.1;
-/// In the first rounds, corrections within a step end at a larger multiple of [`settled`] …
+/// Multiple of [`settled`] at which corrections within a step end in the first rounds.
 const ROUGH: f64 = 300.0;
-/// … and in the last at no larger one than this.
-const MOST_ROUGH: f64 = 3.0;
-/// A stretch that is shorter than this part of the whole is not divided any more.
+/// Largest such multiple in the last round.
+const MAX_ROUGH: f64 = 3.0;
+/// Stretches shorter than this fraction of the interval are not divided further.
 const SHORTEST: f64 = 1e-4;
-/// How many steps bodies take in a stretch, on average.
+/// Average number of steps that a body takes in a stretch.
 const STEPS: f64 = 2.0;
-/// Most stretches that bodies ask for.
-const MOST_PARTS: f64 = 1000.0;
+/// Largest number of steps of a body that counts towards the number of stretches.
+const MAX_COUNTED_STEPS: f64 = 1000.0;
 /// With fewer vertices than this, a second thread does not pay off.
 const PARALLEL_VERTICES: usize = 1024;
 
-/// What an island of one body has to keep to.
+/// Constraints on an island of one body, and records of its motion.
 #[derive(Clone, Debug, Default)]
 pub struct Part {
-    /// Where it went, and how it acted on others.
+    /// Track of the body and its action on others.
     pub record: Record,
-    /// What happens to pairs whose events are found elsewhere, by time.
-    schedule: Vec<Told>,
+    /// Events found elsewhere, by time.
+    schedule: Vec<Scheduled>,
     next: usize,
-    /// Number of its first pairs, whose events it finds itself.
+    /// Number of pairs, the first ones, whose events are found here.
     pub found: usize,
     /// Multiple of [`settled`] at which corrections end.
     pub rough: f64,
-    /// Ends of steps that the tolerance asked for, and no event: those of the round before are kept to, so that tracks do not
-    /// change by the errors of other steps.
+    /// Ends of steps chosen for the tolerance, not for an event [s].
     pub ends: Vec<f64>,
+    /// Those of the previous round, which are used again so that different steps do not change the track [s].
     known: Vec<f64>,
 }
 
-/// An event that was found elsewhere.
+/// An event found elsewhere.
 #[derive(Clone, Copy, Debug)]
-struct Told {
+struct Scheduled {
     time: f64,
-    /// The pair that enters a phase, if it is one of this body's.
+    /// The pair and its new phase, if it is a pair of this body.
     change: Option<(usize, Phase)>,
-    /// Whether a step ends there.
+    /// Whether a step must end there.
     stops: bool,
 }
 
 impl Part {
-    /// Where the round before ended the step that begins at `t` [s].
+    /// End of the step that began at `t` in the previous round [s].
     pub fn known_end(&self, t: f64) -> Option<f64> {
         self.known.get(self.known.partition_point(|&end| end <= t)).copied()
     }
 
-    /// From here on, steps are to be found anew.
+    /// Discards the steps of the previous round.
     pub fn forget_ends(&mut self) {
         self.known.clear();
     }
 
     /// The next instant after `t` at which a step must end [s].
     pub fn next_stop(&self, t: f64) -> f64 {
-        let later = self.schedule[self.next..].iter().find(|told| told.stops && told.time > t);
-        later.map_or(f64::INFINITY, |told| told.time)
+        let later = self.schedule[self.next..].iter().find(|event| event.stops && event.time > t);
+        later.map_or(f64::INFINITY, |event| event.time)
     }
 
-    /// A pair that changed its phase by `t`, and has not been told yet.
+    /// The next scheduled change of phase up to `t` [s]: the pair and its new phase.
     pub fn next_change(&mut self, t: f64) -> Option<(usize, Phase)> {
-        while let Some(told) = self.schedule.get(self.next).filter(|told| told.time <= t) {
+        while let Some(event) = self.schedule.get(self.next).filter(|event| event.time <= t) {
             self.next += 1;
-            if told.change.is_some() {
-                return told.change;
+            if event.change.is_some() {
+                return event.change;
             }
         }
         None
     }
 }
 
-/// The track of a body, and how it acts on the centres of others.
+/// The track of a body, and its reactions on the centres of others.
 #[derive(Clone, Debug, Default)]
 pub struct Record {
     legs: Vec<Leg>,
-    /// By the number of the other body.
+    /// By index of the other body.
     pulses: Vec<Vec<Pulse>>,
     /// Buffer: first and second integral of the reaction at the nodes of a step.
     sums: Vec<Option<[(DVec3, DVec3); 4]>>,
 }
 
-/// The centre in a step.
+/// The track of the centre in a step.
 #[derive(Clone, Copy, Debug)]
 struct Leg {
     start: f64,
@@ -137,7 +139,7 @@ struct Pulse {
     h: f64,
     /// The second integral within the step.
     by: Curve,
-    /// Both at the start of the step, and at its end.
+    /// (Second, first) integral at the start of the step and at its end.
     before: (DVec3, DVec3),
     after: (DVec3, DVec3),
 }
@@ -150,7 +152,7 @@ impl Record {
         self.pulses.resize_with(others, Vec::new);
     }
 
-    /// Adds a step; `number` is that of a source among the others.
+    /// Adds a step; `number` gives the index of a source among the others.
     pub fn add(
         &mut self,
         course: &Course,
@@ -195,7 +197,7 @@ impl Record {
         }
     }
 
-    /// The track of a body if what acts at the start of a step goes on acting, also on others.
+    /// Adds the track of a body under the forces at the start of a step, assumed constant, and its reactions on others.
     fn guess(&mut self, body: &Body, course: &Course, (start, end): (f64, f64), number: impl Fn(u32) -> Option<u32>) {
         let h = end - start;
         let acceleration = course.frames[0].acceleration;
@@ -214,7 +216,7 @@ impl Record {
         }
     }
 
-    /// Where the centre is at `t` [s], and how fast.
+    /// Position and velocity of the centre at `t` [s].
     fn place(&self, t: f64) -> Place {
         let after = self.legs.partition_point(|leg| leg.start <= t).max(1);
         let Some(leg) = self.legs.get(after - 1) else { return Place::default() };
@@ -222,8 +224,8 @@ impl Record {
         Place { centre, velocity: rate / leg.h }
     }
 
-    /// How far this body differs from an earlier track, and what it does to others, by their masses [scene unit]; a
-    /// velocity counts for a second.
+    /// Largest difference from an earlier record, of the track and of the reactions over the masses that they act on
+    /// [scene unit]; a velocity counts as the displacement in one second.
     fn change(&self, before: &Record, (start, end): (f64, f64), mass: impl Fn(usize) -> Option<f64>) -> f64 {
         const LOOKS: [f64; 4] = [0.25, 0.5, 0.75, 1.0];
         let mut most: f64 = 0.0;
@@ -242,7 +244,7 @@ impl Record {
     }
 }
 
-/// The second and first integral at `t`.
+/// The second and the first integral at `t` [s].
 fn integrals(pulses: &[Pulse], t: f64) -> (DVec3, DVec3) {
     let after = pulses.partition_point(|pulse| pulse.start <= t);
     let Some(Pulse { start, h, by, before, after }) = after.checked_sub(1).and_then(|last| pulses.get(last)) else {
@@ -266,31 +268,31 @@ struct Event {
     jumps: bool,
 }
 
-/// A body and what is near it.
+/// A body and its neighbours.
 #[derive(Clone, Debug, Default)]
 struct Cell {
     /// The body, then those that it has pairs with, ascending.
     ids: Vec<u32>,
-    /// Its pairs; those whose events it finds come first.
+    /// Its pairs; the `found` whose events are found here come first.
     pairs: Vec<u32>,
     found: usize,
-    /// Others that act on its centre, with its number among what they act on.
+    /// Bodies whose vertices react on its centre, with its index in their [`Record::pulses`].
     incoming: Vec<(u32, u32)>,
     parts: Parts,
-    schedule: Vec<Told>,
+    schedule: Vec<Scheduled>,
     ends: Vec<f64>,
     report: Report,
     failure: Option<Failure>,
     work: u64,
-    /// By how much what it sees has changed since it was last advanced, over [`settled`].
+    /// Change of its neighbours' records since it was last advanced, over [`settled`].
     stale: f64,
     rough: f64,
-    /// Bodies that see each other differ in it.
+    /// Differs between neighbours: bodies of one colour are advanced at once.
     color: u32,
     is_due: bool,
 }
 
-/// Buffers, used again by any island.
+/// Buffers, reused by any island.
 #[derive(Debug, Default)]
 pub struct Relaxation {
     cells: Vec<Cell>,
@@ -348,7 +350,7 @@ impl Paths for Tracks<'_> {
 }
 
 impl Cell {
-    /// Finds what is near body `own`; all but the incoming reactions.
+    /// Collects the neighbours and pairs of body `own`, but not the incoming reactions.
     fn gather(&mut self, own: u32, island: &Island, pairs_of: &[u32], stepped: usize) {
         let Cell { ids, pairs, found, .. } = self;
         let ends = |&pair: &u32| {
@@ -362,7 +364,7 @@ impl Cell {
         }));
         ids.sort_unstable();
         ids.insert(0, own);
-        // the first with vertices
+        // with the first body that has vertices
         let is_found = |pair: &u32| {
             let (a, b) = ends(pair);
             own == if (a as usize) < stepped { a } else { b }
@@ -373,25 +375,25 @@ impl Cell {
         pairs.extend(pairs_of.iter().filter(|pair| !is_found(pair)));
     }
 
-    /// The place of a body among those near it.
-    fn place(&self, body: u32) -> Option<u32> {
+    /// Index of a body in [`Cell::ids`].
+    fn position(&self, body: u32) -> Option<u32> {
         if self.ids[0] == body {
             return Some(0);
         }
-        self.ids[1..].binary_search(&body).ok().map(|place| place as u32 + 1)
+        self.ids[1..].binary_search(&body).ok().map(|index| index as u32 + 1)
     }
 
-    /// Where steps must end, and pairs that change, for events found elsewhere.
-    fn listen(&mut self, round: &Round<'_>) {
+    /// Schedules the events found elsewhere: ends of steps and changes of phase.
+    fn schedule_events(&mut self, round: &Round<'_>) {
         let mut schedule = std::mem::take(&mut self.schedule);
         schedule.clear();
         let closest = 1e-7 * (round.span.1 - round.span.0);
         let mut last = f64::NEG_INFINITY;
         for &Event { time, pair, bodies, to, jumps } in round.events {
             let change = if bodies.contains(&self.ids[0]) {
-                let Some(place) = self.pairs[self.found..].iter().position(|&own| own == pair) else { continue };
-                Some((self.found + place, to))
-            } else if jumps && time - last > closest && bodies.iter().any(|&body| self.place(body).is_some()) {
+                let Some(index) = self.pairs[self.found..].iter().position(|&own| own == pair) else { continue };
+                Some((self.found + index, to))
+            } else if jumps && time - last > closest && bodies.iter().any(|&body| self.position(body).is_some()) {
                 None
             } else {
                 continue;
@@ -399,13 +401,14 @@ impl Cell {
             if jumps {
                 last = time;
             }
-            schedule.push(Told { time, change, stops: jumps });
+            schedule.push(Scheduled { time, change, stops: jumps });
         }
         self.schedule = schedule;
     }
 
+    /// Advances the body over the span, on the records of the others.
     fn advance(&mut self, round: &Round<'_>, record: &mut Record) {
-        self.listen(round);
+        self.schedule_events(round);
         let Round { island, span: (start, end), .. } = *round;
         let own = self.ids[0] as usize;
         let mut parts = std::mem::take(&mut self.parts);
@@ -422,7 +425,7 @@ impl Cell {
         pairs.clear();
         for &pair in &self.pairs {
             let mut pair = island.pairs[pair as usize];
-            (pair.a, pair.b) = (self.place(pair.a).unwrap_or_default(), self.place(pair.b).unwrap_or_default());
+            (pair.a, pair.b) = (self.position(pair.a).unwrap_or_default(), self.position(pair.b).unwrap_or_default());
             pairs.push(pair);
         }
         let known = &island.field;
@@ -463,7 +466,8 @@ impl Cell {
 }
 
 impl Relaxation {
-    /// Makes a cell of every body with vertices, and takes their tracks from a step of all together, if it is known.
+    /// Makes a cell of every body with vertices. The first tracks are those of a joint step if one is known, else
+    /// guesses.
     fn start(&mut self, island: &Island, scratch: &Scratch, span: (f64, f64), is_known: bool) {
         let stepped = island.stepped();
         let Relaxation { cells, records, fresh, changes, events, arch, .. } = self;
@@ -483,12 +487,12 @@ impl Relaxation {
             let mut incoming = std::mem::take(&mut cells[own].incoming);
             incoming.clear();
             for &other in cells[own].ids[1..].iter().filter(|&&other| (other as usize) < stepped) {
-                incoming.extend(cells[other as usize].place(own as u32).map(|place| (other, place - 1)));
+                incoming.extend(cells[other as usize].position(own as u32).map(|index| (other, index - 1)));
             }
             cells[own].incoming = incoming;
         }
         for own in 0..stepped {
-            // the first that no earlier one nearby has
+            // the first colour that no earlier neighbour has
             let mut used = 0u64;
             for &other in cells[own].ids[1..].iter().filter(|&&other| (other as usize) < own) {
                 used |= 1 << cells[other as usize].color.min(63);
@@ -497,7 +501,7 @@ impl Relaxation {
         }
         for (own, (cell, record)) in cells.iter().zip(records).enumerate() {
             record.clear(cell.ids.len() - 1);
-            let number = |source: u32| cell.place(source).and_then(|place| place.checked_sub(1));
+            let number = |source: u32| cell.position(source).and_then(|index| index.checked_sub(1));
             match is_known {
                 true => record.add(&scratch.courses[own], &scratch.places[own], span, number),
                 false => record.guess(&island.bodies[own], &scratch.courses[own], span, number),
@@ -505,22 +509,22 @@ impl Relaxation {
         }
     }
 
-    /// Advances all bodies over the span, each alone, until they agree.
+    /// Advances all bodies over the span, each alone, until their tracks agree.
     fn agree(&mut self, island: &Island, span: (f64, f64), paths: &dyn Paths, work: &Tally<'_>) -> Result<(), Failure> {
         let vertices: usize = island.bodies.iter().map(|body| body.shape.rest.len()).sum();
         let colors = self.cells.iter().map(|cell| cell.color + 1).max().unwrap_or(0);
-        let most = MOST_STALE * (LOOSE * island.tolerance / FINEST).max(1.0);
-        for _ in 0..MOST_ROUNDS {
+        let most = MAX_STALE * (LOOSE * island.tolerance / MAX_SETTLED_TOLERANCE).max(1.0);
+        for _ in 0..MAX_ROUNDS {
             let mut any = false;
             for color in 0..colors {
                 let Relaxation { cells, records, fresh, changes, events, scratches, arch } = self;
                 let round = Round { island, records, events, scratches, paths, work: work.common(), arch: *arch, span };
                 let advance = |(own, (cell, record)): (usize, (&mut Cell, &mut Record))| {
-                    cell.is_due = cell.color == color && (cell.stale > most || cell.rough > MOST_ROUGH);
+                    cell.is_due = cell.color == color && (cell.stale > most || cell.rough > MAX_ROUGH);
                     if !cell.is_due {
                         return 0.0;
                     }
-                    // corrections need not be finer than what they are for
+                    // corrections need not be finer than the changes that they follow
                     cell.rough = (1e-3 * cell.stale).clamp(1.0, ROUGH);
                     cell.advance(&round, record);
                     let mass = |number: usize| {
@@ -583,7 +587,7 @@ impl Relaxation {
         }
     }
 
-    /// The result becomes the state of the island.
+    /// Commits the result as the state of the island.
     fn commit(&mut self, island: &mut Island, span: (f64, f64), paths: &dyn Paths, report: &mut Report) {
         let (mut steps, mut error, first) = (0, 0.0, report.changes.len());
         for (own, cell) in self.cells.iter_mut().enumerate() {
@@ -607,7 +611,7 @@ impl Relaxation {
                 let pair = pairs[change.pair] as usize;
                 super::Change { pair, ..change }
             }));
-            // a pair's energy counts in both of its bodies' cells, each with its own vertices
+            // the energy of a pair is in the ledgers of both cells, each for its own vertices
             steps = steps.max(of_cell.steps);
             report.body_steps += of_cell.steps;
             report.rejected += of_cell.rejected;
@@ -626,7 +630,7 @@ impl Relaxation {
     }
 }
 
-/// A failure of a part, by the numbers of the whole island's bodies.
+/// A failure of a part, with the indices of bodies in the whole island.
 fn in_whole(failure: &Failure, ids: &[u32]) -> Failure {
     let of = |body: usize| ids.get(body).copied().unwrap_or_default();
     match *failure {
@@ -637,7 +641,8 @@ fn in_whole(failure: &Failure, ids: &[u32]) -> Failure {
 }
 
 impl Island {
-    /// Advances to `end` body by body where a step of all together is not accurate, or something happens in it.
+    /// Advances to `end` [s]: in joint steps of all bodies where these are accurate and without events, else body by
+    /// body.
     pub(super) fn advance_apart(
         &mut self,
         scratch: &mut Scratch,
@@ -656,12 +661,12 @@ impl Island {
             self.leave_phases(scratch, paths, report)?;
             let stop = f64::min(end, self.field.next_break(self.time));
             let left = stop - self.time;
-            // a stretch in which bodies take a few steps each: in shorter ones they agree after fewer rounds
-            let steps: f64 = self.paces.iter().map(|pace| (left / pace).clamp(1.0, MOST_PARTS)).sum();
+            // bodies take a few steps each in a stretch: the shorter it is, the fewer rounds they need to agree
+            let steps: f64 = self.paces.iter().map(|pace| (left / pace).clamp(1.0, MAX_COUNTED_STEPS)).sum();
             let parts = (steps / (STEPS * self.paces.len() as f64)).floor().max((left / longest).ceil()).max(1.0);
             let next = if parts > 1.0 { self.time + left / parts } else { stop };
             let (start, h) = (self.time, next - self.time);
-            // all together, if they all met the tolerance with such steps
+            // a joint step, if it is expected to meet the tolerance of every body
             let may_do = self.paces.iter().all(|&pace| pace >= h);
             let outcome = if may_do { self.step(scratch, next, paths, work, report) } else { None };
             if work.is_over() {
@@ -677,7 +682,7 @@ impl Island {
                 continue;
             }
             if outcome.is_none() {
-                self.look(scratch, next, paths, work);
+                self.evaluate_start(scratch, next, paths, work);
             }
             let mut relaxation = std::mem::take(&mut scratch.relaxation);
             relaxation.start(self, scratch, (start, next), outcome.is_some());

@@ -13,12 +13,12 @@ use crate::model::{
 };
 use crate::sim::work::Tally;
 
-/// A sphere of 86 vertices, each with its share of the surface (areas between rings, not of triangles).
+/// A sphere of 86 vertices. Masses are shares of the surface by bands between rings, not by triangles.
 fn sphere(radius: f64, mass: f64) -> Arc<Shape> {
     stretched_sphere(radius, mass, DVec3::ONE)
 }
 
-/// The same, stretched along the axes.
+/// Like [`sphere`], stretched along the axes.
 fn stretched_sphere(radius: f64, mass: f64, stretch: DVec3) -> Arc<Shape> {
     let (stacks, slices) = (8, 12);
     let mut rest = vec![DVec3::Z, -DVec3::Z];
@@ -108,9 +108,9 @@ fn jacobi(u: f64, m: f64) -> [f64; 3] {
     [phi.sin(), phi.cos(), (1.0 - m * phi.sin().powi(2)).sqrt()]
 }
 
-/// A stiff body with three different moments turns as Euler's equations say (Landau & Lifshitz, Mechanics, § 37).
+/// A stiff body with three different moments follows Euler's equations (Landau & Lifshitz, Mechanics, § 37).
 #[test]
-fn a_stiff_body_turns_as_a_top() {
+fn a_stiff_body_turns_like_a_top() {
     let shape = stretched_sphere(1.0, 1.0, DVec3::new(1.0, 0.8, 0.6));
     let mut top = Body::free(shape, 1.0, Oscillator { omega: 1e5, damping: 1e3 }, Rotation::Free);
     let start = DVec3::new(0.6, 0.0, 2.0); // I₁ < I₂ < I₃ about x, y, z
@@ -132,13 +132,13 @@ fn a_stiff_body_turns_as_a_top() {
     let expected = DVec3::new(start.x * cn, second * sn, start.z * dn);
     let top = &island.bodies()[0];
     let found = top.rotation.inverse() * top.frame_spin();
-    // either orientation, like the axes
+    // the orientation of the axes leaves the sign open
     let error = found.distance(expected).min(found.distance(expected * DVec3::new(1.0, -1.0, 1.0)));
     assert!(error < 1e-7, "{found} {expected}");
 }
 
 #[test]
-fn momentum_and_angular_momentum_are_kept_and_energy_is_accounted_for() {
+fn momentum_and_angular_momentum_are_conserved_and_energy_is_accounted_for() {
     let mut island = two(Oscillator { omega: 12.0, damping: 0.0 }, LAW, 1e-6);
     let first = island.conserved();
     let report = run(&mut island, 3.0, 1.0 / 60.0);
@@ -150,9 +150,9 @@ fn momentum_and_angular_momentum_are_kept_and_energy_is_accounted_for() {
     assert!((last.energy() - first.energy() - brought).abs() < 1e-6 * first.energy().abs());
 }
 
-/// Stiffness is no problem: the spring causes no stiff coupling between vertices and frame.
+/// The spring causes no stiff coupling between vertices and frame.
 #[test]
-fn any_stiffness_will_do() {
+fn accuracy_does_not_depend_on_stiffness() {
     for omega in [3.0, 12.0, 100.0, 1e3, 1e4] {
         for damping in [0.0, 0.1 * omega, 2.0 * omega] {
             let o = Oscillator { omega, damping };
@@ -162,12 +162,13 @@ fn any_stiffness_will_do() {
             let error = difference(&island, &exact);
             assert!(error < 7e-7, "{omega} {damping}: {error:e}");
             assert!((report.changes[0].time - close.changes[0].time).abs() < 1e-8);
-            assert!(report.steps < 400, "{omega} {damping}: {}", report.steps); // 42 are the minimum
+            assert!(report.steps < 400, "{omega} {damping}: {}", report.steps); // the minimum is 42
         }
     }
 }
 
-/// Where the tolerance divides no step, shorter steps show the order of the method, down to where its iteration ends.
+/// With a tolerance that divides no step, shorter steps show the order of the method, down to the limit of its
+/// iteration.
 #[test]
 fn the_error_falls_with_the_fifth_power_of_the_step() {
     let outcome = |divided: u32, tolerance: f64| {
@@ -181,7 +182,7 @@ fn the_error_falls_with_the_fifth_power_of_the_step() {
 }
 
 #[test]
-fn steps_become_shorter_as_of_a_method_of_high_order() {
+fn the_number_of_steps_grows_slowly_with_accuracy() {
     let o = Oscillator { omega: 12.0, damping: 1.5 };
     let mut exact = two(o, LAW, 1e-11);
     run(&mut exact, 1.0, 1.0 / 60.0);
@@ -198,9 +199,9 @@ fn steps_become_shorter_as_of_a_method_of_high_order() {
     }
 }
 
-/// The outcomes of head-on encounters, as in the model page's table.
+/// Known outcomes of head-on encounters, by strengths and speed.
 #[test]
-fn slow_ones_bounce_off_and_fast_ones_pass() {
+fn slow_bodies_bounce_off_and_fast_ones_merge_or_pass() {
     let o = Oscillator { omega: 12.0, damping: 1.5 };
     for (alpha, beta, speed, expected) in [
         (100.0, 60.0, 0.4, &[][..]),
@@ -223,7 +224,7 @@ fn slow_ones_bounce_off_and_fast_ones_pass() {
 
 /// Rotating the whole setup rotates the result.
 #[test]
-fn no_direction_is_special() {
+fn results_do_not_depend_on_orientation() {
     let o = Oscillator { omega: 12.0, damping: 1.5 };
     let turn = rotation_by(DVec3::new(0.4, -1.0, 0.7));
     let mut island = two(o, LAW, 1e-6);
@@ -243,7 +244,7 @@ fn no_direction_is_special() {
     }
 }
 
-/// Four vertices in a square that does not rotate: a plane acts on it as on a point.
+/// Four vertices in a square that does not rotate: a plane acts on it like on a point.
 fn slab(omega: f64, from: DVec3, velocity: DVec3) -> Body {
     let rest = vec![DVec3::X, DVec3::Y, -DVec3::X, -DVec3::Y];
     let shape = Arc::new(Shape::new(rest, vec![0.25; 4]));
@@ -253,7 +254,7 @@ fn slab(omega: f64, from: DVec3, velocity: DVec3) -> Body {
 }
 
 #[test]
-fn a_slab_bounces_from_a_plane_as_a_spring_does() {
+fn a_slab_bounces_off_a_plane_like_a_spring() {
     let plane = Plane { normal: DVec3::Z, offset: 0.0, stiffness: 4000.0, friction: 0.0, slip: 0.01 };
     let thrown = slab(30.0, DVec3::new(0.0, 0.0, 0.33), DVec3::new(0.2, 0.0, -1.5));
     let mut island = Island::new(vec![thrown], vec![], Field { planes: vec![plane], ..Field::default() }, 1e-6);
@@ -283,7 +284,7 @@ fn a_slab_slides_as_far_as_friction_lets_it() {
 
 /// Two bodies on a rough plane, which damps their motion, where attraction turns into repulsion.
 #[test]
-fn chatter_is_told_and_a_wide_core_ends_it() {
+fn chatter_is_reported_and_a_core_width_prevents_it() {
     let plane = Plane { normal: DVec3::Z, offset: 0.0, stiffness: 4000.0, friction: 0.5, slip: 0.01 };
     let thresholds = Thresholds { core_at: 0.7, ..LAW.thresholds };
     let outcome = |core_width: f64| {
@@ -300,10 +301,10 @@ fn chatter_is_told_and_a_wide_core_ends_it() {
     assert_eq!(outcome(0.3), Ok(()));
 }
 
-/// A body on a path pulls a free one; the free body's sphere pulls back at the vertices of the prescribed body, and
-/// those pull on the free body.
+/// The sphere of a body on a path pulls the vertices of a free body. The free body's sphere pulls those of the
+/// prescribed body, and their reaction pulls the free body.
 #[test]
-fn the_lighter_one_follows_the_one_on_a_path() {
+fn a_free_body_follows_one_on_a_path() {
     let o = Oscillator { omega: 12.0, damping: 1.5 };
     let path = |body: usize, t: f64, _: bool| match body {
         0 => Driven { position: 0.5 * t * DVec3::X, velocity: 0.5 * DVec3::X, carry: DVec3::ZERO },
@@ -321,7 +322,7 @@ fn the_lighter_one_follows_the_one_on_a_path() {
 }
 
 #[test]
-fn the_instruction_set_makes_no_difference() {
+fn results_do_not_depend_on_the_instruction_set() {
     let outcome = |arch: Arch| {
         let mut island = two(Oscillator { omega: 12.0, damping: 1.5 }, LAW, 1e-6);
         let (mut scratch, mut report) = (Scratch::new(arch), Report::default());
@@ -359,11 +360,11 @@ fn cube(tolerance: f64, damping: f64) -> Island {
     Island::new(bodies, pairs, Field { planes, ..Field::default() }, tolerance)
 }
 
-/// Bodies of a large island take steps of their own: they go where all together would.
+/// Bodies of a large island take their own steps, with the same result as joint ones.
 #[test]
-fn bodies_with_steps_of_their_own_go_the_same_way() {
+fn own_steps_of_bodies_agree_with_joint_steps() {
     let (mut apart, mut together) = (cube(1e-6, 1.5), cube(1e-7, 1.5));
-    apart.most_together = 1;
+    apart.max_together = 1;
     let [found, expected] = [&mut apart, &mut together].map(|island| run(island, 15.0 / 60.0, 1.0 / 60.0));
     assert!(found.changes.len() > 20 && found.changes.len() == expected.changes.len());
     for (found, expected) in found.changes.iter().zip(&expected.changes) {
@@ -375,9 +376,9 @@ fn bodies_with_steps_of_their_own_go_the_same_way() {
 }
 
 #[test]
-fn bodies_with_steps_of_their_own_keep_momentum_and_their_ledger() {
+fn own_steps_of_bodies_conserve_momentum_and_balance_the_ledger() {
     let mut island = cube(1e-6, 0.0);
-    island.most_together = 1;
+    island.max_together = 1;
     let first = island.conserved();
     let (error, ledger) = {
         let report = run(&mut island, 15.0 / 60.0, 1.0 / 60.0);
@@ -391,7 +392,7 @@ fn bodies_with_steps_of_their_own_keep_momentum_and_their_ledger() {
 }
 
 #[test]
-fn the_number_of_threads_makes_no_difference() {
+fn results_do_not_depend_on_the_number_of_threads() {
     let o = Oscillator { omega: 12.0, damping: 1.5 };
     let place = |i: u32| DVec3::new(f64::from(i % 4), f64::from(i / 4 % 4), f64::from(i / 16)) * 1.9;
     let bodies: Vec<Body> = (0..48).map(|i| body(1.0, o, place(i), -0.1 * place(i), DVec3::X)).collect();
@@ -404,11 +405,11 @@ fn the_number_of_threads_makes_no_difference() {
             }
         }
     }
-    for most_together in [1, 48] {
+    for max_together in [1, 48] {
         let outcome = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
             let mut island = Island::new(bodies.clone(), pairs.clone(), Field::default(), 1e-4);
-            island.most_together = most_together;
+            island.max_together = max_together;
             pool.install(|| run(&mut island, 2.0 / 60.0, 1.0 / 60.0));
             island
         };
@@ -419,7 +420,7 @@ fn the_number_of_threads_makes_no_difference() {
     }
 }
 
-/// How far the energy of an island is from what its ledger says after a run, relative to the energy that came and went.
+/// Largest difference between the change of an island's energy and its ledger in a run, relative to the energy in it.
 fn unexplained(mut island: Island, paths: &dyn Paths, duration: f64) -> (f64, Ledger) {
     let before = island.conserved().energy();
     let (mut report, mut worst, mut scale) = (Report::default(), 0.0, before.abs());
@@ -480,8 +481,8 @@ fn the_ledger_accounts_for_bodies_on_paths() {
     assert!(ledger.prescribed != 0.0);
 }
 
-/// Forces by cause, in the middle of an encounter on a plane: their sum is what accelerates vertices, centres and frames
-/// (by finite differences of the run), and actions equal reactions to the last bit.
+/// In the middle of an encounter on a plane, the sum of the forces by cause is what accelerates vertices, centres and
+/// frames (by finite differences of the run), and reactions equal actions to the last bit.
 #[test]
 fn observed_forces_are_those_that_move_the_bodies() {
     use crate::sim::Cause;
