@@ -21,7 +21,7 @@ pub struct Sphere {
     pub radius: f64,
     /// Strength at each sample [1/s²].
     pub strength: [f64; 5],
-    /// Position of its centre at each sample.
+    /// Position and velocity of its centre at each sample.
     pub places: [Place; 5],
     /// Motion relative to the sphere in the step that the choice of active vertices allows for [scene unit].
     pub band: f64,

@@ -18,7 +18,7 @@ use super::{
 };
 use crate::model::{oscillator::Oscillator, phase::Phase};
 
-/// A step that has not converged after this many corrections is split.
+/// Largest number of sweeps of a step before a shorter one is tried.
 const MAX_SWEEPS: u32 = 24;
 /// Largest number of steps of one [`Island::advance`].
 const MAX_STEPS: u64 = 20_000;
@@ -37,10 +37,10 @@ pub(super) const MAX_SETTLED_TOLERANCE: f64 = 1e-6;
 const HOPED: f64 = 1.15;
 /// Distances within this fraction of a threshold count as on it.
 const STANDING: f64 = 1e-12;
-/// Largest ratio of a step's length to that of the previous step.
+/// Largest ratio by which the expected step length grows from one step to the next.
 const MAX_GROWTH: f64 = 4.0;
 /// In islands with more bodies than this, steps do not end where a gradual change of strength begins or ends: it is
-/// smooth enough for the error estimate, and all bodies would need shorter steps.
+/// smooth enough for the error estimate, and the steps of all bodies would become shorter.
 const MAX_WAITING: usize = 8;
 /// Largest error over tolerance of a step that is repeated with slightly different neighbours, before a shorter one is
 /// tried.
@@ -523,8 +523,8 @@ impl Island {
                 way.centre = larger(way.centre, place.centre.distance(way.from));
                 way.extent = larger(way.extent, frame.extent);
             }
-            let most = course.end(scratch.arch, body, places);
-            (way.displacement, way.speed) = (most.x, most.u);
+            let maxima = course.end(scratch.arch, body, places);
+            (way.displacement, way.speed) = (maxima.x, maxima.u);
         }
         self.time = next;
     }
@@ -656,13 +656,14 @@ impl Island {
                     self.bodies.iter().zip(courses.iter_mut()).zip(places.iter_mut()).map(follow).fold(0.0, larger)
                 }
             };
-            // If the end has settled, the other nodes need no further correction: their forces are those of the end.
+            // The end comes first. Once it has settled, the other nodes need no further correction: both follow from
+            // the same forces.
             let mut change = correct(if sweep == 0 { 1..4 } else { 3..4 });
             if !change.is_finite() {
                 return None;
             }
             let rate = if sweep > 0 { change / before } else { 1.0 };
-            // the remainder is the rest of a geometric series
+            // the remaining corrections are the rest of a geometric series
             let left = if rate < 0.9 { change * rate / (1.0 - rate) } else { change };
             if sweep > 0 && left <= 1.0 {
                 return Some(true);

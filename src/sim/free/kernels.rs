@@ -265,11 +265,11 @@ impl Kernel for Largest<'_> {
 
     #[inline(always)]
     fn run<S: Simd, const W: usize>(self, simd: S) -> f64 {
-        let mut most = Reals::<S, W>::splat(simd, 0.0);
+        let mut max = Reals::<S, W>::splat(simd, 0.0);
         for v in self.0 {
-            most = most.larger_or_nan(load(simd, v).length_squared());
+            max = max.larger_or_nan(load(simd, v).length_squared());
         }
-        largest(most)
+        largest(max)
     }
 }
 
@@ -558,7 +558,7 @@ impl Kernel for Move<'_> {
         let common = [Vector::<S, 1>::splat(simd, common[0]), Vector::splat(simd, common[1])];
         let by_rest = [columns::<S, 1>(simd, by_rest[0]), columns(simd, by_rest[1])];
         let none = [Reals::splat(simd, 0.0); W];
-        let [mut far, mut fast, mut most_x, mut most_u] = [none; 4];
+        let [mut far, mut fast, mut max_x, mut max_u] = [none; 4];
         let [mut diagonal, mut beside, mut xu] = [[zero::<S, 1>(simd); W]; 3];
         for block in &mut active.blocks {
             for i in 0..W {
@@ -573,8 +573,8 @@ impl Kernel for Move<'_> {
                 // unused lanes repeat the last vertex
                 far[i] = far[i].larger((x - x_before).length_squared());
                 fast[i] = fast[i].larger((u - u_before).length_squared());
-                most_x[i] = most_x[i].larger(x.length_squared());
-                most_u[i] = most_u[i].larger(u.length_squared());
+                max_x[i] = max_x[i].larger(x.length_squared());
+                max_u[i] = max_u[i].larger(u.length_squared());
                 store_part(x, &mut block.x[look], at);
                 store_part(u, &mut block.u[look], at);
                 let mx = x * Reals::load(simd, &block.masses, at);
@@ -589,7 +589,7 @@ impl Kernel for Move<'_> {
         if (d + xu).is_nan() {
             far = f64::NAN; // the maxima drop NaN, the sums do not
         }
-        Moved { changes: [far, largest_parts(fast)], largest: [largest_parts(most_x), largest_parts(most_u)], xx, xu }
+        Moved { changes: [far, largest_parts(fast)], largest: [largest_parts(max_x), largest_parts(max_u)], xx, xu }
     }
 }
 
@@ -700,10 +700,10 @@ impl Kernel for Pull<'_> {
                 d[node] = apart[node] - load(simd, &block.s[node]);
                 square[node] = d[node].length_squared();
             }
-            let least = square[0].smaller(square[1]).smaller(square[2].smaller(square[3]));
-            let most = square[0].larger_or_nan(square[1]).larger_or_nan(square[2].larger_or_nan(square[3]));
-            let out = outer.below(least);
-            let mut inside = most.below(inner);
+            let min = square[0].smaller(square[1]).smaller(square[2].smaller(square[3]));
+            let max = square[0].larger_or_nan(square[1]).larger_or_nan(square[2].larger_or_nan(square[3]));
+            let out = outer.below(min);
+            let mut inside = max.below(inner);
             let mut crosses = out.or(inside).negated();
             if crosses.any() {
                 // nor do vertices cross it that are farther from it at all nodes than the largest of their rates takes
@@ -720,9 +720,9 @@ impl Kernel for Pull<'_> {
                     nearest = nearest.smaller(values[node].abs());
                 }
                 let passes = fastest.below(nearest).negated();
-                let mixed = most.below(rim).or(rim.below(least)).negated();
+                let mixed = max.below(rim).or(rim.below(min)).negated();
                 crosses = crosses.and(passes.or(mixed));
-                inside = inside.or(crosses.negated().and(most.below(rim)));
+                inside = inside.or(crosses.negated().and(max.below(rim)));
                 if crosses.any() {
                     // nor vertices whose polynomial has coefficients of one sign
                     let (mut low, mut high) = (values[0].smaller(values[3]), values[0].larger_or_nan(values[3]));
@@ -950,15 +950,15 @@ impl Kernel for Bend<'_> {
         let Bend { active, weights: w, common, by_rest } = self;
         let (common, by_rest) = (Vector::<S, W>::splat(simd, common), columns::<S, W>(simd, by_rest));
         let none = Reals::splat(simd, 0.0);
-        let mut most = none;
+        let mut max = none;
         for block in &active.blocks {
             let f = forces::<S, W>(simd, block);
             let middle = load(simd, &block.f[4]);
             let shared = common + times(&by_rest, load(simd, &block.rest));
             let square = (middle - combine(&w, &f) + shared).length_squared();
-            most = most.larger_or_nan(real(simd, block).select(square, none));
+            max = max.larger_or_nan(real(simd, block).select(square, none));
         }
-        largest(most)
+        largest(max)
     }
 }
 

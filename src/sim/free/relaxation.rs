@@ -13,8 +13,8 @@
 //! first and second integrals, known exactly for every step, are all that the other body needs. Momentum is conserved
 //! although steps differ, up to the remaining difference between rounds.
 //!
-//! The events of a pair are found with its first body. The second body ends its steps at these times too, and so do the
-//! neighbours of both, because the accelerations of the two bodies jump there.
+//! The events of a pair are found with its first body that has vertices. The other body ends its steps at these times
+//! too, and so do the neighbours of both, because the accelerations of the two bodies jump there.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -120,7 +120,7 @@ pub struct Record {
     legs: Vec<Leg>,
     /// By index of the other body.
     pulses: Vec<Vec<Pulse>>,
-    /// Buffer: first and second integral of the reaction at the nodes of a step.
+    /// Buffer: (second, first) integral of each reaction at the nodes of a step.
     sums: Vec<Option<[(DVec3, DVec3); 4]>>,
 }
 
@@ -228,19 +228,19 @@ impl Record {
     /// [scene unit]; a velocity counts as the displacement in one second.
     fn change(&self, before: &Record, (start, end): (f64, f64), mass: impl Fn(usize) -> Option<f64>) -> f64 {
         const LOOKS: [f64; 4] = [0.25, 0.5, 0.75, 1.0];
-        let mut most: f64 = 0.0;
+        let mut largest: f64 = 0.0;
         for look in LOOKS {
             let t = start + look * (end - start);
             let (now, then) = (self.place(t), before.place(t));
-            most = larger(most, (now.centre - then.centre).length());
-            most = larger(most, (now.velocity - then.velocity).length());
+            largest = larger(largest, (now.centre - then.centre).length());
+            largest = larger(largest, (now.velocity - then.velocity).length());
             for (number, (now, then)) in self.pulses.iter().zip(&before.pulses).enumerate() {
                 if let Some(mass) = mass(number) {
-                    most = larger(most, (integrals(now, t).1 - integrals(then, t).1).length() / mass);
+                    largest = larger(largest, (integrals(now, t).1 - integrals(then, t).1).length() / mass);
                 }
             }
         }
-        most
+        largest
     }
 }
 
@@ -513,14 +513,14 @@ impl Relaxation {
     fn agree(&mut self, island: &Island, span: (f64, f64), paths: &dyn Paths, work: &Tally<'_>) -> Result<(), Failure> {
         let vertices: usize = island.bodies.iter().map(|body| body.shape.rest.len()).sum();
         let colors = self.cells.iter().map(|cell| cell.color + 1).max().unwrap_or(0);
-        let most = MAX_STALE * (LOOSE * island.tolerance / MAX_SETTLED_TOLERANCE).max(1.0);
+        let max_stale = MAX_STALE * (LOOSE * island.tolerance / MAX_SETTLED_TOLERANCE).max(1.0);
         for _ in 0..MAX_ROUNDS {
             let mut any = false;
             for color in 0..colors {
                 let Relaxation { cells, records, fresh, changes, events, scratches, arch } = self;
                 let round = Round { island, records, events, scratches, paths, work: work.common(), arch: *arch, span };
                 let advance = |(own, (cell, record)): (usize, (&mut Cell, &mut Record))| {
-                    cell.is_due = cell.color == color && (cell.stale > most || cell.rough > MAX_ROUGH);
+                    cell.is_due = cell.color == color && (cell.stale > max_stale || cell.rough > MAX_ROUGH);
                     if !cell.is_due {
                         return 0.0;
                     }
@@ -571,7 +571,7 @@ impl Relaxation {
                 events.sort_by(|one, other| one.time.total_cmp(&other.time).then(one.pair.cmp(&other.pair)));
                 for cell in cells.iter_mut() {
                     let seen = cell.ids[1..].iter().filter_map(|&other| changes.get(other as usize));
-                    cell.stale += seen.fold(0.0, |most, &change| larger(most, change));
+                    cell.stale += seen.fold(0.0, |largest, &change| larger(largest, change));
                 }
             }
             if !any {
@@ -580,7 +580,7 @@ impl Relaxation {
         }
         let left = self.cells.iter().enumerate().max_by(|(_, a), (_, b)| a.stale.total_cmp(&b.stale));
         match left {
-            Some((body, cell)) if !(cell.stale <= most) => {
+            Some((body, cell)) if !(cell.stale <= max_stale) => {
                 Err(Failure::Unresolved { body, time: span.0, step: span.1 - span.0 })
             }
             _ => Ok(()),

@@ -625,7 +625,7 @@ impl Course {
     }
 
     /// Computes the rotations at samples and the frame's angular velocities there, which depend on each other. Returns the
-    /// larger of `change` and the largest displacement of a vertex by this [scene unit].
+    /// larger of `change` and the largest displacement of a rest position by this [scene unit].
     fn turn(
         &mut self,
         body: &Body,
