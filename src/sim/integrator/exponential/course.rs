@@ -24,13 +24,13 @@ pub struct Course<'a> {
     pub index: usize,
     /// Its rest shape.
     pub mesh: &'a Mesh,
-    /// Where the interval starts [s].
+    /// Start of the interval [s].
     pub start: f64,
-    /// How long it is [s].
+    /// Length of the interval [s].
     pub length: f64,
-    /// Where the bodies are.
+    /// The tracks of all bodies.
     pub tracks: &'a Tracks,
-    /// Whether the interval is a whole step, of which the tracks have the looks.
+    /// Whether the interval is a whole step of the scene, for which the tracks hold samples.
     pub is_whole: bool,
     /// Spheres that can reach the body.
     pub spheres: &'a [Sphere],
@@ -50,12 +50,12 @@ pub struct Local<'a> {
 }
 
 impl Course<'_> {
-    /// Where the interval ends [s].
+    /// End of the interval [s].
     pub fn end(&self) -> f64 {
         self.start + self.length
     }
 
-    /// The body, as the scene has it.
+    /// The body in the scene.
     pub fn body(&self) -> &scene::Body {
         &self.scene.bodies[self.index]
     }
@@ -66,11 +66,11 @@ impl Course<'_> {
         Oscillator { omega: material.omega, damping: material.damping }
     }
 
-    /// The weight of a vertex in a weighted term along `direction` d, how squarely it faces that [–]: max(0, −l̂·d) for rest
-    /// position l (Fig. 4.1).
+    /// The weight of a vertex in a weighted term along `direction` d, that is, how squarely the vertex faces it [–]:
+    /// max(0, −l̂·d) for rest position l (Fig. 4.1).
     pub fn facing(&self, direction: DVec3, rest: DVec3) -> f64 {
         let length = if self.mesh.is_round() { self.body().radius } else { rest.length() };
-        f64::max(0.0, -(rest.dot(direction) / length)) // of a vertex at the centre: 0
+        f64::max(0.0, -(rest.dot(direction) / length)) // 0 for a vertex at the centre
     }
 
     /// The weight (3.3).
@@ -78,18 +78,18 @@ impl Course<'_> {
         self.scene.influence.weight
     }
 
-    /// The frame of a body.
+    /// The track of a body over the interval.
     pub fn track(&self, body: usize) -> Track<'_> {
         self.tracks.track(body).between(self.start, self.end())
     }
 
-    /// The frame that a sphere's centre is of.
+    /// The track of a sphere's centre over the interval.
     pub fn sphere_track(&self, sphere: usize) -> Track<'_> {
         self.track(self.spheres[sphere].body as usize)
     }
 
-    /// The centres of the spheres relative to that of the body at time `t` [scene unit], into `centres` (reused), and
-    /// what is the same for all vertices [scene unit/s²]. At the end of the interval: just before it.
+    /// Writes the centres of the spheres relative to that of the body at time `t` [s] to `centres` [scene unit], and
+    /// returns the acceleration that all vertices share [scene unit/s²]; at the end of the interval, the left limits.
     pub fn sample(&self, t: f64, centres: &mut Vec<DVec3>) -> DVec3 {
         let track = self.track(self.index);
         let own = if t >= self.end() { track.before(t) } else { track.at(t) };
@@ -98,11 +98,11 @@ impl Course<'_> {
         terms::uniform(self.scene, self.index, &own)
     }
 
-    /// The response to the body's own motion at the end of the interval if it is `carried` at its start, where that is
-    /// known in closed form because steps would not resolve the motion.
+    /// The response to the body's own motion at the end of the interval, given the response `carried` at its start, in
+    /// closed form; `None` unless steps would not resolve the motion.
     pub fn carried_over(&self, carried: State) -> Option<State> {
         let steady = Steady::of(self.scene, self.index, self.track(self.index), self.length)?;
-        // the next step starts there to the bit, which matters for who swings a million times in between
+        // bit-identical to the start of the next step, which matters if the body oscillates a million times in between
         let end = if self.is_whole { ((self.start / self.length).round() + 1.0) * self.length } else { self.end() };
         let (from, to) = (steady.at(self.start), steady.at(end));
         let (x, u) = (carried.x - from.x, carried.u - from.u);
@@ -110,13 +110,13 @@ impl Course<'_> {
         Some(State { x: xx * x + xu * u + to.x, u: ux * x + uu * u + to.u })
     }
 
-    /// Bounds of the motion of a sphere's centre relative to the body's within `[start, end]` [s].
+    /// Bounds on the motion of a sphere's centre relative to the body's within `[start, end]` [s].
     pub fn relative_bounds(&self, sphere: usize, start: f64, end: f64) -> Bounds {
         let other = self.spheres[sphere].body as usize;
         let [own, its] = [self.tracks.bounds(self.index), self.tracks.bounds(other)];
         let still = Bounds { speed: 0.0, acceleration: 0.0 };
         match (own, its) {
-            // one of the two stands still
+            // at least one of the two does not move
             (None, moves) | (moves, None) if self.is_whole => moves.unwrap_or(still),
             _ => self.track(other).relative_bounds(self.track(self.index), start, end),
         }
@@ -127,7 +127,7 @@ impl Course<'_> {
         self.local.map_or(DVec3::ZERO, |local| local.accelerations.get(i))
     }
 
-    /// The largest acceleration of a vertex by influence and by what acts on it alone [scene unit/s²].
+    /// A bound on the acceleration of any vertex by the spheres and by its constant acceleration [scene unit/s²].
     pub fn strongest_pull(&self) -> f64 {
         let max_pull = self.weight().max_pull();
         let spheres: f64 = self.spheres.iter().map(|sphere| sphere.strength.abs() * sphere.radius * max_pull).sum();

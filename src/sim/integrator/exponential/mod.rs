@@ -28,12 +28,12 @@
 //! | the world: broad phase, events, timers | 3,700 | 28,000 | 1,900 |
 //! | all | 52,100 | 357,000 | 19,400 |
 //!
-//! So a scheme with half as many forces saves little: three Lobatto nodes instead of four were tried, with a fourth force
-//! that checks them and falls back on full order. They save 5 to 8 % with errors of 1e-7 to 7e-7 R at a tolerance of
-//! 1e-6, and the kernels then took many times as long to compile. Predicting forces with their slope at the start of the
-//! step, too, costs as much as it saves. Eight vertices side by side instead of sixteen with AVX-512 take a fifth longer.
-//! An active set that is chosen half as often leaves its vertices in less order, which costs as much side by side as it
-//! saves.
+//! A scheme with half as many force evaluations would therefore save little. Three Lobatto nodes instead of four were
+//! tried, with a fourth force as a check that falls back to full order: they saved 5 to 8 %, with errors of 1e-7 to
+//! 7e-7 R at a tolerance of 1e-6, and the kernels took many times as long to compile. Using the slope of the forces at
+//! the start of the step for their prediction costs as much as it saves. With AVX-512, eight vertices side by side
+//! instead of sixteen take a fifth longer. Selecting the active set half as often leaves its vertices less ordered,
+//! which costs as much side by side as it saves.
 
 pub mod course;
 pub mod lanes;
@@ -57,13 +57,13 @@ use step::{Outcome, Pull, Step, Vertex};
 use together::{Outcomes, Together};
 use weights::KnownWeights;
 
-/// Largest number of halvings of a body's interval needed to resolve its own motion, and of those that its vertices need.
-const MOST_HALVINGS: u32 = 10;
-/// Number of steps that a vertex may take however short the step was made for all.
-const LEAST_STEPS: u32 = 128;
-/// Steps are halved once more if they are too long for more than this share of a body's vertices …
+/// Upper limit on the halvings of a body's interval for its own motion, and on those for its vertices.
+const MAX_HALVINGS: u32 = 10;
+/// Number of steps that a vertex may always take, however short the step of all vertices is.
+const MIN_STEPS: u32 = 128;
+/// Steps are halved once more if they are too long for more than one in this many of a body's vertices …
 const MANY: u64 = 32;
-/// … and once less if steps twice as long would do for all but this share.
+/// … and once less if steps of twice the length would be too long for fewer than one in this many.
 const FEW: u64 = 64;
 
 /// Buffers, reused from step to step.
@@ -74,7 +74,7 @@ pub struct Scratch {
     outcomes: Outcomes,
     inside: Vec<u64>,
     count_near: bool,
-    most_steps: u32,
+    max_steps: u32,
     known: KnownWeights,
     single: single::Scratch,
 }
@@ -86,11 +86,11 @@ pub struct StepStatistics {
     pub substeps: u64,
     /// The largest, over all vertices, of the sum of a vertex's estimated errors [scene unit].
     pub error: f64,
-    /// The part of the errors that exceeds the tolerance because steps cannot be made shorter, at most [scene unit].
+    /// A bound on the part of the errors that exceeds the tolerance because steps cannot be made shorter [scene unit].
     pub excess: f64,
-    /// Number of vertices and steps for which a step of all vertices was too long.
+    /// Number of vertices for which a step of all vertices was too long, summed over these steps.
     pub hard: u64,
-    /// Number of those for which a step of twice the length would be too long; counted where steps are halved.
+    /// Like `hard`, for steps of twice the length; counted only where steps are halved.
     pub near: u64,
     /// Work done, in units of `sim::work`.
     pub work: u64,
@@ -116,9 +116,9 @@ pub fn work_of(vertices: usize, spheres: usize, pushes: usize) -> u64 {
     vertices as u64 * (FORCES * (1 + spheres as u64) + pushes as u64)
 }
 
-/// Advances the shared motion of a body's vertices, and the vertices in its active set, over `course`, in steps that are a
-/// step of the scene halved `halvings` times. This number follows from what steps were too long or too short for, and
-/// does not depend on vertices on which nothing acts.
+/// Advances the shared motion of a body's vertices, and the vertices in its active set, over `course`, in steps of the
+/// scene halved `halvings` times. Adjusts `halvings` to the number of vertices for which the steps were too long or
+/// would be if they were longer; vertices on which nothing acts do not count.
 pub fn advance(
     course: &Course<'_>,
     control: StepControl<'_>,
@@ -131,16 +131,16 @@ pub fn advance(
     scratch.count_near = *halvings > 0;
     let steps = match *halvings {
         0 => 1.0,
-        // a part of a step of the scene is that much shorter already
+        // a part of a step of the scene is already shorter by this ratio
         halvings => (f64::from(1 << halvings) * (course.length / course.scene.dt)).ceil(),
     };
-    scratch.most_steps = (single::MOST_STEPS / steps as u32).max(LEAST_STEPS);
+    scratch.max_steps = (single::MAX_STEPS / steps as u32).max(MIN_STEPS);
     let length = course.length / steps;
     for step in 0..steps as u32 {
         let start = course.start + f64::from(step) * length;
         let is_whole = course.is_whole && steps == 1.0;
         let part = Course { start, length, is_whole, ..*course };
-        halve(&part, control, common, active_set, scratch, MOST_HALVINGS, &mut statistics);
+        halve(&part, control, common, active_set, scratch, MAX_HALVINGS, &mut statistics);
         if control.work.is_over() {
             return statistics;
         }
@@ -149,7 +149,7 @@ pub fn advance(
         let StepStatistics { hard, near, .. } = statistics;
         let vertices = course.mesh.vertex_count() as u64 * steps as u64;
         *halvings = match *halvings {
-            now if now < MOST_HALVINGS && hard * MANY > vertices => now + 1,
+            now if now < MAX_HALVINGS && hard * MANY > vertices => now + 1,
             1.. if near == 0 => 0,
             now @ 1.. if near * FEW < vertices => now - 1,
             now => now,
@@ -158,7 +158,7 @@ pub fn advance(
     statistics
 }
 
-/// Like [`advance`], halving the interval while the body's own motion is not resolved.
+/// Takes one of the steps of [`advance`], halved until it resolves the body's own motion.
 fn halve(
     course: &Course<'_>,
     control: StepControl<'_>,
@@ -175,7 +175,7 @@ fn halve(
     let wanted = control.tolerance * h;
     let weights = scratch.known.get(course.oscillator(), h, step::is_sampled_aside(course, h, wanted));
     scratch.whole.prepare(course, weights, common, wanted);
-    // vertices near a sphere need to know where it is in between
+    // vertices near a sphere depend on the body's motion within the step, not only on its end
     let carried = if active_set.vertices.is_empty() { course.carried_over(common.carried) } else { None };
     let uniform_error = if carried.is_some() { 0.0 } else { scratch.whole.uniform_error() };
     let middle = course.start + 0.5 * h;
@@ -189,7 +189,7 @@ fn halve(
     statistics.substeps += 1;
     let mut error = 0.0;
     if !active_set.vertices.is_empty() {
-        error = take(course, control, common, active_set, scratch, statistics);
+        error = step_active_set(course, control, common, active_set, scratch, statistics);
     }
     statistics.error += uniform_error.max(error);
     if !(uniform_error <= wanted) {
@@ -199,9 +199,9 @@ fn halve(
     common.carried = carried.unwrap_or(common.carried);
 }
 
-/// One step of the active set: all vertices together, then one by one those for which that is not accurate enough.
-/// Returns the largest estimated error of a vertex [scene unit].
-fn take(
+/// Steps the active set: all vertices together, then individually those for which that is not accurate enough or that
+/// may cross a rim. Returns the largest estimated error of a vertex [scene unit].
+fn step_active_set(
     course: &Course<'_>,
     control: StepControl<'_>,
     common: &Common,
@@ -209,7 +209,7 @@ fn take(
     scratch: &mut Scratch,
     statistics: &mut StepStatistics,
 ) -> f64 {
-    let Scratch { whole, pulls, outcomes, inside, count_near, most_steps, known, single } = scratch;
+    let Scratch { whole, pulls, outcomes, inside, count_near, max_steps, known, single } = scratch;
     let force = course.strongest_pull();
     let wanted = control.tolerance * course.length;
     let stiff = single::is_stiff(course, course.length);
@@ -235,7 +235,7 @@ fn take(
         common,
         tolerance,
         force,
-        most_steps: *most_steps,
+        max_steps: *max_steps,
         work,
         substeps: 0,
         error: 0.0,
@@ -258,7 +258,7 @@ fn take(
             let outcome = Outcome { end, forces, bend: outcomes.bend.get(i), error: outcomes.error[i] };
             let start = State { x: outcomes.displacement.get(i), u: outcomes.velocity.get(i) };
             statistics.hard += u64::from(!(outcome.error <= wanted));
-            let end = alone.take((vertex, inside), start, outcome, known, single);
+            let end = alone.advance((vertex, inside), start, outcome, known, single);
             active_set.set_state(i, end);
         }
     }

@@ -15,7 +15,7 @@ use crate::sim::{
 
 /// Largest number of samples in the search for a rim crossing. More would be needed only if a vertex oscillates many
 /// times in a step, or if its bounds are far too wide.
-pub const MOST_SAMPLES: u32 = 4096;
+pub const MAX_SAMPLES: u32 = 4096;
 
 /// The crossing was not resolved within the allowed number of samples.
 #[derive(Clone, Copy, Debug)]
@@ -24,7 +24,7 @@ pub struct Unresolved;
 /// The rim of a sphere that a vertex may cross in a step.
 #[derive(Clone, Copy, Debug)]
 pub struct Rim {
-    /// The number of the sphere.
+    /// Index of the sphere in the course.
     pub sphere: usize,
     /// Whether the vertex is inside at the start of the step, so that it crosses outwards; otherwise inwards.
     pub is_inside: bool,
@@ -75,8 +75,8 @@ impl<'a> Motion<'a> {
         }
     }
 
-    /// The first time after the start of the step at which the vertex crosses a rim. The step must be the one that this motion belongs to. `looks` is the number of samples that
-    /// may still be taken; the search decrements it.
+    /// The first time after the start of the step at which the vertex crosses a rim. The step must be the one that this
+    /// motion belongs to. `samples_left` is the number of samples that may still be taken; the search decrements it.
     ///
     /// # Errors
     /// If the search needs too many samples.
@@ -85,7 +85,7 @@ impl<'a> Motion<'a> {
         trajectories: Trajectories<'_>,
         step: &Step,
         Rim { sphere, is_inside, is_start }: Rim,
-        looks: &mut u32,
+        samples_left: &mut u32,
     ) -> Result<Option<f64>, Unresolved> {
         let rim = trajectories.course.spheres[sphere].radius;
         let mut bounds = step.relative[sphere];
@@ -105,7 +105,7 @@ impl<'a> Motion<'a> {
         };
         let (d0, d1) = (distance(0, self.coefficients[0]), distance(3, last));
         let mut gap = Gap {
-            looks: Cell::new(*looks),
+            samples_left: Cell::new(*samples_left),
             sign: if is_inside { -1.0 } else { 1.0 },
             rim,
             curvature: 2.0 * speed * speed + 2.0 * (d0.max(d1) + speed) * acceleration,
@@ -114,7 +114,8 @@ impl<'a> Motion<'a> {
         if g0.min(g1) > gap.curvature / 8.0 {
             return Ok(None);
         }
-        // From zero at the start it grows at least as t (g₁ − curvature (1 − t)/2): most vertices cross a rim once in a step.
+        // From zero at the start it is at least t (g₁ − curvature (1 − t)/2): most vertices cross a rim only once in a
+        // step.
         if is_start && g1 > gap.curvature / 2.0 {
             return Ok(None);
         }
@@ -144,8 +145,8 @@ impl<'a> Motion<'a> {
                 gap.at(position - displacement, self.h * motion - velocity)
             }),
         };
-        *looks = gap.looks.get();
-        if *looks == 0 {
+        *samples_left = gap.samples_left.get();
+        if *samples_left == 0 {
             return Err(Unresolved);
         }
         Ok(theta.map(|theta| if theta >= 1.0 { step.end() } else { self.start + theta * self.h }))
@@ -156,7 +157,7 @@ impl<'a> Motion<'a> {
 /// Time runs from 0 to 1 over the step.
 struct Gap {
     /// Number of samples that may still be taken.
-    looks: Cell<u32>,
+    samples_left: Cell<u32>,
     sign: f64,
     rim: f64,
     /// Bound on its second derivative.
@@ -168,7 +169,7 @@ impl Gap {
         self.sign * (distance - self.rim) * (distance + self.rim)
     }
 
-    /// Its value and its slope.
+    /// Its value and slope.
     #[inline(always)]
     fn at(&self, apart: DVec3, velocity: DVec3) -> (f64, f64) {
         (self.sign * (apart.length_squared() - self.rim * self.rim), self.sign * (2.0 * apart.dot(velocity)))
@@ -196,8 +197,8 @@ impl<F: Fn(f64) -> (f64, f64)> Falling for Fall<'_, F> {
     }
 
     fn sample(&self, start: f64, middle: f64, end: f64) -> Option<Sample> {
-        let Gap { looks, rim, curvature, .. } = self.gap;
-        looks.set(looks.get().checked_sub(1)?);
+        let Gap { samples_left, rim, curvature, .. } = self.gap;
+        samples_left.set(samples_left.get().checked_sub(1)?);
         let half = 0.5 * (end - start);
         let (value, slope) = self.at(middle);
         let range = slope.abs() * half + 0.5 * curvature * half * half;

@@ -20,27 +20,28 @@ use crate::{
     },
 };
 
-/// Steps that a vertex may take in one step of the scene; what is left then is taken in one, unchecked but within bounds.
-/// After half of them the acceptable error grows, by a factor of two with each of `DOUBLINGS` equal shares of the others.
-pub const MOST_STEPS: u32 = 3072;
+/// Upper limit on the steps of a vertex in one step of the scene. The rest is then taken in a single step, unchecked
+/// but bounded. After half of them the acceptable error grows: it doubles with each of `DOUBLINGS` equal shares of the
+/// others.
+pub const MAX_STEPS: u32 = 3072;
 const DOUBLINGS: u32 = 32;
 
-/// The work of preparing a step of one vertex, …
+/// Work of preparing a step of one vertex by polynomials, …
 const STEP: u64 = 60;
-/// … the same by the paths, …
-const STEP_EXACTLY: u64 = 400;
-/// … of a force on it, which is not found for several side by side, …
-const ALONE: u64 = 8;
-/// … of looking where it is relative to a rim, by polynomials, …
-const LOOK: u64 = 4;
 /// … and by the paths.
-const LOOK_EXACTLY: u64 = 120;
+const STEP_EXACTLY: u64 = 400;
+/// Ratio of the work of forces on a single vertex to that of forces evaluated side by side.
+const ALONE: u64 = 8;
+/// Work of a sample of a vertex's position relative to a rim, by polynomials, …
+const SAMPLE: u64 = 4;
+/// … and by the paths.
+const SAMPLE_EXACTLY: u64 = 120;
 
-/// Reused from step to step.
+/// Buffers, reused from step to step.
 #[derive(Default)]
 pub struct Scratch {
     part: Step,
-    /// Parts of the interval that are still to be taken, the next one last: where each starts and how long it is [s].
+    /// Remaining parts of the interval as (start, length) [s], the next one last.
     left: Vec<(f64, f64)>,
     pulls: Vec<Pull>,
     inside: Vec<u64>,
@@ -54,33 +55,34 @@ fn is_inside(inside: &[u64], sphere: usize) -> bool {
     inside[sphere / 64] >> (sphere % 64) & 1 == 1
 }
 
-/// One by one through an interval.
+/// Steps vertices individually through an interval.
 pub struct Single<'a> {
     /// The body's course.
     pub course: &'a Course<'a>,
-    /// The step over all of it.
+    /// The step over the whole interval.
     pub whole: &'a Step,
-    /// What all vertices do alike, at its start.
+    /// The shared motion of all vertices at its start.
     pub common: &'a Common,
-    /// The largest error that will do, per time [scene unit/s].
+    /// The largest acceptable error per unit of time [scene unit/s].
     pub tolerance: f64,
-    /// Steps that a vertex may take in the interval, see [`MOST_STEPS`].
-    pub most_steps: u32,
-    /// Bound of the acceleration of a vertex by anything but its oscillator [scene unit/s²].
+    /// Upper limit on the steps of a vertex in the interval, see [`MAX_STEPS`].
+    pub max_steps: u32,
+    /// Bound on the acceleration of a vertex by anything but its oscillator [scene unit/s²].
     pub force: f64,
-    /// When it is over, what is left is not done.
+    /// The work budget; once it is exhausted, the rest of the step is not computed.
     pub work: &'a Tally<'a>,
-    /// Steps that were taken beyond the first of each vertex.
+    /// Number of steps beyond the first of each vertex.
     pub substeps: u64,
     /// The largest sum of estimated errors of a vertex [scene unit] …
     pub error: f64,
-    /// … and of those beyond the tolerance, where steps could not be made shorter.
+    /// … and the largest sum of their parts beyond the tolerance, where steps could not be made shorter [scene unit].
     pub excess: f64,
 }
 
 impl Single<'_> {
-    /// Takes a vertex to the end of the interval, in as many steps as it needs; `outcome` is that of the whole step.
-    pub fn take(
+    /// Advances a vertex to the end of the interval, in as many steps as it needs; `outcome` is the result of the whole
+    /// step.
+    pub fn advance(
         &mut self,
         (vertex, inside): (Vertex, Inside<'_>),
         mut state: State,
@@ -98,7 +100,7 @@ impl Single<'_> {
         // steps longer than this are not worth trying, because one was not accurate enough
         let mut longest = f64::INFINITY;
         left.clear();
-        // the sphere at whose rim a step starts, because the one before it ended there
+        // the sphere at whose rim a step starts because the previous one ended there
         let mut crossed = None;
         loop {
             let step = if is_whole { self.whole } else { &*part };
@@ -106,21 +108,21 @@ impl Single<'_> {
             let wanted = self.wanted(h, steps);
             let inside = has_kink.then_some(&**spheres);
             let resolved = self.resolves_spheres(step, (&vertex, inside), state);
-            // written so that NaN is not small enough
-            let mut will_do = start >= middle || (outcome.error <= wanted && resolved);
+            // written so that NaN is rejected
+            let mut is_accepted = start >= middle || (outcome.error <= wanted && resolved);
             let mut crossing = None;
-            if will_do {
+            if is_accepted {
                 match self.first_crossing(step, (&vertex, inside), (state, crossed), &outcome) {
                     Ok(found) => crossing = found,
-                    // a vertex that swings many times in the step is left to where crossings make no difference
-                    Err(Unresolved) => will_do = start >= middle || is_stiff(course, h),
+                    // a vertex that oscillates many times in the step gets here only where crossings make no difference
+                    Err(Unresolved) => is_accepted = start >= middle || is_stiff(course, h),
                 }
             }
-            if !will_do {
+            if !is_accepted {
                 longest = 0.5 * h;
                 left.push((start, h));
             } else if let Some((t, sphere)) = crossing {
-                // Up to the rim as the step goes, and on from there on its other side.
+                // Keep the step up to the rim, and continue from there on the other side.
                 crossed = Some(sphere);
                 error += outcome.error;
                 if t >= end {
@@ -137,11 +139,11 @@ impl Single<'_> {
                 crossed = None;
                 state = outcome.end;
                 error += outcome.error;
-                // of sixth order: an error of a step that a step of twice the length would not take beyond the tolerance
+                // at sixth order, a step of twice the length would still meet the tolerance
                 let is_easy = SHORTER * outcome.error <= wanted;
                 longest = if is_easy { longest.max(2.0 * h) } else { longest };
             }
-            if will_do && !(outcome.error <= self.tolerance * h) {
+            if is_accepted && !(outcome.error <= self.tolerance * h) {
                 excess += outcome.error - self.tolerance * h;
             }
 
@@ -158,7 +160,7 @@ impl Single<'_> {
             (start, h) = next;
             is_whole = false;
             steps += 1;
-            if steps == self.most_steps {
+            if steps == self.max_steps {
                 let weights = Weights::new(course.oscillator(), course.end() - start, false);
                 part.prepare_part(course, self.whole, self.common, start, &weights);
                 let held = hold(course, part, &vertex, state);
@@ -172,7 +174,7 @@ impl Single<'_> {
                 part.prepare_ends(course, self.whole, self.common, start, h);
                 free(course, state, h)
             } else {
-                // what is left beyond a rim is of no other length again
+                // the length of the part beyond a rim does not recur, so its weights are not cached
                 let halved = course.length / h == (course.length / h).round();
                 let once;
                 let is_sampled_aside = is_sampled_aside(course, h, self.tolerance * h);
@@ -193,13 +195,13 @@ impl Single<'_> {
         state
     }
 
-    /// The error that will do for a step of length `h` after so many others [scene unit].
+    /// The acceptable error of a step of length `h` [s] that is the `steps`-th [scene unit].
     fn wanted(&self, h: f64, steps: u32) -> f64 {
-        let half = self.most_steps / 2;
+        let half = self.max_steps / 2;
         self.tolerance * h * 2f64.powi((steps.saturating_sub(half) / (half / DOUBLINGS)) as i32)
     }
 
-    /// How far the vertex can get by itself in a step [scene unit].
+    /// Bound on the distance that the vertex moves by itself in a step of length `h` [s] [scene unit].
     fn travel(&self, h: f64, state: State) -> f64 {
         let omega = self.course.body().material.omega;
         let swing = (state.u.length_squared() + omega * omega * state.x.length_squared()).sqrt();
@@ -227,32 +229,32 @@ impl Single<'_> {
         }
     }
 
-    /// Whether the vertex cannot be in a sphere between the nodes of the step and at none of them, unless it is so near
-    /// the rim that it feels next to nothing (with the Wendland weight: 4e-8 of the strength).
+    /// Whether the vertex cannot pass through a sphere between the nodes of the step, except so near the rim that the
+    /// force is negligible (with the Wendland weight: 4e-8 of the strength).
     fn passes_no_sphere(&self, step: &Step, vertex: &Vertex, state: State) -> bool {
         let moment = &step.moments[0];
         let position = vertex.rest_at(self.course, &moment.pushed) + state.x;
         let travel = self.travel(step.h, state);
         self.course.spheres.iter().zip(&moment.centres).zip(&step.relative).all(|((sphere, centre), bounds)| {
-            let way = travel + bounds.speed * step.h;
-            way <= sphere.radius || (*centre - position).length() > sphere.radius + way
+            let reach = travel + bounds.speed * step.h;
+            reach <= sphere.radius || (*centre - position).length() > sphere.radius + reach
         })
     }
 
-    /// Whether the step is short enough to see the vertex swing, where it swings about a rim and that matters.
+    /// Whether the step is short enough to resolve the vertex's oscillation, if that is about a rim and matters.
     fn resolves_rims(&self, step: &Step, vertex: &Vertex, state: State) -> bool {
         let h = step.h;
         if !is_stiff(self.course, h) {
             return true;
         }
         let omega = self.course.body().material.omega;
-        let constant = f64::min(0.5 * h * h, 2.0 / (omega * omega)); // bounds what a unit force does in the step
+        let constant = f64::min(0.5 * h * h, 2.0 / (omega * omega)); // bounds the displacement by a unit force
         let stiffness: f64 = self.course.spheres.iter().map(|sphere| sphere.strength.abs()).sum();
         let kink = stiffness * self.travel(h, state) * constant;
         kink <= self.tolerance * h || self.near_rims(step, vertex, state).next().is_none()
     }
 
-    /// The first crossing of a rim in a step that was taken: when, and of which sphere. The vertex starts from the rim of
+    /// The first crossing of a rim in a completed step: its time [s] and the sphere. The vertex starts from the rim of
     /// sphere `crossed`, if any.
     fn first_crossing(
         &self,
@@ -270,12 +272,13 @@ impl Single<'_> {
         let trajectories = Trajectories { course: self.course, whole: self.whole, common: self.common };
         let mut first: Option<(f64, usize)> = None;
         for j in near {
-            let mut looks = rim::MOST_SAMPLES;
+            let mut samples_left = rim::MAX_SAMPLES;
             let rim = Rim { sphere: j, is_inside: is_inside(inside, j), is_start: crossed == Some(j) };
-            let crossing = motion.crossing(trajectories, step, rim, &mut looks);
-            let looks = u64::from(rim::MOST_SAMPLES - looks);
-            let look_takes = if self.whole.smooth { LOOK } else { LOOK_EXACTLY + self.course.weighted.len() as u64 };
-            if !self.work.spend(looks * look_takes) {
+            let crossing = motion.crossing(trajectories, step, rim, &mut samples_left);
+            let samples = u64::from(rim::MAX_SAMPLES - samples_left);
+            let work_of_sample =
+                if self.whole.smooth { SAMPLE } else { SAMPLE_EXACTLY + self.course.weighted.len() as u64 };
+            if !self.work.spend(samples * work_of_sample) {
                 return Ok(None);
             }
             if let Some(t) = crossing?
@@ -288,15 +291,15 @@ impl Single<'_> {
     }
 }
 
-/// Whether a step is too long to see the body's vertices swing.
+/// Whether a step is too long to resolve the oscillation of the body's vertices.
 pub fn is_stiff(course: &Course<'_>, h: f64) -> bool {
     let material = course.body().material;
     (material.omega + 2.0 * material.damping) * h > 1.0
 }
 
-/// The end of a step under the force of its start, for a vertex on which no more work can be spent. That force can act, so
-/// the end is within all bounds of a motion by such forces. If nothing about the vertex moves, its energy does not grow
-/// either; if that cannot be had, it stays where it is.
+/// The end of a step under the constant force at its start, for a vertex on which no more work can be spent. That force
+/// is possible, so the end is within all bounds on motion under such forces. If no sphere moves relative to the
+/// shared motion, the energy of the vertex does not grow either; where that is impossible, its state stays as it is.
 fn hold(course: &Course<'_>, step: &Step, vertex: &Vertex, state: State) -> State {
     let (Weights { ux, uu, constant, .. }, Stage { xx, xu, .. }) = (step.weights, step.weights.nodes[3]);
     let moment = &step.moments[0];
@@ -319,7 +322,7 @@ fn hold(course: &Course<'_>, step: &Step, vertex: &Vertex, state: State) -> Stat
         energy::elastic(course.oscillator().omega, x.length_squared()) + of_spheres - vertex.local.dot(x)
     };
     let kinetic = energy::kinetic(state.u.length_squared()) + potential(state.x) - potential(end.x);
-    // written so that NaN is not enough
+    // written so that NaN is rejected
     if !(kinetic >= 0.0) {
         return state;
     }
@@ -373,7 +376,7 @@ fn collocate(
     }
 }
 
-/// The vector of the only lane.
+/// The vector in the only lane.
 fn first(vector: Vector<Scalar, 1>) -> DVec3 {
     let mut only = [[0.0]; 3];
     for (axis, value) in only.iter_mut().zip([vector.x, vector.y, vector.z]) {

@@ -19,13 +19,13 @@ use crate::{
 };
 
 /// A step that has not converged after this many corrections is rejected.
-const MOST_SWEEPS: usize = 6;
+const MAX_SWEEPS: usize = 6;
 /// Paths are interpolated by the quartic through a step's samples only if the cubic through its nodes is this accurate
 /// in the middle [radii]; see [`Step::smooth`].
 const SMOOTH: f64 = 1e-7;
-/// A step of half the length has an error this many times smaller, in proportion to its length.
+/// Ratio of the error per unit of time of a step to that of a step of half the length.
 pub const SHORTER: f64 = 32.0;
-/// Number of the sample at [`ASIDE`].
+/// Index of the sample at [`ASIDE`].
 const ASIDE_LOOK: usize = 5;
 
 /// An instant of a step.
@@ -36,7 +36,7 @@ pub struct Moment {
     pub centres: Vec<DVec3>,
     /// Acceleration that all vertices share [scene unit/s²].
     pub uniform: DVec3,
-    /// Shared response of all vertices to that acceleration.
+    /// Shared response of all vertices to that acceleration [scene unit].
     pub carried: DVec3,
     /// Response to each push, for a vertex that faces it squarely [scene unit].
     pub pushed: Vec<f64>,
@@ -62,7 +62,8 @@ pub struct Step {
     /// Effect of rounding of times and positions on the force at any of the moments [scene unit/s²]. Smaller
     /// differences carry no information, and halving the step does not reduce them.
     pub noise: f64,
-    /// Amplitude of the shared motion's own oscillation in a step too long to see it, otherwise 0 [scene unit].
+    /// Amplitude of the shared motion's own oscillation in a step too long to resolve it, otherwise 0
+    /// [scene unit].
     pub ringing: f64,
 }
 
@@ -296,7 +297,7 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
         let enough = Reals::splat(simd, 0.25 * wanted);
         let mut unsettled = Reals::splat(simd, f64::INFINITY);
         let mut settled = Mask::none(simd);
-        for _ in 0..MOST_SWEEPS {
+        for _ in 0..MAX_SWEEPS {
             let mut change = Reals::splat(simd, 0.0);
             for node in 1..4 {
                 let corrected = self.force(node, respond(flow[node - 1], &weights.nodes[node].force, &forces));
@@ -320,12 +321,12 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
         let end = respond(flow[2], &weights.nodes[3].force, &forces);
         let mut effect = left_out * self.roughness(x, end) * 0.1;
         if self.step.weights.is_sampled_aside {
-            // by what acts on each vertex alone, not by the spheres that others are near, or that are near none
+            // depends only on what acts on each vertex, not on spheres that are near other vertices or near none
             let Material { omega, damping, .. } = self.course.body().material;
             let scales = (stiffness.sqrt() + Reals::splat(simd, omega + 2.0 * damping)) * self.step.h;
             let is_quick = Reals::splat(simd, 1.0).below(scales);
             let is_near = Reals::splat(simd, wanted).below(effect * (4.0 * gain));
-            // usually the force in the middle has shown that the error is far from the tolerance
+            // usually the force in the middle has already shown that the error is far below the tolerance
             if is_quick.or(is_near).any() {
                 let stage = &weights.aside;
                 let found = self.force(ASIDE_LOOK, respond(x * stage.xx + u * stage.xu, &stage.force, &forces));
@@ -352,8 +353,8 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
         let max_pull = self.course.weight().max_pull();
         let mut pulled = Reals::splat(self.simd, 0.0);
         for pull in self.pulls {
-            let most = self.course.spheres[pull.sphere].radius * max_pull;
-            pulled = pulled + Reals::load(self.simd, &pull.strength, 0).abs() * most;
+            let max = self.course.spheres[pull.sphere].radius * max_pull;
+            pulled = pulled + Reals::load(self.simd, &pull.strength, 0).abs() * max;
         }
         pulled
     }
@@ -361,12 +362,13 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
     /// The mean force that a step leaves out [scene unit/s²], given the residual of the cubic in the middle and that of the
     /// quartic at [`ASIDE`].
     ///
-    /// With q = 80 θ(θ − 1)(θ² − θ + 1/5) the residual is a q + b (θ − ½) q and higher terms. The weights of the end state
-    /// are S(h − s) and S′(h − s), which are at most 1 after division by the gain: so the two terms count at most as
-    /// ∫|q| = 0.45 and ∫|(θ − ½) q| = 0.14. Both are orthogonal to constants, and q to linear functions. What is left of
-    /// S = t − κ t² …, S′ = 1 − 2κ t + (4κ² − ω²) t²/2 … and of the influence's response to the error within the step are
-    /// ½ ∫θ² q = 0.02 and ∫θ (θ − ½) q = 0.04 times the powers of h that come with them. Each higher pair of terms is
-    /// smaller by some z²/30 in z time scales of the motion, but not orthogonal; the last factor is for them.
+    /// With q = 80 θ(θ − 1)(θ² − θ + 1/5) the residual is a q + b (θ − ½) q and higher terms. The weights of the end
+    /// state are S(h − s) and S′(h − s), which are at most 1 after division by the gain: so the two terms count at most
+    /// as ∫|q| = 0.45 and ∫|(θ − ½) q| = 0.14. Both are orthogonal to constants, and q to linear functions. What is
+    /// left of S = t − κ t² …, S′ = 1 − 2κ t + (4κ² − ω²) t²/2 … and of the influence's response to the error within
+    /// the step are ½ ∫θ² q = 0.02 and ∫θ (θ − ½) q = 0.04 times the powers of h that come with them. Each higher pair
+    /// of terms is smaller by some z²/30 in z time scales of the motion, but not orthogonal; the last factor accounts
+    /// for them.
     #[inline(always)]
     fn left_out(&self, stiffness: Reals<S, W>, bend: Reals<S, W>, skew: Reals<S, W>) -> Reals<S, W> {
         let (simd, h) = (self.simd, self.step.h);
@@ -381,7 +383,7 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
         both * (z_squared * 0.25 + Reals::splat(simd, 1.0)).smaller(Reals::splat(simd, 2.0))
     }
 
-    /// A bound of the mean force that a step leaves out because a vertex oscillates too fast for its samples
+    /// A bound on the mean force that a step leaves out because a vertex oscillates too fast for its samples
     /// [scene unit/s²]; 0 if the step is short enough.
     ///
     /// Under the cubic the exact solution is a cubic plus a free oscillation. Its amplitude follows from the state at the
@@ -462,7 +464,7 @@ impl Step {
         self.noise = self.rounding(course);
     }
 
-    /// Samples a whole step, of which the tracks have the looks.
+    /// Samples a whole step of the scene, for which the tracks hold samples.
     fn sample_whole(&mut self, course: &Course<'_>) {
         let own = course.tracks.kinematics(course.index);
         for (moment, own) in self.moments.iter_mut().zip(&own) {
@@ -493,13 +495,14 @@ impl Step {
             changes = changes.max((force(look) - force(0)).abs());
         }
         let of_times = force(0).length() + changes.length() * (1.0 + self.end() / self.h);
-        let place = |body: usize| match course.is_whole {
+        let position = |body: usize| match course.is_whole {
             true => course.tracks.motion_bounds(body as u32).centre,
             false => course.track(body).position(self.start),
         };
-        let place = |body: usize| place(body).abs().element_sum();
-        let own = place(course.index);
-        let of_sphere = |sphere: &Sphere| sphere.strength.abs() * (sphere.radius + own + place(sphere.body as usize));
+        let distance = |body: usize| position(body).abs().element_sum();
+        let own = distance(course.index);
+        let of_sphere =
+            |sphere: &Sphere| sphere.strength.abs() * (sphere.radius + own + distance(sphere.body as usize));
         ROUNDING * (of_times + course.spheres.iter().map(of_sphere).sum::<f64>())
     }
 
@@ -516,8 +519,8 @@ impl Step {
         }
     }
 
-    /// Bounds on the speed and the acceleration of the shared motion within the step, for vertices that face pushes as
-    /// squarely as `facing` says.
+    /// Bounds on the speed and the acceleration of the shared motion within the step, for vertices whose
+    /// weights in the weighted terms are `facing`.
     fn common_bounds(&self, course: &Course<'_>, common: &Common, facing: impl Fn(&Weighted) -> f64) -> Bounds {
         let material = course.body().material;
         let uniform = self.moments[..5].iter().map(|moment| moment.uniform.length()).fold(0.0, f64::max);
@@ -552,7 +555,7 @@ impl Step {
         modes.iter().map(of_mode).sum()
     }
 
-    /// Prepares the step over a part of an interval, of which `whole` is the step.
+    /// Prepares the step over a part of an interval; `whole` is the step over all of it.
     pub fn prepare_part(&mut self, course: &Course<'_>, whole: &Step, common: &Common, start: f64, weights: &Weights) {
         self.start = start;
         self.set_weights(weights);
@@ -564,7 +567,7 @@ impl Step {
         self.noise = whole.noise;
     }
 
-    /// Usually the weights are already set, and copying them is expensive.
+    /// Sets the weights, which are usually set already: copying them is expensive.
     fn set_weights(&mut self, weights: &Weights) {
         self.h = weights.h;
         let of = |weights: &Weights| (weights.h, weights.oscillator, weights.is_sampled_aside);
@@ -658,16 +661,16 @@ pub fn is_sampled_aside(course: &Course<'_>, h: f64, wanted: f64) -> bool {
     scales > 1.0 || course.strongest_pull() * scales.powi(5) * usual(course, h) > wanted
 }
 
-/// The error that is usual in a step of `h` [s] [scene unit], over the strongest pull and the fifth power of the number
-/// of the motion's time scales that pass in the step.
+/// The usual error of a step of length `h` [s], divided by the strongest pull and by the fifth power of the number of
+/// time scales of the motion that pass in the step [s²].
 fn usual(course: &Course<'_>, h: f64) -> f64 {
-    /// Of what [`Group::roughness`] makes of the residual of an oscillation, so much is usual.
+    /// The usual fraction of the error that [`Group::roughness`] gives for the residual of an oscillation.
     const USUAL: f64 = 1.0 / 16.0;
     let Material { omega, damping, .. } = course.body().material;
     USUAL * 0.1 * SMOOTHNESS / 384.0 * (h / omega.max(2.0 * damping).max(1.0))
 }
 
-/// Time of sample number `look` of a step [s].
+/// Time of sample `look` of a step [s].
 fn time_of(look: usize, start: f64, h: f64) -> f64 {
     match look {
         3 => start + h,
@@ -713,7 +716,7 @@ pub struct ExactPath<'a> {
 }
 
 impl<'a> Trajectories<'a> {
-    /// The relative position of sphere number `sphere` and a vertex, over a part of the interval.
+    /// The position of sphere `sphere` relative to a vertex, over a part of the interval.
     pub fn apart(self, vertex: &'a Vertex, sphere: usize, start: f64, h: f64) -> Apart<'a> {
         let whole = self.whole;
         if !whole.smooth {

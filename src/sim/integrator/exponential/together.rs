@@ -19,9 +19,9 @@ use crate::sim::{
 /// A vertex with |x|² + |u|² below this, in scene units and seconds, is at rest.
 const REST_SQUARED: f64 = 1e-300;
 
-/// The work of a step of a vertex and of finding how far it is from a sphere, each, …
-const LOOK: u64 = 2;
-/// … and of a sphere that contains it.
+/// Work of a step of a vertex, and of each sphere or weighted term that is examined for it, …
+const EXAMINE: u64 = 2;
+/// … and of each sphere that contains it.
 const PULL: u64 = 24;
 
 /// Data kept from a step of the active set for the groups with a vertex that needs attention. The arrays have room for the
@@ -63,7 +63,7 @@ impl Outcomes {
         (*largest, *near) = ([0.0; LANES], 0);
         inside.resize(inside.len().max(count * spheres), 0.0);
         if error.len() >= count {
-            return; // all are as long
+            return; // all are equally long
         }
         for vectors in [displacement, velocity, bend].into_iter().chain(forces) {
             vectors.resize(count);
@@ -72,7 +72,7 @@ impl Outcomes {
         attention.resize(count, 0.0);
     }
 
-    /// Finds the spheres that contain vertex `i` at the start, a bit each; only for a weight with a kink.
+    /// Finds the spheres that contain vertex `i` at the start, one bit each; only for a weight with a kink.
     pub fn inside(&self, i: usize, bits: &mut Vec<u64>) {
         bits.clear();
         for (j, strengths) in self.inside.chunks_exact(self.count).take(self.spheres).enumerate() {
@@ -123,7 +123,7 @@ impl WithSimd for Together<'_> {
         let count = self.active_set.vertices.len();
         self.outcomes.resize(count.next_multiple_of(LANES), self.course.spheres.len());
         let is_pushed = !self.course.weighted.is_empty();
-        let of_vertex = LOOK * (1 + self.course.spheres.len() + self.course.weighted.len()) as u64;
+        let of_vertex = EXAMINE * (1 + self.course.spheres.len() + self.course.weighted.len()) as u64;
         for first in (0..count).step_by(Reals::<S, 2>::COUNT) {
             // by blocks and single lanes, so that it is the same for all instruction sets
             if first.is_multiple_of(LANES) {
@@ -133,9 +133,9 @@ impl WithSimd for Together<'_> {
                 }
             }
             if is_pushed {
-                self.take::<S, 2, 6>(simd, first);
+                self.step_group::<S, 2, 6>(simd, first);
             } else {
-                self.take::<S, 2, 1>(simd, first);
+                self.step_group::<S, 2, 1>(simd, first);
             }
         }
         self.work.spend(self.uncounted);
@@ -145,7 +145,7 @@ impl WithSimd for Together<'_> {
 impl Together<'_> {
     /// Steps one group of vertices, from `first` on.
     #[inline(always)]
-    fn take<S: Simd, const W: usize, const SAMPLES: usize>(&mut self, simd: S, first: usize) {
+    fn step_group<S: Simd, const W: usize, const SAMPLES: usize>(&mut self, simd: S, first: usize) {
         let Together { course, step, ref active_set, .. } = *self;
         let (block, lane) = (first / LANES, first % LANES);
         let [x, u, rest] = &active_set.blocks.all()[block].0;
@@ -153,7 +153,7 @@ impl Together<'_> {
         let h = step.h;
         let material = course.body().material;
         let rest = Vector::<S, W>::of_block(simd, rest, lane);
-        // (no closure for both, which would be compiled for the least instruction set)
+        // (no closure for both, which would be compiled for the baseline instruction set)
         let x = Vector::<S, W>::of_block(simd, x, lane);
         let u = Vector::<S, W>::of_block(simd, u, lane);
 
@@ -270,7 +270,7 @@ impl Together<'_> {
             self.pulls.push(pull);
         }
         if !self.pulls.is_empty() {
-            // without the padding, of which there may be more with wider registers
+            // without the padding, whose size depends on the register width
             let mut of_lanes = [0.0; LANES];
             pulled.store(&mut of_lanes, 0);
             let lanes = Reals::<S, W>::COUNT.min(self.active_set.vertices.len() - first);
@@ -338,7 +338,7 @@ impl WithSimd for Largest<'_> {
         let (mut x2, mut m2) = (zero, zero);
         let ActiveSet { vertices, blocks } = self.active_set;
         for (Block([x, u, _]), vertices) in blocks.all().iter().zip(vertices.chunks(LANES)) {
-            // the lanes beyond them were not advanced
+            // the padding lanes were not advanced
             for lane in (0..vertices.len()).step_by(Reals::<S, 2>::COUNT) {
                 let x = Vector::<S, 2>::of_block(simd, x, lane).length_squared();
                 let u = Vector::<S, 2>::of_block(simd, u, lane).length_squared();

@@ -55,8 +55,9 @@ pub struct Weights {
     pub h: f64,
     /// Weights for the displacement at each node; the first node is the start and is not used.
     pub nodes: [Stage; 4],
-    /// Whether the step is sampled a sixth time, to estimate its error: where more than one time scale of the oscillator or
-    /// of the influence passes in it, or where an estimate without that sample could be too careful for the tolerance.
+    /// Whether the step is sampled a sixth time, to estimate its error: where more than one time scale of the
+    /// oscillator or of the influence passes in it, or where an estimate without that sample could be too conservative
+    /// for the tolerance.
     pub is_sampled_aside: bool,
     /// Weights for the displacement in the middle …
     pub middle: Stage,
@@ -64,7 +65,7 @@ pub struct Weights {
     pub aside: Stage,
     /// Weight of each node's force in the polynomial's value in the middle [–].
     pub polynomial: [f64; 4],
-    /// The same at [`ASIDE`] …
+    /// Like [`Weights::polynomial`], at [`ASIDE`] …
     pub polynomial_aside: [f64; 4],
     /// … and the weight there of the bend, which is 1 in the middle and 0 at the nodes [–].
     pub bend_aside: f64,
@@ -78,19 +79,19 @@ pub struct Weights {
     pub constant: f64,
     /// Largest displacement per error in the velocity, once the oscillator has converted it [s].
     pub swing: f64,
-    /// Set if more than `RESOLVED` time scales of the oscillator pass in the step: samples do not tell its oscillation
-    /// from a polynomial then.
+    /// Set if more than `RESOLVED` time scales of the oscillator pass in the step: the samples then cannot distinguish
+    /// its oscillation from a polynomial.
     pub ringing: Option<Ringing>,
 }
 
-/// Where a step may be sampled once more [steps]: near an extremum of the quintic that vanishes at
-/// the nodes and in the middle.
+/// Time of the sixth sample, as a fraction of the step [–]: near an extremum of the quintic that vanishes at the nodes
+/// and in the middle.
 pub const ASIDE: f64 = 0.13;
 /// See [`Weights::ringing`].
 const RESOLVED: f64 = 2.0;
 
-/// The amplitudes of free oscillation or decay about the motion that is a cubic while the force is one [scene unit]. Two
-/// are needed for a vertex that swings, or decays at two rates.
+/// The amplitudes of the free oscillation or decay about the cubic motion under a cubic force [scene unit]. An
+/// oscillation has two, and so has a decay at two rates.
 pub type Ringing = [Mode; 2];
 
 /// A linear function of a state and of the forces at the nodes.
@@ -104,7 +105,7 @@ pub struct Mode {
     pub force: [f64; 4],
 }
 
-/// `None` if the oscillation is slow enough to be seen in a step of length `h` [s].
+/// See [`Weights::ringing`]; `None` if the oscillation is slow enough to be resolved in a step of length `h` [s].
 fn ringing(Oscillator { omega, damping }: Oscillator, h: f64) -> Option<Ringing> {
     if (omega + 2.0 * damping) * h <= RESOLVED {
         return None;
@@ -112,7 +113,7 @@ fn ringing(Oscillator { omega, damping }: Oscillator, h: f64) -> Option<Ringing>
     // the force Σ pₖ sᵏ/k!
     let derivatives = LAGRANGE[4].map(|[a, b, c, d]| [a, b / h, 2.0 * c / (h * h), 6.0 * d / (h * h * h)]);
     if damping < 1.1 * omega {
-        // it keeps x = Σ cₖ sᵏ/k! on its way: ω² cₖ = pₖ − 2κ cₖ₊₁ − cₖ₊₂
+        // the cubic motion x = Σ cₖ sᵏ/k!: ω² cₖ = pₖ − 2κ cₖ₊₁ − cₖ₊₂
         let per_omega2 = 1.0 / (omega * omega);
         let cubic = derivatives.map(|[p0, p1, p2, p3]| {
             let c3 = p3 * per_omega2;
@@ -120,9 +121,9 @@ fn ringing(Oscillator { omega, damping }: Oscillator, h: f64) -> Option<Ringing>
             let c1 = (p1 - 2.0 * damping * c2 - c3) * per_omega2;
             [(p0 - 2.0 * damping * c1 - c2) * per_omega2, c1]
         });
-        let place = Mode { x: 1.0, u: 0.0, force: cubic.map(|[x, _]| -x) };
-        let speed = Mode { x: 0.0, u: 1.0 / omega, force: cubic.map(|[_, u]| -u / omega) };
-        return Some([place, speed]);
+        let position = Mode { x: 1.0, u: 0.0, force: cubic.map(|[x, _]| -x) };
+        let velocity = Mode { x: 0.0, u: 1.0 / omega, force: cubic.map(|[_, u]| -u / omega) };
+        return Some([position, velocity]);
     }
     // Two decays: y = u + slow x decays fast, y′ = −fast y + f, and vice versa.
     let mu = ((damping - omega) * (damping + omega)).sqrt();
@@ -179,7 +180,7 @@ impl Weights {
 }
 
 /// Number of step lengths whose weights are cached.
-const MOST_WEIGHTS: usize = 24;
+const MAX_WEIGHTS: usize = 24;
 
 /// A cache of weights for a few step lengths.
 #[derive(Default)]
@@ -188,18 +189,18 @@ pub struct KnownWeights(Vec<Weights>);
 impl KnownWeights {
     /// The weights for a step of length `h` [s], sampled at [`ASIDE`] or not.
     pub fn get(&mut self, oscillator: Oscillator, h: f64, is_sampled_aside: bool) -> &Weights {
-        let is_it = |known: &Weights| {
+        let is_same = |known: &Weights| {
             known.h == h && known.oscillator == oscillator && known.is_sampled_aside == is_sampled_aside
         };
-        let known = self.0.iter().position(is_it);
-        let place = known.unwrap_or_else(|| {
-            if self.0.len() == MOST_WEIGHTS {
+        let known = self.0.iter().position(is_same);
+        let index = known.unwrap_or_else(|| {
+            if self.0.len() == MAX_WEIGHTS {
                 self.0.clear();
             }
             self.0.push(Weights::new(oscillator, h, is_sampled_aside));
             self.0.len() - 1
         });
-        &self.0[place]
+        &self.0[index]
     }
 }
 
@@ -272,7 +273,7 @@ pub fn quartic(theta: f64) -> [f64; 5] {
 pub fn quartic_through(known: &[DVec3; 5]) -> [DVec3; 5] {
     let all = &*QUARTIC;
     let mut coefficients = [DVec3::ZERO; 5];
-    // loops of known length, which are unrolled wherever this is compiled
+    // loops of constant length, which are unrolled wherever this is inlined
     for (k, coefficient) in coefficients.iter_mut().enumerate() {
         for (row, &known) in all.iter().zip(known) {
             *coefficient += row[k] * known;

@@ -187,7 +187,7 @@ fn instruction_sets() -> Vec<(&'static str, Arch, usize)> {
 
 #[cfg(not(target_arch = "x86_64"))]
 fn instruction_sets() -> Vec<(&'static str, Arch, usize)> {
-    vec![("one by one", Arch::Scalar, 1)]
+    vec![("scalar", Arch::Scalar, 1)]
 }
 
 /// Identical bits, or both NaN.
@@ -217,7 +217,7 @@ fn check<const W: usize>(a: &Lanes, b: &Lanes, c: &Lanes) {
 }
 
 #[test]
-fn every_operation_is_that_of_its_lanes() {
+fn every_operation_equals_the_scalar_one_in_each_lane() {
     // all pairs of numbers, in varying positions
     let n = NUMBERS.len();
     for shift in 0..n {
@@ -230,7 +230,6 @@ fn every_operation_is_that_of_its_lanes() {
     }
 }
 
-/// Vectors are loaded from the requested place, and stored there.
 #[test]
 fn vectors_are_loaded_and_stored_in_place() {
     struct Double<'a>(&'a mut Vectors);
