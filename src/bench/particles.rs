@@ -87,7 +87,8 @@ impl Particles {
         Ok(Particles { positions, ranges: system.ranges })
     }
 
-    /// The largest distance of a body's vertices in this solution from those `found` at an instant [scene unit].
+    /// The largest distance between a body's vertices in this solution and the positions `found` at an instant
+    /// [scene unit]; NaN if any of those is NaN.
     pub fn distance(&self, body: usize, instant: usize, found: impl Iterator<Item = DVec3>) -> f64 {
         let own = &self.positions[instant][self.ranges[body].clone()];
         let distances = own.iter().zip(found).map(|(own, found)| own.distance(found));

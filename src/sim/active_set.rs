@@ -67,8 +67,8 @@ impl ActiveSet {
         }
     }
 
-    /// Puts awake bodies to sleep for which `may_sleep` holds; they are no longer stepped. Those at rest drop their
-    /// state.
+    /// Puts the awake bodies to sleep for which `may_sleep` holds: they are no longer stepped. Bodies at rest drop
+    /// their state.
     pub fn sleep(&mut self, bodies: &mut [Body], may_sleep: impl Fn(&[Body], &Active) -> bool) {
         for slot in (0..self.awake).rev() {
             if may_sleep(bodies, &self.states[slot]) {

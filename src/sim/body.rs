@@ -111,7 +111,7 @@ pub(super) struct Chosen {
     pub all: bool,
 }
 
-/// Bounds on what can happen to a body in a step.
+/// Bounds on the motion of a body's vertices in a step, and on the spheres that reach them.
 pub(super) struct StepBounds {
     /// Bodies whose spheres can reach it.
     pub reachable: Vec<Neighbour>,

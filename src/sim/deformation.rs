@@ -19,9 +19,9 @@ use crate::{geometry::Rest, model::oscillator::Oscillator, scene::Push};
 /// The state of the single vertices of a body that are not at rest.
 #[derive(Clone, Debug, Default)]
 pub struct Deformation {
-    /// Those near a sphere.
+    /// The vertices near a sphere.
     pub active_set: ActiveSet,
-    /// Those that oscillate freely.
+    /// The vertices that oscillate freely.
     pub free_vertices: FreeVertices,
     /// Cached hash of everything but the states of the active set; unset when that has changed.
     pub hash_of_kept: Cached,
@@ -72,7 +72,7 @@ pub struct Scratch {
     amplitudes: Vec<f64>,
     /// The vertices selected for the active set.
     active_set: Vec<u32>,
-    /// Those of the active set that are inside no sphere.
+    /// The vertices of the active set that are inside no sphere.
     outside: Vec<u32>,
     /// The vertices that will be free.
     free_vertices: Vec<u32>,
@@ -176,7 +176,7 @@ impl Deformation {
         self.active_set.pad_again();
     }
 
-    /// Moves the shared motion into the states of the single vertices, all of which are in the active set.
+    /// Adds the shared motion to the states of the single vertices, all of which are in the active set, and clears it.
     pub fn absorb(&mut self, common: &mut Common, rest: Rest<'_>, pushes: &[Push]) {
         if common.is_zero() {
             return;
@@ -191,7 +191,7 @@ impl Deformation {
         common.pushed.fill(Pushed::default());
     }
 
-    /// Puts all vertices to rest.
+    /// Brings all vertices to rest.
     pub fn clear(&mut self) {
         self.hash_of_kept.forget();
         self.active_set.clear();

@@ -18,7 +18,7 @@ pub fn table(report: &Report) -> String {
     let rows = families.flat_map(|family| blank().chain(family.iter().map(|measured| row(report, measured))));
     format!(
         "{}: {}, {}, {} s in steps of {:.6} s\n\n{}\n\n{}\n\
-         reference: {} it moves by {:.0e} R",
+         reference: {} it changes by {:.0e} R",
         report.scene,
         counted(report.bodies as u64, "body"),
         counted(report.vertices, "vertex"),

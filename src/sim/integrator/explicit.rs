@@ -56,16 +56,16 @@ pub struct Interval {
     pub oscillator: Oscillator,
     /// The weight (3.3).
     pub weight: Weight,
-    /// What acts at its start.
+    /// The influences at its start.
     pub start: Surroundings,
-    /// What acts in its middle; used by [`Scheme::Rk4`] only.
+    /// The influences in its middle; used by [`Scheme::Rk4`] only.
     pub middle: Surroundings,
-    /// What acts at its end; used only by schemes that evaluate forces there.
+    /// The influences at its end; used only by schemes that evaluate forces there.
     pub end: Surroundings,
 }
 
 impl Interval {
-    /// Whether nothing acts at the instants at which `scheme` evaluates forces: a body at rest stays at rest.
+    /// Whether nothing acts at the instants at which `scheme` evaluates forces, so that a body at rest stays at rest.
     pub fn is_idle(&self, scheme: Scheme) -> bool {
         let (middle, end) = scheme.evaluates_at();
         self.start.is_idle() && (!middle || self.middle.is_idle()) && (!end || self.end.is_idle())
@@ -102,8 +102,8 @@ impl Vertex<'_> {
     }
 }
 
-/// Advances all vertices of a body over the interval, in place, until the budget of `work` is exhausted; all of them
-/// are in the active set.
+/// Advances all vertices of a body, all of which are in the active set, in place over the interval, until the budget of
+/// `work` is exhausted.
 pub fn advance(scheme: Scheme, interval: &Interval, rest: Rest<'_>, active_set: &mut ActiveSet, work: &Tally<'_>) {
     match scheme {
         Scheme::Thesis => each(interval, rest, active_set, work, thesis),

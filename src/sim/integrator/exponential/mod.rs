@@ -94,14 +94,14 @@ pub struct StepStatistics {
     pub near: u64,
     /// Work done, in units of `sim::work`.
     pub work: u64,
-    /// Work that a single step of all vertices would have taken, in the same units.
+    /// Work of a single step of all vertices, in the same units.
     pub base: u64,
 }
 
 /// Step control: the kernels' instruction set, the tolerance, and the work budget.
 #[derive(Clone, Copy)]
 pub struct StepControl<'a> {
-    /// The instruction set; results are the same with any.
+    /// The instruction set; results do not depend on it.
     pub arch: Arch,
     /// The largest acceptable error per unit of time [scene unit/s].
     pub tolerance: f64,

@@ -42,7 +42,7 @@ pub struct Moment {
     pub pushed: Vec<f64>,
 }
 
-/// A step: its weights, and what acts at its nodes and in its middle.
+/// A step: its weights, and its influences at the samples.
 #[derive(Clone, Debug, Default)]
 pub struct Step {
     /// Start of the step [s].
@@ -51,7 +51,7 @@ pub struct Step {
     pub h: f64,
     /// Weights for this length.
     pub weights: Weights,
-    /// What acts at the four nodes, in the middle, and, if the step is sampled there, at [`ASIDE`].
+    /// The influences at the four nodes, in the middle, and, if the step is sampled there, at [`ASIDE`].
     pub moments: [Moment; 6],
     /// Bounds on the motion of each sphere's centre relative to the shared motion of the vertices.
     pub relative: Vec<Bounds>,
@@ -85,7 +85,7 @@ pub struct Pull {
     pub cut: bool,
 }
 
-/// A vertex, and what acts on it throughout a step.
+/// A vertex, and its constant acceleration in a step.
 #[derive(Clone, Copy, Debug)]
 pub struct Vertex {
     /// Rest position l [scene unit].
@@ -119,8 +119,8 @@ pub struct Outcome {
     pub error: f64,
 }
 
-/// Vertices that take a step together, and what acts on them. `SAMPLES` is the number of their rest positions: one if
-/// these are constant, six (one per sample) if pushes move them.
+/// Vertices that take a step together, and the influences on them. `SAMPLES` is the number of their rest positions: one
+/// if these are constant, six (one per sample) if pushes move them.
 pub struct Group<'a, S: Simd, const W: usize, const SAMPLES: usize> {
     /// The instruction set.
     pub simd: S,
@@ -639,7 +639,7 @@ impl Step {
 }
 
 impl Moment {
-    /// What acts at time `t` [s].
+    /// Sets the moment to time `t` [s].
     fn sample(&mut self, trajectories: Trajectories<'_>, t: f64) {
         self.uniform = trajectories.course.sample(t, &mut self.centres);
         let common = trajectories.common_at(t);
@@ -653,7 +653,7 @@ impl Moment {
 }
 
 /// See [`Weights::is_sampled_aside`]; `wanted` is the acceptable error of the step [scene unit]. The sample is taken if
-/// any vertex may need it: [`Group::collocate`] decides for each by what acts on it.
+/// any vertex may need it: [`Group::collocate`] decides for each vertex from the influences on it.
 pub fn is_sampled_aside(course: &Course<'_>, h: f64, wanted: f64) -> bool {
     let Material { omega, damping, .. } = course.body().material;
     let stiffness: f64 = course.spheres.iter().map(|sphere| sphere.strength.abs()).sum();

@@ -125,7 +125,7 @@ impl WithSimd for Together<'_> {
         let is_pushed = !self.course.weighted.is_empty();
         let of_vertex = EXAMINE * (1 + self.course.spheres.len() + self.course.weighted.len()) as u64;
         for first in (0..count).step_by(Reals::<S, 2>::COUNT) {
-            // by blocks and single lanes, so that it is the same for all instruction sets
+            // counted per block and per vertex, so that the work is the same on all instruction sets
             if first.is_multiple_of(LANES) {
                 let pulled = std::mem::take(&mut self.uncounted);
                 if !self.work.spend(pulled + of_vertex * LANES.min(count - first) as u64) {
@@ -289,7 +289,7 @@ struct Near<S: Simd, const W: usize> {
 }
 
 /// The vertices that may cross a rim between two positions, at the ends of a step. The squared distance to a centre
-/// less r_e² differs from linear interpolation between its end values by at most its curvature times h²/8: if both end
+/// minus r_e² differs from linear interpolation between its end values by at most its curvature times h²/8: if both end
 /// values have the same sign and are larger than that, there is no crossing.
 #[inline(always)]
 fn may_cross<S: Simd, const W: usize>(
