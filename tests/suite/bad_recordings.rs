@@ -729,7 +729,7 @@ fn claims_are_limited_by_the_size_of_the_recording() {
         assert!(error.contains(what), "{error}");
     }
     // a scene longer than the limit of scene files, and one longer than the size of the recording justifies
-    for (length, what) in [(33 << 20, "more than the 33554432"), (25 << 20, "more than the")] {
+    for (length, what) in [(33 << 20, "over the limit of 33554432"), (25 << 20, "over the limit of")] {
         let mut chunks = store();
         let mut text = String::from(SCENE);
         text.extend(std::iter::repeat_n('#', length));

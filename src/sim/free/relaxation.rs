@@ -590,6 +590,8 @@ impl Relaxation {
     /// Commits the result as the state of the island.
     fn commit(&mut self, island: &mut Island, span: (f64, f64), paths: &dyn Paths, report: &mut Report) {
         let (mut steps, mut error, first) = (0, 0.0, report.changes.len());
+        // Each cell has the vertices of its own body: the energy of a change has a share in the cells of both bodies.
+        let mut others: Vec<super::Change> = Vec::new();
         for (own, cell) in self.cells.iter_mut().enumerate() {
             let Cell { parts, pairs, found, report: of_cell, .. } = cell;
             let way = &mut island.ways[own];
@@ -606,12 +608,11 @@ impl Relaxation {
             for (&pair, known) in pairs.iter().zip(&parts.pairs).take(*found) {
                 island.pairs[pair as usize].phase = known.phase;
             }
-            let own_changes = of_cell.changes.iter().filter(|change| change.pair < *found);
-            report.changes.extend(own_changes.map(|&change| {
-                let pair = pairs[change.pair] as usize;
-                super::Change { pair, ..change }
-            }));
-            // the energy of a pair is in the ledgers of both cells, each for its own vertices
+            for change in &of_cell.changes {
+                let is_own = change.pair < *found;
+                let change = super::Change { pair: pairs[change.pair] as usize, ..*change };
+                if is_own { &mut report.changes } else { &mut others }.push(change);
+            }
             steps = steps.max(of_cell.steps);
             report.body_steps += of_cell.steps;
             report.rejected += of_cell.rejected;
@@ -621,7 +622,20 @@ impl Relaxation {
         }
         report.steps += steps;
         report.error += error;
-        report.changes[first..].sort_by(|one, other| one.time.total_cmp(&other.time).then(one.pair.cmp(&other.pair)));
+        let changes = &mut report.changes[first..];
+        let by_pair = |one: &super::Change, other: &super::Change| {
+            one.pair.cmp(&other.pair).then(one.time.total_cmp(&other.time))
+        };
+        changes.sort_by(by_pair);
+        others.sort_by(by_pair);
+        let mut others = others.into_iter().peekable();
+        for change in changes.iter_mut() {
+            while others.next_if(|other| other.pair < change.pair).is_some() {}
+            if let Some(other) = others.next_if(|other| other.pair == change.pair) {
+                change.energy += other.energy;
+            }
+        }
+        changes.sort_by(|one, other| one.time.total_cmp(&other.time).then(one.pair.cmp(&other.pair)));
         for (index, body) in island.bodies.iter_mut().enumerate().skip(self.cells.len()) {
             let Driven { position, velocity, .. } = paths.at(index, span.1, true);
             (body.centre, body.velocity) = (position, velocity);

@@ -370,6 +370,7 @@ fn own_steps_of_bodies_agree_with_joint_steps() {
     for (found, expected) in found.changes.iter().zip(&expected.changes) {
         assert_eq!((found.pair, found.to), (expected.pair, expected.to));
         assert!((found.time - expected.time).abs() < 1e-7, "{} {}", found.time, expected.time);
+        assert!((found.energy - expected.energy).abs() < 1e-5, "{} {}", found.energy, expected.energy);
     }
     let error = difference(&apart, &together);
     assert!(error < 1e-6, "{error:e}");
