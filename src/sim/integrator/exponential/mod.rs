@@ -111,7 +111,7 @@ pub struct StepControl<'a> {
 
 /// The work of a step of `vertices` vertices under `spheres` spheres and `pushes` pushes, acting or not.
 pub fn work_of(vertices: usize, spheres: usize, pushes: usize) -> u64 {
-    /// Forces are evaluated at four nodes, corrected at three of them, and evaluated in the middle.
+    /// Evaluations of a force: at four nodes, at three of them in each of two corrections, in the middle and at the sixth sample.
     const FORCES: u64 = 12;
     vertices as u64 * (FORCES * (1 + spheres as u64) + pushes as u64)
 }
