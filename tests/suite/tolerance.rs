@@ -66,10 +66,18 @@ motion = { fixed = [1.23, 1.02, 3.24] }
 /// was derived: 2.5e-4, 6.9e-4, 1.1e-5 and 1.1e-4, which are 4, 12, 18 and 179 times the allowed error.
 #[test]
 fn stiff_bodies_meet_the_tolerance() {
-    for (dt, tolerance) in [(0.02, 1e-4), (0.05, 1e-4), (0.1, 1e-6), (0.3, 1e-6), (0.02, 1e-6), (0.1, 1e-8)] {
+    // the last is the largest fraction of the allowed error; measured: 8e-2, 6e-3, 7e-2, 9e-2, 2e-2 and 0.11
+    let cases = [
+        (0.02, 1e-4, 0.1),
+        (0.05, 1e-4, 0.01),
+        (0.1, 1e-6, 0.1),
+        (0.3, 1e-6, 0.1),
+        (0.02, 1e-6, 0.03),
+        (0.1, 1e-8, 0.12),
+    ];
+    for (dt, tolerance, fraction) in cases {
         let Run { error, allowed, .. } = run(STIFF, dt, tolerance);
-        // Measured: 8e-2, 6e-3, 7e-2, 9e-2, 2e-2 and 0.11 of the allowed error.
-        assert!(error <= 0.2 * allowed, "dt {dt}, tolerance {tolerance:e}: {error:e} of {allowed:e}");
+        assert!(error <= fraction * allowed, "dt {dt}, tolerance {tolerance:e}: {error:e} of {allowed:e}");
     }
 }
 
