@@ -291,7 +291,13 @@ impl<S: Simd, const W: usize> Vector<S, W> {
     /// |v|² of each lane.
     #[inline(always)]
     pub fn length_squared(self) -> Reals<S, W> {
-        self.x * self.x + self.y * self.y + self.z * self.z
+        self.dot(self)
+    }
+
+    /// The scalar product of each lane.
+    #[inline(always)]
+    pub fn dot(self, other: Vector<S, W>) -> Reals<S, W> {
+        self.x * other.x + self.y * other.y + self.z * other.z
     }
 }
 

@@ -36,8 +36,10 @@
 //! which costs as much side by side as it saves.
 
 pub mod course;
+pub mod crossings;
 pub mod lanes;
 pub mod rim;
+pub mod series;
 pub mod single;
 pub mod step;
 pub mod together;
@@ -52,6 +54,7 @@ use crate::sim::{
     work::Tally,
 };
 use course::Course;
+use crossings::{Crossed, Crossings};
 use single::Single;
 use step::{Outcome, Pull, Step, Vertex};
 use together::{Outcomes, Together};
@@ -76,6 +79,7 @@ pub struct Scratch {
     count_near: bool,
     max_steps: u32,
     known: KnownWeights,
+    crossings: crossings::Scratch,
     single: single::Scratch,
 }
 
@@ -209,7 +213,7 @@ fn step_active_set(
     scratch: &mut Scratch,
     statistics: &mut StepStatistics,
 ) -> f64 {
-    let Scratch { whole, pulls, outcomes, inside, count_near, max_steps, known, single } = scratch;
+    let Scratch { whole, pulls, outcomes, inside, count_near, max_steps, known, crossings, single } = scratch;
     let force = course.strongest_pull();
     let wanted = control.tolerance * course.length;
     let stiff = single::is_stiff(course, course.length);
@@ -229,6 +233,11 @@ fn step_active_set(
     });
 
     let tolerance = control.tolerance;
+    let mut crossed = Crossed::default();
+    if !outcomes.groups.is_empty() && crossings::is_usual(course, whole) {
+        let scratch = crossings;
+        crossed = control.arch.dispatch(Crossings { course, whole, tolerance, active_set, outcomes, work, scratch });
+    }
     let mut alone = Single {
         course,
         whole,
@@ -266,7 +275,7 @@ fn step_active_set(
         active_set.pad_again(); // the padding has not been updated
     }
     statistics.near += outcomes.near;
-    statistics.substeps += alone.substeps;
+    statistics.substeps += crossed.substeps + alone.substeps;
     statistics.excess += alone.excess;
-    alone.error.max(outcomes.largest_error())
+    crossed.error.max(alone.error).max(outcomes.largest_error())
 }

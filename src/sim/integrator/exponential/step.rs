@@ -19,7 +19,7 @@ use crate::{
 };
 
 /// A step that has not converged after this many corrections is rejected.
-const MAX_SWEEPS: usize = 6;
+pub const MAX_SWEEPS: usize = 6;
 /// Paths are interpolated by the quartic through a step's samples only if the cubic through its nodes is this accurate
 /// in the middle [radii]; see [`Step::smooth`].
 const SMOOTH: f64 = 1e-7;
@@ -69,7 +69,7 @@ pub struct Step {
 
 /// Factor from the number of the force's time scales that pass in a step to the fraction of the residual that counts,
 /// see [`Group::roughness`].
-const SMOOTHNESS: f64 = 0.5;
+pub const SMOOTHNESS: f64 = 0.5;
 /// Relative error after a few roundings.
 const ROUNDING: f64 = 8.0 * f64::EPSILON;
 
@@ -332,7 +332,10 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
                 let found = self.force(ASIDE_LOOK, respond(x * stage.xx + u * stage.xu, &stage.force, &forces));
                 let quartic = respond(bend * weights.bend_aside, &weights.polynomial_aside, &forces);
                 let skew = none.larger_or_nan((found - quartic).length_squared().sqrt() - noise);
-                let all = self.left_out(stiffness, left_out, skew) + self.ringing([x, u], &forces, stiffness);
+                let h = Reals::splat(simd, self.step.h);
+                let material = self.course.body().material;
+                let all = self::left_out(simd, material, h, stiffness, [left_out, skew])
+                    + self.ringing([x, u], &forces, stiffness);
                 let expected = self.pulled() * ((scales * scales) * (scales * scales)) * scales;
                 let is_bent = Reals::splat(simd, wanted).below(expected * usual(self.course, self.step.h));
                 effect = is_quick.or(is_near.and(is_bent)).select(all, effect);
@@ -359,30 +362,6 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
         pulled
     }
 
-    /// The mean force that a step leaves out [scene unit/s²], given the residual of the cubic in the middle and that of the
-    /// quartic at [`ASIDE`].
-    ///
-    /// With q = 80 θ(θ − 1)(θ² − θ + 1/5) the residual is a q + b (θ − ½) q and higher terms. The weights of the end
-    /// state are S(h − s) and S′(h − s), which are at most 1 after division by the gain: so the two terms count at most
-    /// as ∫|q| = 0.45 and ∫|(θ − ½) q| = 0.14. Both are orthogonal to constants, and q to linear functions. What is
-    /// left of S = t − κ t² …, S′ = 1 − 2κ t + (4κ² − ω²) t²/2 … and of the influence's response to the error within
-    /// the step are ½ ∫θ² q = 0.02 and ∫θ (θ − ½) q = 0.04 times the powers of h that come with them. Each higher pair
-    /// of terms is smaller by some z²/30 in z time scales of the motion, but not orthogonal; the last factor accounts
-    /// for them.
-    #[inline(always)]
-    fn left_out(&self, stiffness: Reals<S, W>, bend: Reals<S, W>, skew: Reals<S, W>) -> Reals<S, W> {
-        let (simd, h) = (self.simd, self.step.h);
-        let Material { omega, damping, .. } = self.course.body().material;
-        let influence = stiffness * (h * h);
-        let z_squared = influence + Reals::splat(simd, (omega * omega + 4.0 * damping * damping) * (h * h));
-        let even = (z_squared * 0.02).smaller(Reals::splat(simd, 0.45));
-        let odd = influence * 0.02 + Reals::splat(simd, 0.04 * (omega + 2.0 * damping) * h);
-        let odd = odd.smaller(Reals::splat(simd, 0.14));
-        // q(0.13) (0.13 − ½) = 0.29
-        let both = bend * even + skew * odd * (1.0 / 0.29);
-        both * (z_squared * 0.25 + Reals::splat(simd, 1.0)).smaller(Reals::splat(simd, 2.0))
-    }
-
     /// A bound on the mean force that a step leaves out because a vertex oscillates too fast for its samples
     /// [scene unit/s²]; 0 if the step is short enough.
     ///
@@ -397,6 +376,35 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
         let other = respond(x * other.x + u * other.u, &other.force, forces).length_squared();
         stiffness * 2.6 * ((one + other).sqrt() + Reals::splat(self.simd, self.step.ringing))
     }
+}
+
+/// The mean force that a step leaves out [scene unit/s²], given the residual of the cubic in the middle and that of the
+/// quartic at [`ASIDE`].
+///
+/// With q = 80 θ(θ − 1)(θ² − θ + 1/5) the residual is a q + b (θ − ½) q and higher terms. The weights of the end
+/// state are S(h − s) and S′(h − s), which are at most 1 after division by the gain: so the two terms count at most
+/// as ∫|q| = 0.45 and ∫|(θ − ½) q| = 0.14. Both are orthogonal to constants, and q to linear functions. What is
+/// left of S = t − κ t² …, S′ = 1 − 2κ t + (4κ² − ω²) t²/2 … and of the influence's response to the error within
+/// the step are ½ ∫θ² q = 0.02 and ∫θ (θ − ½) q = 0.04 times the powers of h that come with them. Each higher pair
+/// of terms is smaller by some z²/30 in z time scales of the motion, but not orthogonal; the last factor accounts
+/// for them.
+#[inline(always)]
+pub fn left_out<S: Simd, const W: usize>(
+    simd: S,
+    Material { omega, damping, .. }: Material,
+    h: Reals<S, W>,
+    stiffness: Reals<S, W>,
+    [bend, skew]: [Reals<S, W>; 2],
+) -> Reals<S, W> {
+    let square = h * h;
+    let influence = stiffness * square;
+    let z_squared = influence + square * (omega * omega + 4.0 * damping * damping);
+    let even = (z_squared * 0.02).smaller(Reals::splat(simd, 0.45));
+    let odd = influence * 0.02 + h * (0.04 * (omega + 2.0 * damping));
+    let odd = odd.smaller(Reals::splat(simd, 0.14));
+    // q(0.13) (0.13 − ½) = 0.29
+    let both = bend * even + skew * odd * (1.0 / 0.29);
+    both * (z_squared * 0.25 + Reals::splat(simd, 1.0)).smaller(Reals::splat(simd, 2.0))
 }
 
 impl Step {
@@ -663,7 +671,7 @@ pub fn is_sampled_aside(course: &Course<'_>, h: f64, wanted: f64) -> bool {
 
 /// The usual error of a step of length `h` [s], divided by the strongest pull and by the fifth power of the number of
 /// time scales of the motion that pass in the step [s²].
-fn usual(course: &Course<'_>, h: f64) -> f64 {
+pub fn usual(course: &Course<'_>, h: f64) -> f64 {
     /// The usual fraction of the error that [`Group::roughness`] gives for the residual of an oscillation.
     const USUAL: f64 = 1.0 / 16.0;
     let Material { omega, damping, .. } = course.body().material;

@@ -83,6 +83,11 @@ impl Outcomes {
         }
     }
 
+    /// The strength of sphere `j` on vertex `i` at the start, 0 outside [1/s²]; only for a weight with a kink.
+    pub fn strength(&self, j: usize, i: usize) -> f64 {
+        self.inside[j * self.count + i]
+    }
+
     /// The largest estimated error of the vertices that need no attention [scene unit].
     pub fn largest_error(&self) -> f64 {
         self.largest.iter().fold(0.0, |largest, &error| largest.max(error))

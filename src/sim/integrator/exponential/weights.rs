@@ -32,6 +32,46 @@ static LAGRANGE: LazyLock<[[[f64; 4]; 4]; 5]> = LazyLock::new(|| {
     all
 });
 
+/// For each sample but the first, and for [`ASIDE`] last, `SCALED[look - 1][i]` holds the coefficients of the polynomial that is 1 at node i and 0
+/// at the other nodes, in the time over that of the sample, the k-th times k! …
+static SCALED: LazyLock<[[[f64; 4]; 4]; 5]> =
+    LazyLock::new(|| [SAMPLES[1], SAMPLES[2], SAMPLES[3], SAMPLES[4], ASIDE].map(|theta| scaled(&LAGRANGE[4], theta)));
+/// … and `SCALED_BEFORE[n - 1]` those for nodes before node n, at node n.
+static SCALED_BEFORE: LazyLock<[[[f64; 4]; 4]; 3]> =
+    LazyLock::new(|| [1, 2, 3].map(|n| scaled(&LAGRANGE[n], NODES[n])));
+
+fn scaled(basis: &[[f64; 4]; 4], theta: f64) -> [[f64; 4]; 4] {
+    basis.map(|[a, b, c, d]| [a, b * theta, 2.0 * (c * theta * theta), 6.0 * (d * theta * theta * theta)])
+}
+
+/// The polynomials of the nodes, for the weights of parts of different lengths; see [`series::weigh`](super::series::weigh).
+pub struct Polynomials {
+    /// In the time over the whole part …
+    pub whole: &'static [[f64; 4]; 4],
+    /// … over the time of each sample but the first, and of [`ASIDE`] …
+    pub samples: &'static [[[f64; 4]; 4]; 5],
+    /// … and for the nodes before each node but the first, over the time of that node.
+    pub before: &'static [[[f64; 4]; 4]; 3],
+    /// Weight of each node's force in the polynomial's value in the middle …
+    pub middle: [f64; 4],
+    /// … and at [`ASIDE`] [–].
+    pub aside: [f64; 4],
+}
+
+impl Polynomials {
+    /// The polynomials.
+    pub fn get() -> Polynomials {
+        let samples = &*SCALED;
+        Polynomials {
+            whole: &samples[2],
+            samples,
+            before: &SCALED_BEFORE,
+            middle: values(&LAGRANGE[4], 0.5),
+            aside: values(&LAGRANGE[4], ASIDE),
+        }
+    }
+}
+
 /// Weights that give the displacement at an instant of the step from the state at its start and the forces at the
 /// nodes.
 #[derive(Clone, Copy, Debug, Default)]
@@ -87,6 +127,8 @@ pub struct Weights {
 /// Time of the sixth sample, as a fraction of the step [–]: near an extremum of the quintic that vanishes at the nodes
 /// and in the middle.
 pub const ASIDE: f64 = 0.13;
+/// See [`Weights::bend_aside`].
+pub const BEND_ASIDE: f64 = 80.0 * ASIDE * (ASIDE - 1.0) * (ASIDE * ASIDE - ASIDE + 0.2);
 /// See [`Weights::ringing`].
 const RESOLVED: f64 = 2.0;
 
@@ -168,7 +210,7 @@ impl Weights {
             aside: if is_sampled_aside { stage(ASIDE, 4, &at(ASIDE)) } else { Stage::default() },
             polynomial: values(lagrange, 0.5),
             polynomial_aside: values(lagrange, ASIDE),
-            bend_aside: 80.0 * ASIDE * (ASIDE - 1.0) * (ASIDE * ASIDE - ASIDE + 0.2),
+            bend_aside: BEND_ASIDE,
             ux: whole.ux,
             uu: whole.uu,
             velocity: responses(lagrange, 1.0, &whole.u),

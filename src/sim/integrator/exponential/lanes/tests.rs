@@ -89,6 +89,7 @@ impl<const W: usize> WithSimd for Every<'_, W> {
             put_vector(["v*.x", "v*.y", "v*.z"], v * b);
             put_vector(["vs.x", "vs.y", "vs.z"], a.below(b).select_vector(v, w));
             put("|v|²", v.length_squared());
+            put("v·w", v.dot(w));
         }
         results
     }
@@ -173,6 +174,7 @@ fn expected(a: &Lanes, b: &Lanes, c: &Lanes, name: &str, together: usize) -> Lan
                 }
             }
             "|v|²" => x * x + y * y + z * z,
+            "v·w" => x * z + y * x + z * y,
             _ => panic!("{name} is not expected"),
         }
     })
@@ -198,7 +200,7 @@ fn same(x: f64, y: f64) -> bool {
 fn check<const W: usize>(a: &Lanes, b: &Lanes, c: &Lanes) {
     for (set, arch, width) in instruction_sets() {
         let results = arch.dispatch(Every::<W> { a, b, c });
-        assert_eq!(results.len(), 19 + 12 + 1);
+        assert_eq!(results.len(), 19 + 12 + 2);
         for (name, lanes) in results {
             let expected = expected(a, b, c, name, W * width);
             for i in 0..LANES {
