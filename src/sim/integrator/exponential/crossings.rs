@@ -13,13 +13,13 @@ use super::{
     lanes::{LANES, Mask, Reals, Vector},
     series::{LONGEST, Series, weigh},
     step::{MAX_SWEEPS, SMOOTHNESS, Step, has_kink, left_out, usual},
-    together::Outcomes,
+    together::{Outcomes, RESULTS},
     weights::{ASIDE, BEND_ASIDE, Polynomials, quartic_through},
     work_of,
 };
 use crate::{
     scene::Material,
-    sim::{arrays, deformation::ActiveSet, nodes::SAMPLES, state::State, work::Tally},
+    sim::{arrays, deformation::ActiveSet, nodes::SAMPLES, work::Tally},
 };
 
 /// A vertex whose step has more parts is unusual.
@@ -47,14 +47,15 @@ pub struct Scratch {
     pulls: Vec<usize>,
     /// Their centres at each of a part's samples.
     centres: Vec<[arrays::Lanes; 6]>,
-    /// Quantities of the vertices …
-    gathered: [arrays::Lanes; QUANTITIES],
-    /// … and the estimated errors of the whole step [scene unit].
+    /// The whole step's results for the vertices, …
+    results: [arrays::Lanes; RESULTS],
+    /// … displacement and velocity at its end, rest position, …
+    ends: [arrays::Lanes; 3],
+    /// … the estimated errors [scene unit], …
     errors: [f64; LANES],
+    /// … and the number of parts beyond the first, negative for a vertex that is unusual.
+    parts: [f64; LANES],
 }
-
-/// State at the start, forces at the nodes, bend, state at the end, rest position.
-const QUANTITIES: usize = 10;
 
 /// Steps vertices side by side through an interval in which they cross rims.
 pub struct Crossings<'a> {
@@ -126,22 +127,25 @@ impl WithSimd for Crossings<'_> {
                 gather::<S>(course, active_set, outcomes, vertices, scratch);
                 let batch = Batch { simd, course, whole, tolerance, series: &series, polynomials: &polynomials };
                 let Ends { x, u, error, parts, is_usual } = batch.step(scratch);
-                let [mut ends, mut others] = [[[0.0; LANES]; 3]; 2];
-                let [mut errors, mut counts, mut usual] = [[0.0; LANES]; 3];
-                x.into_block(&mut ends, 0);
-                u.into_block(&mut others, 0);
-                error.store(&mut errors, 0);
-                parts.store(&mut counts, 0);
-                is_usual.select(Reals::splat(simd, 1.0), Reals::splat(simd, 0.0)).store(&mut usual, 0);
+                let [ends, others, _] = &mut scratch.ends;
+                x.into_block(ends, 0);
+                u.into_block(others, 0);
+                error.store(&mut scratch.errors, 0);
+                let unusual = Reals::splat(simd, -1.0);
+                is_usual.select(parts, unusual).store(&mut scratch.parts, 0);
                 for (lane, &i) in vertices.iter().enumerate() {
-                    if usual[lane] == 0.0 {
+                    if scratch.parts[lane] < 0.0 {
                         continue;
                     }
-                    let [x, u] = [&ends, &others].map(|[x, y, z]| DVec3::new(x[lane], y[lane], z[lane]));
-                    active_set.set_state(i, State { x, u });
+                    let block = &mut active_set.blocks.all_mut()[i / LANES].0;
+                    for (to, from) in block.iter_mut().zip(&scratch.ends) {
+                        for axis in 0..3 {
+                            to[axis][i % LANES] = from[axis][lane];
+                        }
+                    }
                     outcomes.attention[i] = 0.0;
-                    crossed.substeps += counts[lane] as u64;
-                    crossed.error = crossed.error.max(errors[lane]);
+                    crossed.substeps += scratch.parts[lane] as u64;
+                    crossed.error = crossed.error.max(scratch.errors[lane]);
                 }
             }
         }
@@ -160,19 +164,19 @@ fn gather<S: Simd>(
     scratch: &mut Scratch,
 ) {
     let last = vertices.len() - 1;
-    let [f0, f1, f2, f3] = &outcomes.forces;
-    let known = [&outcomes.displacement, &outcomes.velocity, f0, f1, f2, f3, &outcomes.bend];
     for lane in 0..Reals::<S, 1>::COUNT {
         let i = vertices[lane.min(last)];
         scratch.errors[lane] = outcomes.error[i];
-        for (to, from) in scratch.gathered.iter_mut().zip(&known) {
-            let [x, y, z] = to;
-            (x[lane], y[lane], z[lane]) = (from.x[i], from.y[i], from.z[i]);
+        let results = &outcomes.results.all()[i / LANES].0;
+        let ends = &active_set.blocks.all()[i / LANES].0;
+        for (to, from) in scratch.results.iter_mut().zip(results) {
+            for axis in 0..3 {
+                to[axis][lane] = from[axis][i % LANES];
+            }
         }
-        let block = &active_set.blocks.all()[i / LANES].0;
-        for (to, from) in scratch.gathered[known.len()..].iter_mut().zip(block) {
-            for (to, from) in to.iter_mut().zip(from) {
-                to[lane] = from[i % LANES];
+        for (to, from) in scratch.ends.iter_mut().zip(ends) {
+            for axis in 0..3 {
+                to[axis][lane] = from[axis][i % LANES];
             }
         }
         for (j, strengths) in scratch.strengths[..course.spheres.len()].iter_mut().enumerate() {
@@ -265,11 +269,14 @@ impl<S: Simd> Batch<'_, S> {
     #[inline(always)]
     fn step(&self, scratch: &mut Scratch) -> Ends<S> {
         let simd = self.simd;
-        let mut known = [zero_vector(simd); QUANTITIES];
-        for (known, gathered) in known.iter_mut().zip(&scratch.gathered) {
-            *known = Vector::of_block(simd, gathered, 0);
+        let mut known = [zero_vector(simd); RESULTS];
+        for (known, lanes) in known.iter_mut().zip(&scratch.results) {
+            *known = Vector::of_block(simd, lanes, 0);
         }
-        let [x0, u0, f0, f1, f2, f3, bend, x1, u1, rest] = known;
+        let [x0, u0, f0, f1, f2, f3, bend] = known;
+        let [x1, u1, rest] = &scratch.ends;
+        let [x1, u1] = [Vector::of_block(simd, x1, 0), Vector::of_block(simd, u1, 0)];
+        let rest = Vector::of_block(simd, rest, 0);
         let (zero, one) = (Reals::splat(simd, 0.0), Reals::splat(simd, 1.0));
         let mut part = Part {
             from: zero,
@@ -284,6 +291,7 @@ impl<S: Simd> Batch<'_, S> {
         let mut pending = zero.below(one);
         // the sphere at whose rim a part starts
         let mut crossed = Reals::splat(simd, -1.0);
+        self.find_pulls(scratch);
         for _ in 0..MAX_PARTS {
             ends.error = pending.select(ends.error + part.error, ends.error);
             let First { time, sphere, is_unknown } = self.first_crossing(scratch, &part, rest, crossed);
@@ -298,26 +306,38 @@ impl<S: Simd> Batch<'_, S> {
             if !pending.any() {
                 break;
             }
-            part.start = self.within(&part, time);
+            part.start = self.within(scratch, &part, time);
             (part.from, part.share) = (from, one - from);
             crossed = sphere;
             ends.parts = pending.select(ends.parts + one, ends.parts);
-            scratch.pulls.clear();
             for j in 0..self.course.spheres.len() {
                 let strength = Reals::load(simd, &scratch.strengths[j], 0);
                 let other = Reals::splat(simd, self.course.spheres[j].strength) - strength;
                 let is_crossed = equal(sphere, Reals::splat(simd, j as f64)).and(pending);
-                let strength = is_crossed.select(other, strength);
-                strength.store(&mut scratch.strengths[j], 0);
-                if zero.below(strength.abs()).any() {
-                    scratch.pulls.push(j);
-                }
+                is_crossed.select(other, strength).store(&mut scratch.strengths[j], 0);
             }
-            self.collocate(scratch, &mut part, rest);
+            self.find_pulls(scratch);
+            if scratch.pulls.is_empty() {
+                self.flow(&mut part);
+            } else {
+                self.collocate(scratch, &mut part, rest);
+            }
             let is_accurate = part.error.at_most(part.share * (self.tolerance * self.whole.h));
             pending = pending.and(is_accurate);
         }
         ends
+    }
+
+    /// Finds the spheres that contain any of the vertices.
+    #[inline(always)]
+    fn find_pulls(&self, scratch: &mut Scratch) {
+        let zero = Reals::<S, 1>::splat(self.simd, 0.0);
+        scratch.pulls.clear();
+        for (j, strength) in scratch.strengths[..self.course.spheres.len()].iter().enumerate() {
+            if zero.below(Reals::load(self.simd, strength, 0).abs()).any() {
+                scratch.pulls.push(j);
+            }
+        }
     }
 
     /// The centre of a sphere at `theta` of the step.
@@ -365,10 +385,14 @@ impl<S: Simd> Batch<'_, S> {
 
     /// The state at `time`, as a fraction of a part.
     #[inline(always)]
-    fn within(&self, part: &Part<S>, time: Reals<S, 1>) -> [Vector<S, 1>; 2] {
+    fn within(&self, scratch: &Scratch, part: &Part<S>, time: Reals<S, 1>) -> [Vector<S, 1>; 2] {
         let simd = self.simd;
         let [x, u] = part.start;
         let response = self.series.over(simd, part.share * time);
+        let flow = [response.displaced(simd, x, u), response.velocity(x, u)];
+        if scratch.pulls.is_empty() {
+            return self.plus_zero(flow);
+        }
         let mut powers = [time; 4];
         for k in 1..4 {
             powers[k] = powers[k - 1] * time;
@@ -386,8 +410,8 @@ impl<S: Simd> Batch<'_, S> {
         let bend =
             (powers[3] * response.j[5] * 24.0 - velocities[3] * 12.0) + (velocities[2] * 2.4 - velocities[1] * 0.2);
         [
-            response.displaced(simd, x, u) + sum::<S, 4>(&of_displacement, &part.forces),
-            response.velocity(x, u) + sum::<S, 4>(&of_velocity, &part.forces) + part.bend * (bend * t * 80.0),
+            flow[0] + sum::<S, 4>(&of_displacement, &part.forces),
+            flow[1] + sum::<S, 4>(&of_velocity, &part.forces) + part.bend * (bend * t * 80.0),
         ]
     }
 
@@ -490,6 +514,23 @@ impl<S: Simd> Batch<'_, S> {
             force = force + to_centre * (strength * (one - z)); // (3.3)
         }
         force
+    }
+
+    /// Adds the effect of no force, which makes zeros positive, as in lanes beside vertices on which forces act.
+    #[inline(always)]
+    fn plus_zero(&self, [x, u]: [Vector<S, 1>; 2]) -> [Vector<S, 1>; 2] {
+        let zero = zero_vector(self.simd);
+        [x + zero, u + zero]
+    }
+
+    /// Takes the step over a part, from its start, for vertices on which nothing acts.
+    #[inline(always)]
+    fn flow(&self, part: &mut Part<S>) {
+        let zero = zero_vector(self.simd);
+        let response = self.series.over(self.simd, part.share);
+        let [x, u] = part.start;
+        part.end = self.plus_zero([response.displaced(self.simd, x, u), response.velocity(x, u)]);
+        (part.forces, part.bend, part.error) = ([zero; 4], zero, zero.x);
     }
 
     /// Takes the step over a part, from its start; see [`Group::collocate`](super::step::Group::collocate).

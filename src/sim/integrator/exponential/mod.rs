@@ -45,7 +45,6 @@ pub mod step;
 pub mod together;
 pub mod weights;
 
-use glam::DVec3;
 use pulp::Arch;
 
 use crate::sim::{
@@ -57,7 +56,7 @@ use course::Course;
 use crossings::{Crossed, Crossings};
 use single::Single;
 use step::{Outcome, Pull, Step, Vertex};
-use together::{Outcomes, Together};
+use together::{BEND, FORCES, Outcomes, START, Together};
 use weights::KnownWeights;
 
 /// Upper limit on the halvings of a body's interval for its own motion, and on those for its vertices.
@@ -262,10 +261,11 @@ fn step_active_set(
             }
             let inside = has_kink.then_some(&**inside);
             let vertex = Vertex { rest: active_set.rest(i), local: course.local(i) };
-            let forces: [DVec3; 4] = std::array::from_fn(|node| outcomes.forces[node].get(i));
+            let forces = FORCES.map(|node| outcomes.results.get(node, i));
             let end = active_set.state(i);
-            let outcome = Outcome { end, forces, bend: outcomes.bend.get(i), error: outcomes.error[i] };
-            let start = State { x: outcomes.displacement.get(i), u: outcomes.velocity.get(i) };
+            let outcome = Outcome { end, forces, bend: outcomes.results.get(BEND, i), error: outcomes.error[i] };
+            let [x, u] = START.map(|k| outcomes.results.get(k, i));
+            let start = State { x, u };
             statistics.hard += u64::from(!(outcome.error <= wanted));
             let end = alone.advance((vertex, inside), start, outcome, known, single);
             active_set.set_state(i, end);

@@ -11,7 +11,7 @@ use super::{
     step::{Collocated, Group, Pull, SHORTER, Step, has_kink},
 };
 use crate::sim::{
-    arrays::{Block, Vectors},
+    arrays::{Block, Blocks},
     deformation::ActiveSet,
     work::Tally,
 };
@@ -32,14 +32,8 @@ pub struct Outcomes {
     count: usize,
     /// Number of spheres.
     spheres: usize,
-    /// Displacements at the start [scene unit].
-    pub displacement: Vectors,
-    /// Velocities at the start [scene unit/s].
-    pub velocity: Vectors,
-    /// Forces at the four nodes [scene unit/s²].
-    pub forces: [Vectors; 4],
-    /// Differences of the forces in the middle from the cubics through those at the nodes [scene unit/s²].
-    pub bend: Vectors,
+    /// Results of the vertices, see [`START`] and the others.
+    pub results: Blocks<RESULTS>,
     /// Estimated errors of the displacements [scene unit].
     pub error: Vec<f64>,
     /// For each sphere and vertex: its strength there at the start, 0 outside; only for a weight with a kink.
@@ -54,20 +48,26 @@ pub struct Outcomes {
     pub near: u64,
 }
 
+/// In a block of results: displacement and velocity at the start [scene unit, scene unit/s], …
+pub const START: [usize; 2] = [0, 1];
+/// … the forces at the four nodes [scene unit/s²], …
+pub const FORCES: [usize; 4] = [2, 3, 4, 5];
+/// … and the difference of the force in the middle from the cubic through these [scene unit/s²].
+pub const BEND: usize = 6;
+/// Number of vectors in a block of results.
+pub const RESULTS: usize = 7;
+
 impl Outcomes {
     fn resize(&mut self, count: usize, spheres: usize) {
         (self.count, self.spheres) = (count, spheres);
-        let Outcomes { displacement, velocity, forces, bend, error, inside, attention, groups, largest, near, .. } =
-            self;
+        let Outcomes { results, error, inside, attention, groups, largest, near, .. } = self;
         groups.clear();
         (*largest, *near) = ([0.0; LANES], 0);
         inside.resize(inside.len().max(count * spheres), 0.0);
         if error.len() >= count {
             return; // all are equally long
         }
-        for vectors in [displacement, velocity, bend].into_iter().chain(forces) {
-            vectors.resize(count);
-        }
+        results.resize(count);
         error.resize(count, 0.0);
         attention.resize(count, 0.0);
     }
@@ -214,13 +214,14 @@ impl Together<'_> {
         Reals::load(simd, &outcomes.largest, 0).larger(settled).store(&mut outcomes.largest, 0);
         if attention.any() {
             end.error.store(&mut outcomes.error, first);
-            end.bend.store(&mut outcomes.bend, first);
-            for (forces, force) in outcomes.forces.iter_mut().zip(end.forces) {
-                force.store(forces, first);
-            }
             attention.select(Reals::splat(simd, 1.0), Reals::splat(simd, 0.0)).store(&mut outcomes.attention, first);
-            x.store(&mut outcomes.displacement, first);
-            u.store(&mut outcomes.velocity, first);
+            let results = &mut outcomes.results.all_mut()[block].0;
+            x.into_block(&mut results[START[0]], lane);
+            u.into_block(&mut results[START[1]], lane);
+            for (node, force) in FORCES.into_iter().zip(end.forces) {
+                force.into_block(&mut results[node], lane);
+            }
+            end.bend.into_block(&mut results[BEND], lane);
             outcomes.groups.push(first..first + Reals::<S, W>::COUNT);
         }
         let [x, u, _] = &mut self.active_set.blocks.all_mut()[block].0;
