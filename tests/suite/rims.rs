@@ -98,3 +98,35 @@ fn a_stiff_attraction() {
     assert!(substeps > 100, "{substeps}: the stiffness was not detected");
     assert!(error < 1e-6, "{error:e}");
 }
+
+/// In steps three times as long as usual most vertices that cross a rim do so far from both ends, several of them in a
+/// step, and bodies that wobble move along no cubic.
+#[test]
+fn crossings_in_long_steps_meet_the_tolerance() {
+    const FINER: u64 = 8;
+    for (name, duration) in [("two", 4.0), ("three", 4.0), ("crowd", 1.0)] {
+        for tolerance in [1e-4, 1e-6] {
+            let scene = Scene::builtin(name).expect("a built-in scene");
+            let coarse = Scene { dt: 0.05, duration, tolerance, ..scene };
+            let fine = Scene { dt: coarse.dt / FINER as f64, tolerance: 1e-11, ..coarse.clone() };
+            let radii: Vec<f64> = coarse.bodies.iter().map(|body| body.radius).collect();
+            let steps = coarse.steps();
+            let mut coarse = World::new(coarse).expect("enough memory");
+            let mut fine = World::new(fine).expect("enough memory");
+            let mut worst = 0.0;
+            for _ in 0..steps {
+                coarse.step();
+                (0..FINER).for_each(|_| {
+                    fine.step();
+                });
+                for (body, radius) in radii.iter().enumerate() {
+                    let (a, b) = (coarse.body(body), fine.body(body));
+                    for vertex in 0..a.vertex_count() {
+                        worst = f64::max(worst, a.displacement(vertex).distance(b.displacement(vertex)) / radius);
+                    }
+                }
+            }
+            assert!(worst < 0.1 * tolerance, "{name} at {tolerance:e}: {worst:e}");
+        }
+    }
+}

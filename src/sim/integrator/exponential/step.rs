@@ -21,7 +21,7 @@ use crate::{
 /// A step that has not converged after this many corrections is rejected.
 pub const MAX_SWEEPS: usize = 6;
 /// Paths are interpolated by the quartic through a step's samples only if the cubic through its nodes is this accurate
-/// in the middle [radii]; see [`Step::smooth`].
+/// in the middle, or the quartic itself is where that is known [radii]; see [`Step::smooth`].
 const SMOOTH: f64 = 1e-7;
 /// Ratio of the error per unit of time of a step to that of a step of half the length.
 pub const SHORTER: f64 = 32.0;
@@ -55,9 +55,9 @@ pub struct Step {
     pub moments: [Moment; 6],
     /// Bounds on the motion of each sphere's centre relative to the shared motion of the vertices.
     pub relative: Vec<Bounds>,
-    /// Whether the quartic through the five moments is as good as the paths themselves. The quartic's residual then
-    /// causes a force whose effect on the displacement is negligible: it is smaller than the cubic's residual by the
-    /// ratio of the step length to the oscillator's time scale.
+    /// Whether the quartic through the five moments is as good as the paths themselves: its residual causes a force whose
+    /// effect on the displacement is negligible. That residual is smaller than the cubic's by the ratio of the step length
+    /// to the oscillator's time scale; where the step is sampled at [`ASIDE`], it is also known from there.
     pub smooth: bool,
     /// Effect of rounding of times and positions on the force at any of the moments [scene unit/s²]. Smaller
     /// differences carry no information, and halving the step does not reduce them.
@@ -452,23 +452,10 @@ impl Step {
             let Bounds { speed, acceleration } = course.relative_bounds(j, course.start, course.start + h);
             Bounds { speed: speed + own.speed, acceleration: acceleration + own.acceleration }
         }));
-        let limit = self.largest_left_out(course, wanted);
-        let spheres_are_smooth = (0..course.spheres.len()).all(|j| {
-            let known: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].centres[j]);
-            let residual = |look: usize, w: &[f64; 4]| self.moments[look].centres[j] - combine(w, &known);
-            let small = |residual: DVec3| residual.length_squared() <= limit * limit;
-            small(residual(4, &self.weights.polynomial))
-                && (!self.weights.is_sampled_aside || small(residual(ASIDE_LOOK, &self.weights.polynomial_aside)))
-        });
-        self.smooth = spheres_are_smooth
-            && (0..course.weighted.len()).all(|p| {
-                let residual = |look: usize, w: &[f64; 4]| {
-                    let known = (0..4).map(|node| w[node] * self.moments[node].pushed[p]);
-                    (self.moments[look].pushed[p] - known.sum::<f64>()).abs()
-                };
-                residual(4, &self.weights.polynomial) <= limit
-                    && (!self.weights.is_sampled_aside || residual(ASIDE_LOOK, &self.weights.polynomial_aside) <= limit)
-            });
+        let limits = self.largest_left_out(course, wanted);
+        self.smooth = (0..course.spheres.len()).all(|j| self.is_smooth(limits, |look| self.moments[look].centres[j]))
+            && (0..course.weighted.len())
+                .all(|p| self.is_smooth(limits, |look| DVec3::X * self.moments[look].pushed[p]));
         self.noise = self.rounding(course);
     }
 
@@ -487,12 +474,30 @@ impl Step {
         }
     }
 
-    /// Acceptable residual of the cubics in the middle [scene unit], see [`Step::smooth`].
-    fn largest_left_out(&self, course: &Course<'_>, wanted: f64) -> f64 {
+    /// Whether a position is well interpolated by the quartic through five samples, see [`Step::smooth`].
+    #[inline(always)]
+    fn is_smooth(&self, limits: [f64; 2], at: impl Fn(usize) -> DVec3) -> bool {
+        let known = [at(0), at(1), at(2), at(3)];
+        let is_small = |residual: DVec3, limit: f64| residual.length_squared() <= limit * limit;
+        let of_cubic = |look: usize, w: &[f64; 4]| is_small(at(look) - combine(w, &known), limits[0]);
+        let Weights { polynomial, polynomial_aside, is_sampled_aside, .. } = self.weights;
+        if of_cubic(4, &polynomial) && (!is_sampled_aside || of_cubic(ASIDE_LOOK, &polynomial_aside)) {
+            return true;
+        }
+        is_sampled_aside && {
+            let [w0, w1, w2, w3, middle] = quartic(ASIDE);
+            is_small(at(ASIDE_LOOK) - combine(&[w0, w1, w2, w3], &known) - middle * at(4), limits[1])
+        }
+    }
+
+    /// Acceptable residuals [scene unit] of the cubics in the middle, and of the quartics at [`ASIDE`]; see
+    /// [`Step::smooth`].
+    fn largest_left_out(&self, course: &Course<'_>, wanted: f64) -> [f64; 2] {
         let Material { omega, damping, .. } = course.body().material;
         let stiffness: f64 = course.spheres.iter().map(|sphere| sphere.strength.abs()).sum();
-        let seen = stiffness * self.weights.gain() * f64::min(1.0, (omega + 2.0 * damping) * self.h);
-        f64::min(SMOOTH * course.body().radius, 0.25 * wanted / seen)
+        let seen = stiffness * self.weights.gain();
+        let of_cubic = seen * f64::min(1.0, (omega + 2.0 * damping) * self.h);
+        [of_cubic, seen].map(|seen| f64::min(SMOOTH * course.body().radius, 0.25 * wanted / seen))
     }
 
     /// See [`Step::noise`].
