@@ -31,6 +31,16 @@ const MAX_NEWTON: usize = 6;
 const LAST_STEP: f64 = 1e-4;
 /// Index of the sample at [`ASIDE`].
 const ASIDE_LOOK: usize = 5;
+/// The number of each lane.
+const NUMBERS: [f64; LANES] = {
+    let mut numbers = [0.0; LANES];
+    let mut lane = 0;
+    while lane < LANES {
+        numbers[lane] = lane as f64;
+        lane += 1;
+    }
+    numbers
+};
 /// Work of a vertex apart from that of its forces.
 const VERTEX: u64 = 40;
 
@@ -126,7 +136,7 @@ impl WithSimd for Crossings<'_> {
             for vertices in pending.chunks(Reals::<S, 1>::COUNT) {
                 gather::<S>(course, active_set, outcomes, vertices, scratch);
                 let batch = Batch { simd, course, whole, tolerance, series: &series, polynomials: &polynomials };
-                let Ends { x, u, error, parts, is_usual } = batch.step(scratch);
+                let Ends { x, u, error, parts, is_usual } = batch.step(scratch, vertices.len());
                 let [ends, others, _] = &mut scratch.ends;
                 x.into_block(ends, 0);
                 u.into_block(others, 0);
@@ -154,7 +164,7 @@ impl WithSimd for Crossings<'_> {
     }
 }
 
-/// Copies what is known of `vertices` to the buffers, repeating the last one in the lanes that are left.
+/// Copies what is known of `vertices` to the buffers. The lanes that are left keep what was there.
 #[inline(always)]
 fn gather<S: Simd>(
     course: &Course<'_>,
@@ -163,9 +173,7 @@ fn gather<S: Simd>(
     vertices: &[usize],
     scratch: &mut Scratch,
 ) {
-    let last = vertices.len() - 1;
-    for lane in 0..Reals::<S, 1>::COUNT {
-        let i = vertices[lane.min(last)];
+    for (lane, &i) in vertices.iter().enumerate().take(Reals::<S, 1>::COUNT) {
         scratch.errors[lane] = outcomes.error[i];
         let results = &outcomes.results.all()[i / LANES].0;
         let ends = &active_set.blocks.all()[i / LANES].0;
@@ -212,6 +220,8 @@ struct Ends<S: Simd> {
 /// A part of a step that extends to the end of the step, and the motion of vertices in it.
 #[derive(Clone, Copy)]
 struct Part<S: Simd> {
+    /// Whether it is the whole step.
+    is_whole: bool,
     /// Its start, as a fraction of the step.
     from: Reals<S, 1>,
     /// Its length, as a fraction of the step.
@@ -265,9 +275,9 @@ fn sum<S: Simd, const N: usize>(w: &[Reals<S, 1>; 4], f: &[Vector<S, 1>; 4]) -> 
 }
 
 impl<S: Simd> Batch<'_, S> {
-    /// Steps the gathered vertices to the end of the interval.
+    /// Steps the gathered vertices, in the first `count` lanes, to the end of the interval.
     #[inline(always)]
-    fn step(&self, scratch: &mut Scratch) -> Ends<S> {
+    fn step(&self, scratch: &mut Scratch, count: usize) -> Ends<S> {
         let simd = self.simd;
         let mut known = [zero_vector(simd); RESULTS];
         for (known, lanes) in known.iter_mut().zip(&scratch.results) {
@@ -279,6 +289,7 @@ impl<S: Simd> Batch<'_, S> {
         let rest = Vector::of_block(simd, rest, 0);
         let (zero, one) = (Reals::splat(simd, 0.0), Reals::splat(simd, 1.0));
         let mut part = Part {
+            is_whole: true,
             from: zero,
             share: one,
             start: [x0, u0],
@@ -288,13 +299,14 @@ impl<S: Simd> Batch<'_, S> {
             error: Reals::load(simd, &scratch.errors, 0),
         };
         let mut ends = Ends { x: part.end[0], u: part.end[1], error: zero, parts: zero, is_usual: zero.below(zero) };
-        let mut pending = zero.below(one);
+        // what happens in other lanes is ignored, and starts no further work
+        let mut pending = Reals::load(simd, &NUMBERS, 0).below(Reals::splat(simd, count as f64));
         // the sphere at whose rim a part starts
         let mut crossed = Reals::splat(simd, -1.0);
-        self.find_pulls(scratch);
+        self.find_pulls(scratch, pending);
         for _ in 0..MAX_PARTS {
             ends.error = pending.select(ends.error + part.error, ends.error);
-            let First { time, sphere, is_unknown } = self.first_crossing(scratch, &part, rest, crossed);
+            let First { time, sphere, is_unknown } = self.first_crossing(scratch, &part, rest, (crossed, pending));
             pending = pending.and(is_unknown.negated());
             let from = part.from + part.share * time;
             let is_crossing = time.below(one).and(from.below(one)).and(pending);
@@ -307,7 +319,7 @@ impl<S: Simd> Batch<'_, S> {
                 break;
             }
             part.start = self.within(scratch, &part, time);
-            (part.from, part.share) = (from, one - from);
+            (part.is_whole, part.from, part.share) = (false, from, one - from);
             crossed = sphere;
             ends.parts = pending.select(ends.parts + one, ends.parts);
             for j in 0..self.course.spheres.len() {
@@ -316,11 +328,11 @@ impl<S: Simd> Batch<'_, S> {
                 let is_crossed = equal(sphere, Reals::splat(simd, j as f64)).and(pending);
                 is_crossed.select(other, strength).store(&mut scratch.strengths[j], 0);
             }
-            self.find_pulls(scratch);
+            self.find_pulls(scratch, pending);
             if scratch.pulls.is_empty() {
                 self.flow(&mut part);
             } else {
-                self.collocate(scratch, &mut part, rest);
+                self.collocate(scratch, &mut part, rest, pending);
             }
             let is_accurate = part.error.at_most(part.share * (self.tolerance * self.whole.h));
             pending = pending.and(is_accurate);
@@ -328,13 +340,13 @@ impl<S: Simd> Batch<'_, S> {
         ends
     }
 
-    /// Finds the spheres that contain any of the vertices.
+    /// Finds the spheres that contain any of the vertices that are `pending`.
     #[inline(always)]
-    fn find_pulls(&self, scratch: &mut Scratch) {
+    fn find_pulls(&self, scratch: &mut Scratch, pending: Mask<S, 1>) {
         let zero = Reals::<S, 1>::splat(self.simd, 0.0);
         scratch.pulls.clear();
         for (j, strength) in scratch.strengths[..self.course.spheres.len()].iter().enumerate() {
-            if zero.below(Reals::load(self.simd, strength, 0).abs()).any() {
+            if zero.below(Reals::load(self.simd, strength, 0).abs()).and(pending).any() {
                 scratch.pulls.push(j);
             }
         }
@@ -369,6 +381,13 @@ impl<S: Simd> Batch<'_, S> {
         for k in 0..5 {
             c[k] = Vector::splat(self.simd, path[k]);
         }
+        if part.is_whole {
+            for k in 0..6 {
+                c[k] = c[k] - own[k];
+            }
+            return c;
+        }
+        // the same polynomial in the time of the part: shifted (Horner) and rescaled
         for low in 0..4 {
             for k in (low..4).rev() {
                 c[k] = c[k] + c[k + 1] * part.from;
@@ -415,12 +434,18 @@ impl<S: Simd> Batch<'_, S> {
         ]
     }
 
-    /// The first crossing of a rim in a part, for vertices that start from the rim of sphere `crossed`.
+    /// The first crossing of a rim in a part, for `pending` vertices, which start from the rim of sphere `crossed`, if any.
     ///
     /// The motion is interpolated by the quintic that matches displacement, velocity and acceleration at both ends;
     /// bounds and tests are those of [`rim`](super::rim).
     #[inline(always)]
-    fn first_crossing(&self, scratch: &Scratch, part: &Part<S>, rest: Vector<S, 1>, crossed: Reals<S, 1>) -> First<S> {
+    fn first_crossing(
+        &self,
+        scratch: &Scratch,
+        part: &Part<S>,
+        rest: Vector<S, 1>,
+        (crossed, pending): (Reals<S, 1>, Mask<S, 1>),
+    ) -> First<S> {
         let simd = self.simd;
         let (zero, one) = (Reals::splat(simd, 0.0), Reals::splat(simd, 1.0));
         let Material { omega, damping, .. } = self.course.body().material;
@@ -448,7 +473,7 @@ impl<S: Simd> Batch<'_, S> {
             let mut curvature = (speed * speed + (d0.larger(d1) + speed) * faster) * 2.0;
             let starts_there = equal(crossed, Reals::splat(simd, j as f64));
             let is_clear = (curvature * 0.125).below(g0.smaller(g1)).or(starts_there.and((curvature * 0.5).below(g1)));
-            if !is_clear.negated().any() {
+            if !is_clear.negated().and(pending).any() {
                 continue;
             }
 
@@ -477,12 +502,12 @@ impl<S: Simd> Batch<'_, S> {
             let is_clear = is_clear.or(is_above.and(is_rising.or(is_falling.and(zero.below(g1)))));
             let has_root = is_above.and(is_falling).and(g1.at_most(zero)).and(is_clear.negated());
             first.is_unknown = first.is_unknown.or(is_clear.or(has_root).negated());
-            if !has_root.any() {
+            if !has_root.and(pending).any() {
                 continue;
             }
 
             t = zero.larger(one.smaller(t - value / slope));
-            let mut is_found = is_clear;
+            let mut is_found = has_root.and(pending).negated();
             for _ in 0..MAX_NEWTON {
                 let (position, velocity) = (polynomial(&c, t), polynomial(&slopes, t));
                 let value = position.length_squared() - radius_squared;
@@ -490,7 +515,7 @@ impl<S: Simd> Batch<'_, S> {
                 let is_last = (next - t).abs().at_most(Reals::splat(simd, LAST_STEP));
                 t = is_found.select(t, zero.larger(one.smaller(next)));
                 is_found = is_found.or(is_last);
-                if !is_found.negated().and(has_root).any() {
+                if !is_found.negated().any() {
                     break;
                 }
             }
@@ -535,7 +560,7 @@ impl<S: Simd> Batch<'_, S> {
 
     /// Takes the step over a part, from its start; see [`Group::collocate`](super::step::Group::collocate).
     #[inline(always)]
-    fn collocate(&self, scratch: &mut Scratch, part: &mut Part<S>, rest: Vector<S, 1>) {
+    fn collocate(&self, scratch: &mut Scratch, part: &mut Part<S>, rest: Vector<S, 1>, pending: Mask<S, 1>) {
         let (simd, polynomials) = (self.simd, self.polynomials);
         let [x, u] = part.start;
         let (zero, one) = (Reals::splat(simd, 0.0), Reals::splat(simd, 1.0));
@@ -582,7 +607,7 @@ impl<S: Simd> Batch<'_, S> {
         let left = stiffness * constant * gain;
         let enough = wanted * 0.25;
         let mut unsettled = Reals::splat(simd, f64::INFINITY);
-        let mut settled = Mask::none(simd);
+        let mut settled = pending.negated();
         for _ in 0..MAX_SWEEPS {
             let mut change = zero;
             for node in 1..4 {
@@ -628,7 +653,7 @@ impl<S: Simd> Batch<'_, S> {
         let mut effect = bent * roughness * gain * 0.1;
         let expected = pulled * ((scales * scales) * (scales * scales)) * scales * h * usual(self.course, 1.0);
         let needs_more = one.below(scales).or(wanted.below(effect * 4.0).and(wanted.below(expected)));
-        if needs_more.any() {
+        if needs_more.and(pending).any() {
             let response = self.series.over(simd, part.share * ASIDE);
             let scale = response.t * response.t;
             let weights = weigh::<S, 4>(&response.displacements(), &polynomials.samples[ASIDE_LOOK - 1], scale);
