@@ -3,7 +3,8 @@
 //! Each scene is run with a coarse step and compared with itself at a step 256 times smaller, where many steps lie on
 //! either side of every crossing.
 
-use meldscope::{Scene, World};
+use glam::DVec3;
+use meldscope::{Scene, World, scene::Push};
 
 /// The largest distance of any vertex between the two runs, over all times of the coarse run, in radii of body `a`.
 fn error(motion: &str, dt: f64, alpha: f64) -> (f64, u64) {
@@ -128,5 +129,37 @@ fn crossings_in_long_steps_meet_the_tolerance() {
             }
             assert!(worst < 0.1 * tolerance, "{name} at {tolerance:e}: {worst:e}");
         }
+    }
+}
+
+/// Vertices that cross rims are stepped side by side, except where pushes move their rest positions: pushes that are too weak
+/// to matter must change nothing.
+#[test]
+fn crossings_side_by_side_agree_with_those_of_single_vertices() {
+    for (name, dt) in [("two", 1.0 / 60.0), ("two", 0.05), ("three", 0.05)] {
+        let scene = Scene { dt, ..Scene::builtin(name).expect("a built-in scene") };
+        let mut pushed = scene.clone();
+        pushed.pushes.extend((0..scene.bodies.len()).map(|body| Push {
+            body,
+            direction: DVec3::X,
+            strength: 1e-13,
+            start: 0.0,
+            duration: scene.duration,
+        }));
+        let bodies = scene.bodies.len();
+        let steps = scene.steps();
+        let mut beside = World::new(scene).expect("enough memory");
+        let mut alone = World::new(pushed).expect("enough memory");
+        let mut worst = 0.0;
+        for _ in 0..steps {
+            beside.step();
+            alone.step();
+            for body in 0..bodies {
+                for (a, b) in beside.body(body).positions().zip(alone.body(body).positions()) {
+                    worst = f64::max(worst, a.distance(b));
+                }
+            }
+        }
+        assert!(worst < 1e-11, "{name} at {dt}: {worst:e}");
     }
 }

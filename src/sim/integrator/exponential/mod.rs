@@ -6,7 +6,8 @@
 //! | the weights of a step, from the oscillator's φ-functions | [`weights`] |
 //! | one step of several vertices side by side, and its error | [`step`], [`lanes`] |
 //! | a step of all vertices near a sphere | [`together`] |
-//! | a vertex that crosses a rim or needs shorter steps | [`single`], [`rim`] |
+//! | vertices that cross rims, side by side | [`crossings`], [`series`] |
+//! | a vertex that needs shorter steps, or crosses a rim in an unusual way | [`single`], [`rim`] |
 //!
 //! [`advance`] takes a body over an interval without jumps. The effect of its own motion and of pushes on all vertices
 //! is a few numbers. A vertex near a sphere takes one step; if the error is too large, the step is repeated in halves.
@@ -21,12 +22,12 @@
 //! | what | `two` | `crowd` | in contact |
 //! | --- | --- | --- | --- |
 //! | vertices side by side: about 2,300 for eight of them, half of which is arithmetic | 25,400 | 117,000 | 8,100 |
-//! | rims: 6,600 for a vertex that crosses one | 10,000 | 86,000 | 2,000 |
+//! | rims: about 4,000 for up to four vertices that cross one | 3,700 | 11,900 | 300 |
 //! | active sets, breaks and bounds of bodies | 8,400 | 89,000 | 4,200 |
 //! | preparing steps | 2,500 | 22,000 | 2,300 |
 //! | bookkeeping of these | 2,100 | 16,000 | 900 |
 //! | the world: broad phase, events, timers | 3,700 | 28,000 | 1,900 |
-//! | all | 52,100 | 357,000 | 19,400 |
+//! | all | 45,900 | 282,900 | 17,700 |
 //!
 //! A scheme with half as many force evaluations would therefore save little. Three Lobatto nodes instead of four were
 //! tried, with a fourth force as a check that falls back to full order: they saved 5 to 8 %, with errors of 1e-7 to
@@ -34,6 +35,12 @@
 //! the start of the step for their prediction costs as much as it saves. With AVX-512, eight vertices side by side
 //! instead of sixteen take a fifth longer. Selecting the active set half as often leaves its vertices less ordered,
 //! which costs as much side by side as it saves.
+//!
+//! Vertices that cross a rim are gathered from all over a body, up to four in a batch (AVX2). A batch costs the same for one
+//! as for four: a quarter to find the first crossing, a third to collocate the rest of the step; half of it is arithmetic.
+//! In `two` 1.5 vertices share a batch (2,400 instructions each), in steps three times as long 2.8 do (1,400). A vertex
+//! that is stepped alone costs 6,600 and more, on an exact path 20,000: in a step with (ω + 2κ) h > 1, under a push, or
+//! near a sphere whose path is no quartic.
 
 pub mod course;
 pub mod crossings;

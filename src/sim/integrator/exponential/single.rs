@@ -1,4 +1,5 @@
-//! Steps a vertex individually: one that crosses a rim, or needs shorter steps than its body.
+//! Steps a vertex individually: one that needs shorter steps than its body, or crosses a rim where
+//! [`crossings`](super::crossings) cannot follow it.
 
 use glam::DVec3;
 use pulp::Scalar;
