@@ -68,7 +68,7 @@ pub struct Step {
 }
 
 /// Factor from the number of the force's time scales that pass in a step to the fraction of the residual that counts,
-/// see [`Group::roughness`].
+/// see `roughness` of [`Group`].
 pub const SMOOTHNESS: f64 = 0.5;
 /// Relative error after a few roundings.
 const ROUNDING: f64 = 8.0 * f64::EPSILON;
