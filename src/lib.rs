@@ -31,10 +31,11 @@
 //! | [`observe`] | what an observer sees of any simulation: schema, frames, events | `geometry` | |
 //! | [`sim`] | the world and its step: forces, integrators, events, solver of free bodies | all above | |
 //! | [`models`] | the models of a soft body, and which of them runs a scene | all above | |
-//! | [`stream`] | frames as Rerun data: entities, blueprint, sinks | `observe`, `geometry`, `text` | `viewer` |
-//! | [`table`] | tables as CSV, JSON and Parquet files | `stream` | `cli` |
+//! | [`sdk`] | the parts of the Rerun SDK that are used | | `viewer` |
+//! | [`stream`] | frames as Rerun data: entities, blueprint, sinks | `observe`, `geometry`, `text`, `sdk` | `viewer` |
+//! | [`table`] | tables as CSV, JSON and Parquet files | `stream`, `sdk` | `cli` |
 //! | [`recording`] | reading recordings: replay, check, diff | all above | `viewer` |
-//! | [`sweep`] | grids of runs over a scene's parameters, refinement, thresholds, maps | `scene`, `sim`, `observe`, `stream`, `text` | `cli` |
+//! | [`sweep`] | grids of runs over a scene's parameters, refinement, thresholds, maps | `scene`, `sim`, `observe`, `stream`, `text`, `sdk` | `cli` |
 //! | [`bench`] | benchmarks, and an independent reference solution | all above | `cli` |
 //! | [`cli`] | the command line, one file per subcommand | all above | `cli` |
 //!
@@ -103,6 +104,8 @@ pub mod observe;
 #[cfg(feature = "viewer")]
 pub mod recording;
 pub mod scene;
+#[cfg(feature = "viewer")]
+pub mod sdk;
 pub mod sim;
 #[cfg(feature = "viewer")]
 pub mod stream;

@@ -18,12 +18,12 @@ use parquet::{
     errors::ParquetError,
     file::properties::WriterProperties,
 };
-use rerun::external::arrow::{
+
+use crate::sdk::arrow::{
     array::{ArrayRef, Float64Builder, Int64Builder, ListBuilder, RecordBatch, StringBuilder, UInt64Builder},
     datatypes::{DataType, Field, Schema},
     error::ArrowError,
 };
-
 use crate::stream::unfinished;
 
 /// The `created_by` of a Parquet file.
@@ -448,9 +448,9 @@ fn is_table(path: &Path, format: Format, columns: &[Column], is_whole: bool) -> 
 #[cfg(test)]
 mod tests {
     use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
-    use rerun::external::arrow::array::{Array as _, AsArray as _, Float64Array, Int64Array, UInt64Array};
 
     use super::*;
+    use crate::sdk::arrow::array::{Array as _, AsArray as _, Float64Array, Int64Array, UInt64Array};
 
     fn columns() -> Vec<Column> {
         [("count", Kind::Count), ("number", Kind::Float), ("integer", Kind::Integer), ("text", Kind::Text)]

@@ -4,6 +4,7 @@
 
 pub mod csv;
 pub mod goals;
+pub mod plain;
 pub mod saving;
 pub mod scenes;
 pub mod table;
@@ -17,8 +18,8 @@ use std::{
 };
 
 use glam::DVec3;
-use rerun::{Arrows3D, Mesh3D, RecordingStreamBuilder, Scalars, Transform3D};
 
+use plain::PlainLog;
 use saving::{Saving, Way};
 use verifying::Verifying;
 
@@ -26,6 +27,7 @@ use crate::{
     observe::{BodyFrame, Experiment as _, Frame, Schema},
     recording::read::Reader,
     scene::Scene,
+    sdk::{Arrows3D, Mesh3D, Scalars, TimePoint, Transform3D},
     sim::World,
     stream::{
         Pipeline, Recorder, Settings,
@@ -53,7 +55,7 @@ pub enum Destination {
     File,
     /// A gRPC server on this machine.
     Server,
-    /// A file, written with the SDK's `log()` for each entity.
+    /// A file, written as by the SDK's `log()` for each entity.
     PlainLog,
 }
 
@@ -274,30 +276,28 @@ impl Bench<'_> {
         sinks.flush().map_err(|error| error.to_string())
     }
 
-    /// Records the precomputed states with the SDK's `log()`; returns the size of the file [bytes].
+    /// Records the precomputed states as the SDK's `log()` does; returns the size of the file [bytes].
     fn log_plainly(&self) -> Result<u64, String> {
         let (mut extractor, mut surface, mut origins) = (Extractor::default(), Surface::default(), Vec::new());
-        let text = |error: rerun::RecordingStreamError| error.to_string();
-        let recording = RecordingStreamBuilder::new("meldscope_bench").save(&self.file).map_err(text)?;
+        let log = PlainLog::save(&self.file)?;
         for body in &self.schema.bodies {
             let mesh = Mesh3D::update_fields().with_triangle_indices(body.mesh.triangles().iter().copied());
-            recording.log_static(format!("world/bodies/{}/surface", body.name), &mesh).map_err(text)?;
+            log.log(&format!("world/bodies/{}/surface", body.name), TimePoint::STATIC, &mesh);
         }
         for (step, frame) in &self.frames {
-            recording.set_time_sequence("step", step.summary.at.step as i64);
-            recording.set_duration_secs("sim_time", step.summary.at.time);
+            let at = || step.summary.at.time_point();
             let mut arrows: Vec<Arrows> = self.schema.terms.iter().map(|_| Arrows::default()).collect();
             for (body, now) in self.schema.bodies.iter().zip(&frame.bodies) {
                 let entity = format!("world/bodies/{}", body.name);
                 let transform = Transform3D::from_translation_rotation(now.centre.as_vec3(), now.rotation.as_quat());
-                recording.log(entity.as_str(), &transform).map_err(text)?;
+                log.log(&entity, at(), &transform);
                 if !now.is_at_rest {
                     surface.clear();
                     surface.append_in_body(body, now, &mut extractor);
                     let mesh = Mesh3D::update_fields()
                         .with_vertex_positions(surface.positions.iter().copied())
                         .with_vertex_normals(surface.normals.iter().copied());
-                    recording.log(format!("{entity}/surface"), &mesh).map_err(text)?;
+                    log.log(&format!("{entity}/surface"), at(), &mesh);
                 }
                 if now.has_forces {
                     extractor.world_positions(body, now, &mut origins);
@@ -311,15 +311,14 @@ impl Bench<'_> {
                     let batch = Arrows3D::update_fields()
                         .with_origins(arrows.origins.iter().copied())
                         .with_vectors(arrows.vectors.iter().copied());
-                    recording.log(forces::entity(term.name), &batch).map_err(text)?;
+                    log.log(&forces::entity(term.name), at(), &batch);
                 }
             }
             for (name, value) in [("energy", frame.scalars[0]), ("time", step.summary.at.time)] {
-                recording.log(format!("diagnostics/{name}"), &Scalars::single(value)).map_err(text)?;
+                log.log(&format!("diagnostics/{name}"), at(), &Scalars::single(value));
             }
         }
-        recording.flush_blocking().map_err(|error| error.to_string())?;
-        drop(recording);
+        log.finish()?;
         std::fs::metadata(&self.file).map(|file| file.len()).map_err(|error| error.to_string())
     }
 }

@@ -23,6 +23,7 @@ use crate::{
     },
     recording::existing::{Existing, Kind},
     scene::{Integrator, Model, Scene, builtin},
+    sdk,
     sim::Options,
     stream::{
         Pipeline, Recorder,
@@ -56,7 +57,7 @@ pub struct Arguments {
     #[arg(long, help_heading = "Destinations")]
     spawn: bool,
     /// Stream to a running viewer.
-    #[arg(long, value_name = "URL", num_args = 0..=1, default_missing_value = rerun::DEFAULT_CONNECT_URL, help_heading = "Destinations")]
+    #[arg(long, value_name = "URL", num_args = 0..=1, default_missing_value = sdk::DEFAULT_CONNECT_URL, help_heading = "Destinations")]
     connect: Option<String>,
     /// Serve the recording with a web viewer; nothing to install. Runs until Ctrl-C.
     #[arg(long, help_heading = "Destinations")]
@@ -72,7 +73,7 @@ pub struct Arguments {
     #[arg(long, value_name = "PORT", default_value_t = 9090, requires = "serve", help_heading = "Destinations")]
     web_port: u16,
     /// The data port for --serve; 0 for any free port.
-    #[arg(long, value_name = "PORT", default_value_t = rerun::DEFAULT_SERVER_PORT, requires = "serve",
+    #[arg(long, value_name = "PORT", default_value_t = sdk::DEFAULT_SERVER_PORT, requires = "serve",
           help_heading = "Destinations")]
     grpc_port: u16,
     /// Also accept requests to --serve under this host name or address, not only this machine's own; may be repeated.

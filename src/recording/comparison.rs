@@ -5,11 +5,6 @@ use std::{path::Path, sync::Arc};
 
 use glam::DVec3;
 use pulp::Arch;
-use rerun::{
-    Arrows3D, Mesh3D, Scalars, StoreId, StoreKind, TextDocument, TextLog, ViewCoordinates,
-    components::MediaType,
-    external::re_log_types::{ApplicationId, LogMsg},
-};
 
 use super::{
     events::Change,
@@ -18,6 +13,10 @@ use super::{
 use crate::{
     geometry::Mesh,
     observe::Schema,
+    sdk::{
+        self, ApplicationId, Arrows3D, LogMsg, Mesh3D, Scalars, StoreId, StoreKind, TextDocument, TextLog,
+        ViewCoordinates, components::MediaType,
+    },
     stream::{
         blueprint,
         chunks::Chunks,
@@ -91,7 +90,7 @@ impl Comparison {
 
         chunks.log_static("/world", &ViewCoordinates::RIGHT_HAND_Z_UP());
         let name = format!("{}: {} and {}", schema.name, plan.labels[0], plan.labels[1]);
-        chunks.log_static("/__properties", &rerun::RecordingInfo::new().with_name(name));
+        chunks.log_static("/__properties", &sdk::RecordingInfo::new().with_name(name));
         let about = format!(
             "**{}**: blue is {}, orange is {}. Red arrows lead from the one to the other, {} times as long as the vertices \
              are apart. {}  \nThe plot has the largest distance of each body, in radii; grey: the tolerance, {:e}.",
@@ -111,12 +110,11 @@ impl Comparison {
             for (side, rgb) in ["a", "b"].into_iter().zip(COLORS) {
                 let mesh = Mesh3D::update_fields()
                     .with_triangle_indices(mesh.triangles().iter().copied())
-                    .with_albedo_factor(rerun::Rgba32::from_unmultiplied_rgba(rgb[0], rgb[1], rgb[2], 120));
+                    .with_albedo_factor(sdk::Rgba32::from_unmultiplied_rgba(rgb[0], rgb[1], rgb[2], 120));
                 chunks.log_static(&format!("/world/{side}/{name}"), &mesh);
             }
         }
-        let style =
-            Arrows3D::update_fields().with_colors([color(ERROR)]).with_radii([rerun::Radius::new_ui_points(1.2)]);
+        let style = Arrows3D::update_fields().with_colors([color(ERROR)]).with_radii([sdk::Radius::new_ui_points(1.2)]);
         chunks.log_static("/world/error", &style);
         for (number, (_, name, _)) in shown.iter().enumerate() {
             let rgb = palette::distance(number); // blue and orange are the two runs

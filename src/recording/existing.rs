@@ -7,12 +7,11 @@
 use std::fmt;
 use std::path::Path;
 
-use rerun::datatypes::Utf8;
-
 use super::{
     read::Reader,
     recorded::{PROPERTIES, cell},
 };
+use crate::sdk::datatypes::Utf8;
 use crate::stream::{
     settings::{Frames, Settings, application},
     sinks::SinkError,

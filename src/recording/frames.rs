@@ -7,10 +7,6 @@ use std::{
 };
 
 use glam::{DQuat, DVec3, Quat, Vec3};
-use rerun::{
-    datatypes::{Float64, Quaternion, UVec3D, Utf8, Vec3D},
-    external::re_chunk_store::external::re_chunk::Chunk,
-};
 
 use super::{
     ReadError, Recorded,
@@ -20,6 +16,10 @@ use super::{
 use crate::{
     geometry::{Mesh, Vectors},
     observe::{Frame, Instant, Schema, Worst},
+    sdk::{
+        Chunk,
+        datatypes::{Float64, Quaternion, UVec3D, Utf8, Vec3D},
+    },
     stream::{
         instant::STAGE,
         recorder::{DEFORMED, resting_entity},

@@ -11,14 +11,6 @@ use std::{
 };
 
 use glam::{DQuat, DVec3};
-use rerun::{
-    AnyValues,
-    components::Text,
-    external::arrow::{
-        array::{ArrayRef, AsArray as _, Float64Array, UInt16Array, UInt32Array},
-        datatypes::{Float64Type, UInt16Type, UInt32Type},
-    },
-};
 
 use super::{
     ReadError, Recorded,
@@ -34,6 +26,14 @@ use crate::{
     observe::{
         BodyFrame, Experiment, Frame, Schema, Simulation, StepSummary, Want, Worst, checksum, schema::BodySchema,
         surface::Merger,
+    },
+    sdk::{
+        self, AnyValues,
+        arrow::{
+            array::{ArrayRef, AsArray as _, Float64Array, UInt16Array, UInt32Array},
+            datatypes::{Float64Type, UInt16Type, UInt32Type},
+        },
+        components::Text,
     },
     stream::{
         Recorder,
@@ -357,7 +357,7 @@ fn read_surfaces(path: &Path) -> Result<BTreeMap<u64, Values>, ReadError> {
             let step = u64::try_from(step_of(&chunk, row).map_err(damaged)?).unwrap_or(0);
             let values = raw(&chunk, "values", row);
             let values = values.as_ref().and_then(|values| values.as_primitive_opt::<Float64Type>());
-            let names = cell::<rerun::datatypes::Utf8>(&chunk, "names", row);
+            let names = cell::<sdk::datatypes::Utf8>(&chunk, "names", row);
             let names = names.iter().map(|name| name.as_str().to_owned());
             surfaces
                 .entry(step)
@@ -500,7 +500,7 @@ impl Details {
     fn counts(path: &Path) -> Result<Option<String>, ReadError> {
         let mut reader = Reader::open(path)?;
         while let Some(chunk) = reader.next(|entity| entity == "/__properties/meldscope")? {
-            if let Some(text) = cell::<rerun::datatypes::Utf8>(&chunk, "counts", 0).first() {
+            if let Some(text) = cell::<sdk::datatypes::Utf8>(&chunk, "counts", 0).first() {
                 return Ok(Some(text.as_str().to_owned()));
             }
         }

@@ -2,8 +2,6 @@
 
 use std::{collections::BTreeMap, fmt, path::Path};
 
-use rerun::datatypes::Float64;
-
 use super::{
     ReadError,
     read::Reader,
@@ -11,6 +9,7 @@ use super::{
 };
 use crate::{
     observe::{Schema, surface::Merged},
+    sdk::datatypes::Float64,
     stream::{
         instant::STAGE,
         parts::{groups, pairs::MEASURES},

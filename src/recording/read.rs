@@ -16,16 +16,12 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use rerun::external::{
-    arrow::{array::RecordBatch, error::ArrowError, ipc},
-    re_build_info::CrateVersion,
-    re_chunk_store::external::re_chunk::Chunk,
-    re_log_encoding::external::lz4_flex,
-    re_log_types::ArrowMsg,
-    re_tuid::Tuid,
-};
-
 use super::ReadError;
+use crate::sdk::{
+    ArrowMsg, Chunk, CrateVersion, Tuid,
+    arrow::{array::RecordBatch, error::ArrowError, ipc},
+    lz4_flex,
+};
 
 /// Upper limit on the size of a message of this program, packed or not [bytes].
 const MAX_MESSAGE: u64 = 1 << 30;

@@ -5,16 +5,6 @@ use std::{
     sync::Arc,
 };
 
-use rerun::{
-    Loggable,
-    datatypes::{Float64, Utf8},
-    external::{
-        arrow::array::{Array as _, ArrayRef, AsArray as _},
-        arrow::datatypes::UInt64Type,
-        re_chunk_store::external::re_chunk::Chunk,
-    },
-};
-
 use super::{
     ReadError,
     read::{End, Reader},
@@ -22,6 +12,14 @@ use super::{
 use crate::{
     models,
     observe::{Experiment, Refusal, Schema, Simulation, checksum, simulation::ReadExperiment},
+    sdk::{
+        Chunk, Loggable,
+        arrow::{
+            array::{Array as _, ArrayRef, AsArray as _},
+            datatypes::UInt64Type,
+        },
+        datatypes::{Float64, Utf8},
+    },
     stream::{
         checksums,
         parts::pairs::event,

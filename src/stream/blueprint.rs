@@ -4,28 +4,6 @@
 //! tree of containers and views, each an entity of the blueprint store with its own id.
 
 use glam::DVec3;
-use rerun::{
-    AsComponents, Mesh3D, Points3D, SeriesLines, StoreId, StoreKind, TimePoint,
-    external::{
-        re_log_types::{BlueprintActivationCommand, LogMsg},
-        re_sdk_types::{
-            blueprint::{
-                archetypes::{
-                    ActiveVisualizers, Background, ContainerBlueprint, EntityBehavior, EyeControls3D, LineGrid3D,
-                    PanelBlueprint, PlotLegend, ScalarAxis, TextLogColumns, TimeAxis, TimePanelBlueprint,
-                    ViewBlueprint, ViewContents, ViewportBlueprint, VisibleTimeRanges, VisualizerInstruction,
-                },
-                components::{
-                    AbsoluteTimeRange, BackgroundKind, ContainerKind, Corner2D, Eye3DKind, LinkAxis, LoopMode,
-                    PanelState, PlayState, TimelineColumn, VisibleTimeRange, VisualizerInstructionId,
-                },
-                datatypes::{ComponentSourceKind, TextLogColumn, TextLogColumnKind, VisualizerComponentMapping},
-            },
-            components::{Plane3D, Position3D, Range1D, Vector3D},
-            datatypes::{self, TimeRange, TimeRangeBoundary, Uuid},
-        },
-    },
-};
 
 use super::{
     chunks::{Chunks, blueprint_time},
@@ -46,6 +24,24 @@ use super::{
 };
 use crate::{
     observe::{Schema, Simulation, colors, schema::TermSchema},
+    sdk::{
+        self, AsComponents, BlueprintActivationCommand, LogMsg, Mesh3D, Points3D, SeriesLines, StoreId, StoreKind,
+        TimePoint,
+        blueprint::{
+            archetypes::{
+                ActiveVisualizers, Background, ContainerBlueprint, EntityBehavior, EyeControls3D, LineGrid3D,
+                PanelBlueprint, PlotLegend, ScalarAxis, TextLogColumns, TimeAxis, TimePanelBlueprint, ViewBlueprint,
+                ViewContents, ViewportBlueprint, VisibleTimeRanges, VisualizerInstruction,
+            },
+            components::{
+                AbsoluteTimeRange, BackgroundKind, ContainerKind, Corner2D, Eye3DKind, LinkAxis, LoopMode, PanelState,
+                PlayState, TimelineColumn, VisibleTimeRange, VisualizerInstructionId,
+            },
+            datatypes::{ComponentSourceKind, TextLogColumn, TextLogColumnKind, VisualizerComponentMapping},
+        },
+        components::{Plane3D, Position3D, Range1D, Vector3D},
+        datatypes::{self, TimeRange, TimeRangeBoundary, Uuid},
+    },
     text::counted,
 };
 
@@ -424,7 +420,7 @@ impl Layout {
             let rgb = if settings.entities == Entities::Batch { [0xFF; 3] } else { palette::of_body(schema, index) };
             self.draw_unmerged(&view, &surface, &Mesh3D::update_fields().with_albedo_factor(palette::opaque(rgb)));
         }
-        let opaque = Mesh3D::update_fields().with_albedo_factor(rerun::Rgba32::WHITE);
+        let opaque = Mesh3D::update_fields().with_albedo_factor(sdk::Rgba32::WHITE);
         self.draw_lit(&view, merged::SURFACE, &opaque);
         self.draw_resting(&view, schema, settings);
         let mut parts = Vec::new();
@@ -493,10 +489,10 @@ impl Layout {
         let title = "Displacement from rest; select a vertex to see its numbers";
         let view = self.space((framing, WIDE), title, &contents);
         let positions = Mapping { target: "Points3D:positions", source: "Mesh3D:vertex_positions" };
-        let white = rerun::Rgba32::WHITE;
+        let white = sdk::Rgba32::WHITE;
         let opaque = Mesh3D::update_fields().with_albedo_factor(white).with_vertex_colors([white]);
         let dots = Points3D::update_fields()
-            .with_radii([rerun::Radius::new_ui_points(1.5)])
+            .with_radii([sdk::Radius::new_ui_points(1.5)])
             .with_colors([palette::color(palette::DOT)]);
         for surface in surfaces(schema, settings) {
             self.visualize(&view, &surface, &[("Mesh3D", &heat::MAPPINGS, &opaque), ("Points3D", &[positions], &dots)]);

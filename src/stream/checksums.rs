@@ -2,19 +2,16 @@
 
 use std::sync::Arc;
 
-use rerun::external::{
+use super::{chunks::Chunks, instant::Instant};
+use crate::observe::checksum::followed_by;
+use crate::sdk::{
+    ChunkComponents, ComponentDescriptor, RowId, TimeColumn, Tuid,
     arrow::{
         array::{ListArray, UInt64Array},
         buffer::OffsetBuffer,
         datatypes::{DataType, Field},
     },
-    re_chunk_store::external::re_chunk::{ChunkComponents, RowId, TimeColumn},
-    re_tuid::Tuid,
-    re_types_core::ComponentDescriptor,
 };
-
-use super::{chunks::Chunks, instant::Instant};
-use crate::observe::checksum::followed_by;
 
 /// The entity of the checksums. Its only component holds unsigned 64-bit numbers.
 pub const ENTITY: &str = "/checksum";

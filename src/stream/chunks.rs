@@ -5,18 +5,13 @@
 
 use std::collections::HashMap;
 
-use rerun::{
-    AsComponents, ComponentDescriptor, EntityPath, StoreId, TimePoint, Timeline,
-    external::{
-        re_chunk_store::external::re_chunk::{Chunk, ChunkBuilder, ChunkComponents, ChunkId, RowId, TimeColumn},
-        re_log_types::{LogMsg, SetStoreInfo, StoreInfo, StoreSource},
-        re_tuid::Tuid,
-    },
-};
-
 use super::{
     columns::{Cell, ChunkParts, Columns},
     instant::{Instant, STAGE},
+};
+use crate::sdk::{
+    AsComponents, Chunk, ChunkBuilder, ChunkComponents, ChunkId, ComponentDescriptor, EntityPath, LogMsg, RowId,
+    SetStoreInfo, StoreId, StoreInfo, StoreSource, TimeColumn, TimePoint, Timeline, Tuid,
 };
 
 /// The destinations of a message: files get the same rows as viewers, but in larger chunks.

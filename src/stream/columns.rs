@@ -2,25 +2,20 @@
 
 use std::sync::Arc;
 
-use rerun::{
-    ComponentDescriptor, EntityPath,
-    external::{
-        arrow::{
-            array::{
-                ArrayRef, FixedSizeListArray, Float32Array, Float64Array, ListArray, StringArray, UInt16Array,
-                UInt32Array,
-            },
-            buffer::OffsetBuffer,
-            datatypes::{DataType, Field},
-            error::ArrowError,
-        },
-        re_chunk_store::external::re_chunk::{ChunkComponents, RowId, TimeColumn},
-    },
-};
-
 use super::{
     instant::{Instant, STAGE},
     normals::Float3,
+};
+use crate::sdk::{
+    ChunkComponents, ComponentDescriptor, EntityPath, RowId, TimeColumn,
+    arrow::{
+        array::{
+            ArrayRef, FixedSizeListArray, Float32Array, Float64Array, ListArray, StringArray, UInt16Array, UInt32Array,
+        },
+        buffer::OffsetBuffer,
+        datatypes::{DataType, Field},
+        error::ArrowError,
+    },
 };
 
 /// A chunk is full at this many bytes of values, or this many rows: the sizes to which the viewer's store compacts

@@ -6,12 +6,8 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use rerun::{
-    Scalars,
-    external::re_chunk_store::external::re_chunk::{Chunk, ChunkId},
-};
-
 use super::instant::Instant;
+use crate::sdk::{Chunk, ChunkId, Scalars};
 
 /// The last frames of a run.
 pub(super) struct FlightRecorder {

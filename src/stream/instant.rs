@@ -1,6 +1,6 @@
 //! Conversion of an [`Instant`] to the two timelines of a recording.
 
-use rerun::{TimePoint, Timeline};
+use crate::sdk::{self, TimePoint, Timeline};
 
 /// The timeline of the stages inside steps.
 pub const STAGE: &str = "stage";
@@ -11,8 +11,8 @@ impl Instant {
     /// The time point of a row.
     pub fn time_point(self) -> TimePoint {
         TimePoint::from_iter([
-            (*Timeline::new_sequence("step").name(), rerun::TimeCell::from_sequence(self.step as i64)),
-            (*Timeline::new_duration("sim_time").name(), rerun::TimeCell::from_duration_nanos(self.nanoseconds())),
+            (*Timeline::new_sequence("step").name(), sdk::TimeCell::from_sequence(self.step as i64)),
+            (*Timeline::new_duration("sim_time").name(), sdk::TimeCell::from_duration_nanos(self.nanoseconds())),
         ])
     }
 

@@ -7,15 +7,15 @@
 use std::sync::{Arc, LazyLock};
 
 use glam::{DQuat, DVec3};
-use rerun::{
+
+use super::{blueprint::Mapping, normals::Float3, palette::Rgb};
+use crate::sdk::{
     AnyValues, ComponentDescriptor,
-    external::arrow::{
+    arrow::{
         array::{FixedSizeListArray, Float32Array},
         datatypes::{DataType, Field},
     },
 };
-
-use super::{blueprint::Mapping, normals::Float3, palette::Rgb};
 
 /// The component with the lit colours of vertices, packed like `Mesh3D:vertex_colors`.
 pub const LIT: &str = "lit_colors";

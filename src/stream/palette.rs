@@ -1,14 +1,13 @@
 //! Colours of everything without a colour in the schema, in the viewer's types; see
 //! [`colors`](crate::observe::colors).
 
-use rerun::{Color, Rgba32};
-
 pub use crate::observe::colors::Rgb;
 use crate::observe::{
     Schema,
     colors::{BLUE, GREEN, GREY, ORANGE, PURPLE, SILVER, SKY_BLUE, VERMILION},
     surface::VertexOrigin,
 };
+use crate::sdk::{Color, Rgba32};
 
 /// Background colour of 3D views.
 pub const BACKGROUND: Rgb = [0x10, 0x13, 0x18];

@@ -14,8 +14,6 @@ use std::{
     time::{Duration, Instant as Clock},
 };
 
-use rerun::log::LogMsg;
-
 use super::{
     Recorder, Settings,
     chunks::Audience,
@@ -23,6 +21,7 @@ use super::{
     step::{StepRecord, StepWatch},
 };
 use crate::observe::{Frame, Simulation, StageFrame, SurfaceEvent};
+use crate::sdk::LogMsg;
 
 /// Number of packets: in transit, or being filled.
 const PACKETS: usize = 4;

@@ -10,12 +10,6 @@ use std::{
     time::{Duration, Instant as Clock},
 };
 
-use rerun::{
-    AnyValues, AsComponents, Scalars, StoreId, StoreKind, TextDocument, TextLog, ViewCoordinates,
-    components::{MediaType, Scalar, Text},
-    external::re_log_types::{ApplicationId, LogMsg},
-};
-
 use super::{
     blueprint::{self, Measured, Subject, Tab},
     checksums::Checksums,
@@ -40,6 +34,11 @@ pub use super::{
 };
 use crate::{
     observe::{Approaches, Frame, Schema, Simulation, StageFrame, StepFailure, StepSummary},
+    sdk::{
+        self, AnyValues, ApplicationId, AsComponents, LogMsg, Scalars, StoreId, StoreKind, TextDocument, TextLog,
+        ViewCoordinates,
+        components::{MediaType, Scalar, Text},
+    },
     text::counted,
 };
 
@@ -557,7 +556,7 @@ fn log_properties(schema: &Schema, run: &str, overrides: &str, settings: &Settin
         Some(model) => properties.with_component::<Text>("model", [model]),
     };
     chunks.log_static("/__properties/meldscope", &properties);
-    chunks.log_static("/__properties", &rerun::RecordingInfo::new().with_name(schema.name.as_str()));
+    chunks.log_static("/__properties", &sdk::RecordingInfo::new().with_name(schema.name.as_str()));
     log_steps(settings.steps, chunks);
 }
 

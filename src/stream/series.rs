@@ -1,13 +1,12 @@
 //! Plot lines. Unchanged values are left out without changing the shape of the line.
 
-use rerun::{Scalars, SeriesLines, components::InterpolationMode};
-
 use super::{
     chunks::{Chunks, TrackId},
     columns::Cell,
     instant::Instant,
     palette::{Rgb, color},
 };
+use crate::sdk::{Scalars, SeriesLines, components::InterpolationMode};
 
 /// Interpolation between the values of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

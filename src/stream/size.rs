@@ -6,20 +6,12 @@ use std::{
     sync::atomic::Ordering,
 };
 
-use rerun::{
-    StoreKind,
-    external::{
-        re_build_info::CrateVersion,
-        re_log_encoding::{EncodeError, Encoder, EncodingOptions},
-        re_log_types::LogMsg,
-    },
-};
-
 use super::{
     Recorder, Settings,
     settings::{Detail, Frames},
 };
 use crate::observe::{Experiment, Frame, Simulation, StepSummary, Want};
+use crate::sdk::{CrateVersion, EncodeError, Encoder, EncodingOptions, LogMsg, StoreKind};
 
 /// Recordings stay below this size unless requested otherwise [bytes].
 pub const LARGE: u64 = 200_000_000;

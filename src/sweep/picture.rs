@@ -13,11 +13,6 @@
 
 use std::path::Path;
 
-use rerun::{
-    Image, LineStrips2D, Points2D, Radius, Scalars, StoreId, StoreKind, TextDocument, TimePoint, Timeline,
-    components::MediaType, external::re_log_types::ApplicationId,
-};
-
 use super::{
     Sweep, bisect,
     map::{COLORS, Map, Slice, boundary, ticks},
@@ -26,6 +21,10 @@ use super::{
     store::{Store, StoreError},
 };
 use crate::{
+    sdk::{
+        self, ApplicationId, Image, LineStrips2D, Points2D, Radius, Scalars, StoreId, StoreKind, TextDocument,
+        TimePoint, Timeline, components::MediaType,
+    },
     stream::{
         blueprint,
         chunks::Chunks,
@@ -69,7 +68,7 @@ pub fn save(map: &Map, sweep: &Sweep, store: &Store, title: &str, path: &Path) -
         sinks.send(message)?;
     }
     let mut chunks = Chunks::new(recording);
-    chunks.log_static("/__properties", &rerun::RecordingInfo::new().with_name(title));
+    chunks.log_static("/__properties", &sdk::RecordingInfo::new().with_name(title));
     let classes: Vec<String> = (0..=FAILED)
         .filter(|class| map.slices.iter().any(|slice| slice.dots.iter().any(|dot| dot.class == *class)))
         .map(|class| format!("{} **{}**", COLOR_NAMES[class as usize], bisect::name(class)))

@@ -7,12 +7,12 @@ use std::{
 };
 
 use parquet::arrow::{ProjectionMask, arrow_reader::ParquetRecordBatchReaderBuilder};
-use rerun::external::arrow::{
+
+use super::row::{Cell, Row};
+use crate::sdk::arrow::{
     array::{Array, ArrayRef, AsArray as _},
     datatypes::{Float64Type, Int64Type, UInt64Type},
 };
-
-use super::row::{Cell, Row};
 use crate::table::{self, Column, Kind, ParquetTable};
 
 /// Why a table cannot be read.

@@ -14,21 +14,18 @@ use meldscope::{
     Scene,
     recording::{ReadError, Recorded, frames::FrameReader, golden, read::Reader, replay},
     scene::builtin,
-    stream::{
-        chunks,
-        instant::Instant,
-        settings::{Entities, Settings},
-    },
-};
-use rerun::{
-    AnyValues, StoreId, StoreKind, TextDocument, TextLog,
-    external::{
+    sdk::{
+        self, AnyValues, CrateVersion, Encoder, EncodingOptions, StoreId, StoreKind, TextDocument, TextLog,
         arrow::{
             array::{ArrayRef, Float64Array, UInt32Array, UInt64Array},
             ipc::root_as_message,
         },
-        re_build_info::CrateVersion,
-        re_log_encoding::{Encoder, EncodingOptions, external::lz4_flex},
+        lz4_flex,
+    },
+    stream::{
+        chunks,
+        instant::Instant,
+        settings::{Entities, Settings},
     },
 };
 
@@ -304,13 +301,13 @@ fn unsupported_formats_are_named() {
     let scene = Scene::parse(SCENE, "small").expect("a scene");
     for (format, what) in [(Some(99.0), "has format 99"), (None, "before recordings carried checksums")] {
         let settings = Settings { entities: Entities::Body, ..Settings::of(&scene) };
-        let text = |value: &str| [rerun::components::Text::from(value)];
-        let mut properties = rerun::AnyValues::default()
-            .with_component::<rerun::components::Text>("scene", text(SCENE))
-            .with_component::<rerun::components::Text>("settings", text(&settings.to_toml()))
-            .with_component::<rerun::components::Text>("version", text("9.9.9"));
+        let text = |value: &str| [sdk::components::Text::from(value)];
+        let mut properties = sdk::AnyValues::default()
+            .with_component::<sdk::components::Text>("scene", text(SCENE))
+            .with_component::<sdk::components::Text>("settings", text(&settings.to_toml()))
+            .with_component::<sdk::components::Text>("version", text("9.9.9"));
         if let Some(format) = format {
-            properties = properties.with_component::<rerun::components::Scalar>("format", [format]);
+            properties = properties.with_component::<sdk::components::Scalar>("format", [format]);
         }
         let mut chunks = chunks::Chunks::new(StoreId::new(StoreKind::Recording, "meldscope_small", "small-0"));
         chunks.log_static("/__properties/meldscope", &properties);
@@ -512,20 +509,16 @@ fn strange(random: &mut Random, id: &str) -> Vec<Message> {
         3 => {
             let text = ["x", "[[", "a.", "\u{1b}[2J", "é"][random.below(5)].repeat(many);
             let name = ["scene", "settings", "version", "overrides", "blessed", "digest", "counts"][random.below(7)];
-            let property = AnyValues::default().with_component::<rerun::components::Text>(name, [text]);
+            let property = AnyValues::default().with_component::<sdk::components::Text>(name, [text]);
             chunks.log_static("/__properties/meldscope", &property);
         }
         4 => {
             let points = vec![[0.0f32; 3]; many.min(1_000_000)];
             let entity = ["/world/bodies/a/surface", "/world/bodies/none/surface", "/world/deforming/surface"];
-            chunks.log(
-                entity[random.below(3)],
-                at(step),
-                &rerun::Mesh3D::update_fields().with_vertex_positions(points),
-            );
+            chunks.log(entity[random.below(3)], at(step), &sdk::Mesh3D::update_fields().with_vertex_positions(points));
         }
-        5 => (0..few).for_each(|n| chunks.log(&format!("/world/bodies/{n}"), at(step), &rerun::Scalars::single(0.0))),
-        6 => (0..few).for_each(|row| chunks.log("/timings/integrate", at(row as u64), &rerun::Scalars::single(0.0))),
+        5 => (0..few).for_each(|n| chunks.log(&format!("/world/bodies/{n}"), at(step), &sdk::Scalars::single(0.0))),
+        6 => (0..few).for_each(|row| chunks.log("/timings/integrate", at(row as u64), &sdk::Scalars::single(0.0))),
         7 => {
             let bodies = Arc::new(UInt32Array::from(vec![1; many])) as ArrayRef;
             let floats = Arc::new(Float64Array::from(vec![0.0; many])) as ArrayRef;
@@ -536,7 +529,7 @@ fn strange(random: &mut Random, id: &str) -> Vec<Message> {
         }
         _ => {
             let format = [f64::NAN, 1.0, 2.0, -0.0, 1e300][random.below(5)];
-            let property = AnyValues::default().with_component::<rerun::components::Scalar>("format", [format]);
+            let property = AnyValues::default().with_component::<sdk::components::Scalar>("format", [format]);
             chunks.log_static("/__properties/meldscope", &property);
         }
     }
@@ -738,7 +731,7 @@ fn claims_are_limited_by_the_size_of_the_recording() {
             let mut random = Random(3);
             text.extend((0..1 << 21).map(|_| char::from(b'!' + (random.next() % 64) as u8)));
         }
-        let property = AnyValues::default().with_component::<rerun::components::Text>("scene", [text]);
+        let property = AnyValues::default().with_component::<sdk::components::Text>("scene", [text]);
         chunks.log_static("/__properties/meldscope", &property);
         let error = with(chunks);
         assert!(error.contains("its scene has") && error.contains(what), "{error}");
@@ -746,7 +739,7 @@ fn claims_are_limited_by_the_size_of_the_recording() {
     for name in ["settings", "version", "overrides", "machine", "blessed", "digest"] {
         let mut chunks = store();
         let text = "[".repeat(1 << 20);
-        let property = AnyValues::default().with_component::<rerun::components::Text>(name, [text]);
+        let property = AnyValues::default().with_component::<sdk::components::Text>(name, [text]);
         chunks.log_static("/__properties/meldscope", &property);
         let error = with(chunks);
         assert!(error.contains(&format!("its {name} has")), "{error}");

@@ -18,6 +18,7 @@ use crate::{
     bad_recordings::{Message, fields, file},
     recording::{Dir, Recording, content},
     tolerance,
+    viewer::Viewer,
 };
 
 /// A program that runs longer than this is considered hung.
@@ -979,13 +980,13 @@ fn the_help_lists_the_accepted_names() {
 }
 
 /// The messages sent to a viewer, as a file: a scene's recordings without their ends.
-fn seen(port: u16) -> Vec<Message> {
+fn seen(viewer: &Viewer) -> Vec<Message> {
     let arrow = |frame: Vec<u8>| {
         let inner = fields(&frame).into_iter().find_map(|(_, value)| value.err())?;
         let (_, body) = fields(&inner).into_iter().find(|(field, _)| *field == 2)?;
         Some(Message { kind: 2, body: body.err()? })
     };
-    crate::sinks::watch_all(port).into_iter().filter_map(arrow).collect()
+    viewer.messages().into_iter().filter_map(arrow).collect()
 }
 
 /// The recording that a message belongs to; `None` for that of a blueprint.
@@ -1000,12 +1001,12 @@ fn recording_of(message: &Message) -> Option<String> {
 #[test]
 fn a_viewer_beside_a_file_gets_every_row_once() {
     let dir = scene_dir();
-    let (_viewer, port) = crate::sinks::viewer();
-    let url = format!("rerun+http://127.0.0.1:{port}/proxy");
+    let viewer = Viewer::start();
+    let url = viewer.url();
     let arguments =
         ["run", "small.toml", "--steps", "40", "--realtime", "--quiet", "--save", "x.rrd", "--connect", &url];
     assert_eq!(run(&dir, &arguments).status, 0);
-    fs::write(dir.file("seen.rrd"), file(&seen(port))).expect("disk space");
+    fs::write(dir.file("seen.rrd"), file(&seen(&viewer))).expect("disk space");
     let rows = |name: &str| {
         let mut reader = Reader::open(&dir.file(name)).expect("a recording");
         let mut ids = Vec::new();
@@ -1026,8 +1027,8 @@ fn a_viewer_beside_a_file_gets_every_row_once() {
 #[test]
 fn a_reverted_edit_is_a_new_run() {
     let dir = scene_dir();
-    let (_viewer, port) = crate::sinks::viewer();
-    let url = format!("rerun+http://127.0.0.1:{port}/proxy");
+    let viewer = Viewer::start();
+    let url = viewer.url();
     let arguments = ["run", "small.toml", "--steps", "3", "--watch", "--connect", &url];
     let mut running = Running::start(&dir, &arguments);
     let lines = running.lines();
@@ -1039,7 +1040,7 @@ fn a_reverted_edit_is_a_new_run() {
     std::thread::sleep(Duration::from_millis(500));
     running.signal("INT");
     running.end();
-    let ids: std::collections::BTreeSet<String> = seen(port).iter().filter_map(recording_of).collect();
+    let ids: std::collections::BTreeSet<String> = seen(&viewer).iter().filter_map(recording_of).collect();
     assert_eq!(ids.len(), 3, "{ids:?}");
 }
 
@@ -1148,8 +1149,8 @@ fn exported_tables_match_the_run_bit_by_bit() {
 
 #[test]
 fn exported_states_match_the_world_bit_by_bit() {
+    use meldscope::sdk::arrow::array::{AsArray as _, Float64Array};
     use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
-    use rerun::external::arrow::array::{AsArray as _, Float64Array};
 
     let dir = Dir::new();
     // two bodies that merge, and a rotating one

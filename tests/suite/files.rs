@@ -11,6 +11,7 @@ use std::{
 use meldscope::{
     Scene, World,
     recording::Recorded,
+    sdk::{self, AnyValues, StoreId, StoreKind, TextDocument, components::Text},
     sim::Options,
     stream::{
         Recorder, Settings,
@@ -20,7 +21,6 @@ use meldscope::{
     },
 };
 use proptest::prelude::*;
-use rerun::{AnyValues, StoreId, StoreKind, TextDocument, components::Text};
 
 use crate::{
     bad_recordings::{SCENE, encoded},
@@ -574,7 +574,7 @@ fn no_control_character_of_a_recording_reaches_a_terminal() {
                 .with_component::<Text>("scene", text(SCENE))
                 .with_component::<Text>("settings", text(&settings))
                 .with_component::<Text>("version", text(version))
-                .with_component::<rerun::components::Scalar>("format", [format]);
+                .with_component::<sdk::components::Scalar>("format", [format]);
             let mut chunks = Chunks::new(StoreId::new(StoreKind::Recording, "meldscope_small", "small-0"));
             chunks.log_static("/__properties/meldscope", &properties);
             fs::write(dir.file("y.rrd"), encoded(chunks)).expect("disk space");

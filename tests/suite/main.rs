@@ -27,4 +27,5 @@ mod stranger;
 mod sweep;
 mod tolerance;
 mod union;
+mod viewer;
 mod work;

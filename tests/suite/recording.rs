@@ -14,6 +14,15 @@ use meldscope::{
     Scene, World,
     geometry::{Shape, Sphere},
     model::phase::Phase,
+    sdk::{
+        self, Chunk, EntityPath, LogMsg, Loggable, RowId, StoreId, TimelineName,
+        arrow::{
+            array::{Array as _, ArrayRef, AsArray as _},
+            datatypes::UInt64Type,
+        },
+        components::{AlbedoFactor, ViewCoordinates},
+        datatypes::{Float64, Rgba32, UVec3D, Utf8, Vec3D},
+    },
     sim::{
         BodyForces, BodyView, Cause, Event,
         simulation::{arrow_scale, phase_color},
@@ -27,20 +36,8 @@ use meldscope::{
         sinks::{Destinations, Sinks},
     },
 };
-use rerun::{
-    ChunkStore, ChunkStoreConfig, ChunkStoreHandle, EntityPath, Loggable, StoreId, TimelineName,
-    components::{AlbedoFactor, ViewCoordinates},
-    dataframe::{QueryEngine, QueryExpression, SparseFillStrategy, StorageEngine, TimeInt},
-    datatypes::{Float64, Rgba32, UVec3D, Utf8, Vec3D},
-    external::{
-        arrow::{
-            array::{Array as _, ArrayRef, AsArray as _},
-            datatypes::UInt64Type,
-        },
-        re_chunk_store::{ColumnDescriptor, StaticColumnSelection},
-    },
-    log::{Chunk, LogMsg, RowId},
-};
+use re_chunk_store::{ChunkStore, ChunkStoreConfig, ChunkStoreHandle, ColumnDescriptor, StaticColumnSelection};
+use re_dataframe::{QueryEngine, QueryExpression, SparseFillStrategy, StorageEngine, TimeInt};
 
 // ---- reading -------------------------------------------------------------------------------------------------------
 
@@ -194,7 +191,7 @@ struct TimeTicks(i64);
 
 impl From<&ArrayRef> for TimeTicks {
     fn from(cell: &ArrayRef) -> TimeTicks {
-        use rerun::external::arrow::{array::Int64Array, compute::cast, datatypes::DataType};
+        use meldscope::sdk::arrow::{array::Int64Array, compute::cast, datatypes::DataType};
         let cell = cast(cell, &DataType::Int64).expect("a number of ticks");
         TimeTicks(cell.as_any().downcast_ref::<Int64Array>().expect("the cast type").value(0))
     }
@@ -792,8 +789,8 @@ impl Run {
             self.walk_frames(|frame, world| {
                 let (body, held) = (world.body(index), &track.held[frame]);
                 world.forces(index, &mut forces);
-                let displacement = held.get::<rerun::datatypes::Float32>("displacement_in_radii");
-                let net = held.get::<rerun::datatypes::Float32>("net_force");
+                let displacement = held.get::<sdk::datatypes::Float32>("displacement_in_radii");
+                let net = held.get::<sdk::datatypes::Float32>("net_force");
                 let reach = held.texts("reach");
                 assert_eq!((displacement.len(), net.len(), reach.len()), (body.vertex_count(), net.len(), net.len()));
                 for i in 0..body.vertex_count() {
@@ -828,7 +825,7 @@ impl Run {
             assert_eq!(held.texts("LineStrips3D:labels"), labels, "step {}", world.steps_taken());
             let colors: Vec<Rgba32> = pairs.iter().map(|pair| color(phase_color(pair.phase))).collect();
             assert_eq!(held.colors("LineStrips3D:colors"), colors);
-            let strips = held.get::<rerun::components::LineStrip3D>("LineStrips3D:strips");
+            let strips = held.get::<sdk::components::LineStrip3D>("LineStrips3D:strips");
             for (pair, strip) in pairs.iter().zip(&strips) {
                 let ends = [pair.a, pair.b].map(|i| Vec3D(world.body(i).centre().as_vec3().to_array()));
                 assert_eq!(strip.0, ends);

@@ -15,6 +15,7 @@ use meldscope::{
         replay::{self, Verdict},
     },
     scene::builtin,
+    sdk,
     sim::Options,
     stream::{
         Recorder, Settings,
@@ -496,7 +497,7 @@ fn a_flight_recorder_keeps_whole_lines() {
     for line in lines {
         let rows = kept.changes(&line);
         let (points, ends): (Vec<_>, Vec<_>) =
-            rows.iter().partition(|row| !row.get::<rerun::datatypes::Float64>("Scalars:scalars").is_empty());
+            rows.iter().partition(|row| !row.get::<sdk::datatypes::Float64>("Scalars:scalars").is_empty());
         let [points, ends] = [points, ends].map(|rows| rows.iter().map(|row| row.step).collect::<Vec<_>>());
         if line.starts_with("/diagnostics/") || line == "/timings/integrate" {
             assert_eq!((&points, &ends[..]), (&windows, &gaps[..]), "{line}");
@@ -530,7 +531,7 @@ fn a_slice_names_its_steps() {
     succeeds(&dir, &["replay", "a.rrd", "--from", "80", "--to", "90", "--save", "b.rrd"]);
     let about = |name: &str| {
         let row = Recording::open(&dir.file(name)).fixed("/about");
-        row.get::<rerun::datatypes::Utf8>("TextDocument:text")[0].as_str().to_owned()
+        row.get::<sdk::datatypes::Utf8>("TextDocument:text")[0].as_str().to_owned()
     };
     assert!(about("b.rrd").contains("steps 80 to 90, a frame every step"), "{}", about("b.rrd"));
     succeeds(&dir, &["run", "two", "--steps", "1", "--quiet", "--save", "c.rrd"]);

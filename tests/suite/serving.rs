@@ -6,8 +6,7 @@ use std::time::Duration;
 
 use hyper_util::rt::{TokioExecutor, TokioIo};
 use meldscope::stream::sinks::{Destinations, Serve, Sinks};
-use rerun::log::LogMsg;
-use rerun::sink::{GrpcSink, LogSink as _};
+use re_grpc_client::write::{Client, Options};
 
 use crate::sinks::{opening, recording, watch};
 
@@ -162,10 +161,10 @@ fn only_the_run_can_write() {
         }
     }
     // from the SDK
-    let sink = GrpcSink::new(format!("rerun+http://127.0.0.1:{data}/proxy").parse().expect("an address"));
-    let written: Vec<LogMsg> = opening();
-    sink.send_all(written);
-    sink.flush_blocking(Duration::from_secs(5)).ok();
+    let address = format!("rerun+http://127.0.0.1:{data}/proxy").parse().expect("an address");
+    let client = Client::new(address, Options::default());
+    opening().into_iter().for_each(|msg| client.send_blocking(msg));
+    client.flush_blocking(Duration::from_secs(5)).ok();
     let other = [&["WriteMessages"][..], &["Quit"], &["OpenUrl"], &["CaptureScreenshot"]].concat();
     for method in other {
         let line = format!("POST /rerun.sdk_comms.v1alpha1.ViewerControlService/{method}");

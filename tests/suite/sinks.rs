@@ -10,11 +10,10 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
+use meldscope::sdk::{self, Chunk, DecoderApp, LogMsg, RowId, StoreId, StoreKind, TimePoint, Timeline};
 use meldscope::stream::sinks::{Destinations, Serve, SinkError, Sinks, Spawn};
-use rerun::external::re_log_encoding::DecoderApp;
-use rerun::grpc_server::GrpcServerSink;
-use rerun::log::{Chunk, LogMsg, RowId};
-use rerun::{StoreId, StoreKind, TimePoint, Timeline};
+
+use crate::viewer::Viewer;
 
 // ---- messages ----
 
@@ -28,14 +27,11 @@ fn arrow(chunk: &Chunk) -> LogMsg {
 
 /// The messages that begin every recording, and a static component.
 pub fn opening() -> Vec<LogMsg> {
-    let info = rerun::external::re_log_types::StoreInfo::new_unversioned(
-        store(),
-        rerun::external::re_log_types::StoreSource::Other("test".to_owned()),
-    );
+    let info = sdk::StoreInfo::new_unversioned(store(), sdk::StoreSource::Other("test".to_owned()));
     let row_id = *RowId::new();
-    let store_info = LogMsg::SetStoreInfo(rerun::external::re_log_types::SetStoreInfo { row_id, info });
+    let store_info = LogMsg::SetStoreInfo(sdk::SetStoreInfo { row_id, info });
     let up = Chunk::builder("world")
-        .with_archetype_auto_row(TimePoint::STATIC, &rerun::ViewCoordinates::RIGHT_HAND_Z_UP())
+        .with_archetype_auto_row(TimePoint::STATIC, &sdk::ViewCoordinates::RIGHT_HAND_Z_UP())
         .build();
     vec![store_info, arrow(&up.expect("a valid chunk"))]
 }
@@ -51,7 +47,7 @@ fn step(step: i64, points: usize) -> LogMsg {
     };
     let positions: Vec<[f32; 3]> = (0..points).map(|_| [random(), random(), random()]).collect();
     let chunk = Chunk::builder("world/bodies/a")
-        .with_archetype_auto_row([(Timeline::new_sequence("step"), step)], &rerun::Points3D::new(positions))
+        .with_archetype_auto_row([(Timeline::new_sequence("step"), step)], &sdk::Points3D::new(positions))
         .build();
     arrow(&chunk.expect("a valid chunk"))
 }
@@ -166,31 +162,11 @@ fn answers(port: u16) -> bool {
     TcpStream::connect_timeout(&SocketAddr::from((Ipv4Addr::LOCALHOST, port)), Duration::from_secs(1)).is_ok()
 }
 
-/// A server like the one inside a viewer.
-pub fn viewer() -> (GrpcServerSink, u16) {
-    let port = free_port();
-    let server = GrpcServerSink::new("127.0.0.1", port, rerun::ServerOptions::default()).expect("a valid address");
-    eventually("the viewer listens", || answers(port));
-    (server, port)
-}
-
 /// The first `count` messages that the server at `port` has for a new viewer, requested as a browser does: with
 /// gRPC-web, that is, frames of a byte, a length and a message, in HTTP chunks.
 pub fn watch(port: u16, count: usize) -> Vec<Vec<u8>> {
-    let frames = watch_all_of(port, count);
-    assert_eq!(frames.len(), count);
-    frames
-}
-
-/// All messages, until nothing arrives for a second.
-pub fn watch_all(port: u16) -> Vec<Vec<u8>> {
-    watch_all_of(port, usize::MAX)
-}
-
-fn watch_all_of(port: u16, count: usize) -> Vec<Vec<u8>> {
     let mut stream = TcpStream::connect((Ipv4Addr::LOCALHOST, port)).expect("the server listens");
-    let patience = Duration::from_secs(if count == usize::MAX { 1 } else { 10 });
-    stream.set_read_timeout(Some(patience)).expect("a timeout");
+    stream.set_read_timeout(Some(Duration::from_secs(10))).expect("a timeout");
     let head = "POST /rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages HTTP/1.1\r\nhost: 127.0.0.1\r\n\
                 content-type: application/grpc-web+proto\r\ncontent-length: 5\r\n\r\n";
     stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(&[0; 5])).expect("the server reads the request");
@@ -205,8 +181,8 @@ fn watch_all_of(port: u16, count: usize) -> Vec<Vec<u8>> {
 
     let (mut bytes, mut frames) = (Vec::new(), Vec::new());
     while frames.len() < count {
-        let Some(length) = line(&mut reader) else { break };
-        let length = usize::from_str_radix(&length, 16).expect("the length of a chunk");
+        let length = line(&mut reader).and_then(|line| usize::from_str_radix(&line, 16).ok());
+        let length = length.expect("the length of a chunk");
         let start = bytes.len();
         bytes.resize(start + length, 0);
         reader.read_exact(&mut bytes[start..]).expect("a chunk");
@@ -218,6 +194,7 @@ fn watch_all_of(port: u16, count: usize) -> Vec<Vec<u8>> {
             bytes.drain(..5 + frames[frames.len() - 1].len());
         }
     }
+    assert_eq!(frames.len(), count);
     frames
 }
 
@@ -466,17 +443,17 @@ fn standard_output_without_a_reader_is_an_error() {
 #[test]
 fn a_viewer_and_a_file_both_get_everything() {
     let dir = Dir::new();
-    let (_viewer, port) = viewer();
-    let destinations = Destinations { connect: Some(url(port)), ..to_file(&dir.file("run.rrd")) };
+    let viewer = Viewer::start();
+    let destinations = Destinations { connect: Some(viewer.url()), ..to_file(&dir.file("run.rrd")) };
     let mut sinks = Sinks::open(&destinations).expect("a viewer and a file");
     let sent = recording(300);
     send_all(&mut sinks, &sent);
     let finished = sinks.finish().expect("both destinations");
-    let [viewer] = &finished.viewers[..] else { panic!("{:?}", finished.viewers) };
-    assert_eq!((viewer.messages, viewer.left_out, viewer.is_complete), (302, 0, true));
+    let [sent] = &finished.viewers[..] else { panic!("{:?}", finished.viewers) };
+    assert_eq!((sent.messages, sent.left_out, sent.is_complete), (302, 0, true));
     assert_eq!(finished.notes, [""; 0]);
     assert_eq!(read(&dir.file("run.rrd")).len(), 302);
-    assert_eq!(watch(port, 302).len(), 302);
+    assert_eq!(viewer.messages().len(), 302);
 }
 
 #[test]
@@ -579,8 +556,8 @@ fn a_lost_viewer_is_reported_once_and_the_file_is_complete() {
 fn a_server_that_shuts_down_in_the_middle_does_no_harm() {
     let dir = Dir::new();
     let path = dir.file("run.rrd");
-    let (viewer, port) = viewer();
-    let destinations = Destinations { connect: Some(url(port)), ..to_file(&path) };
+    let viewer = Viewer::start();
+    let destinations = Destinations { connect: Some(viewer.url()), ..to_file(&path) };
     let mut sinks = Sinks::open(&destinations).expect("a viewer and a file");
     let sent = recording(2_000);
     send_all(&mut sinks, &sent[..1_000]);
@@ -659,16 +636,17 @@ fn the_output_of_a_viewer_that_exits_at_once_is_quoted() {
 
 #[test]
 fn a_running_viewer_is_not_started_again() {
-    let (_viewer, port) = viewer();
-    let mut sinks = Sinks::open(&spawning(Path::new("no-such-viewer"), port)).expect("a viewer");
+    let viewer = Viewer::start();
+    let mut sinks = Sinks::open(&spawning(Path::new("no-such-viewer"), viewer.port)).expect("a viewer");
     let notes = sinks.notes();
     assert!(notes.len() == 1 && notes[0].contains("already"), "{notes:?}");
     send_all(&mut sinks, &recording(3));
     sinks.finish().expect("a viewer");
-    assert_eq!(watch(port, 5).len(), 5);
+    assert_eq!(viewer.messages().len(), 5);
 
     // nor is everything sent to it twice
-    let destinations = Destinations { connect: Some(url(port)), ..spawning(Path::new("no-such-viewer"), port) };
+    let destinations =
+        Destinations { connect: Some(viewer.url()), ..spawning(Path::new("no-such-viewer"), viewer.port) };
     let finished = Sinks::open(&destinations).and_then(Sinks::finish).expect("a viewer");
     assert_eq!(finished.viewers.len(), 1);
 }

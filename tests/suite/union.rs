@@ -13,6 +13,7 @@ use std::{
 };
 
 use meldscope::geometry::files;
+use meldscope::sdk;
 
 use crate::recording::{Dir, Recording};
 
@@ -43,8 +44,8 @@ fn a_merged_surface_is_recorded_and_exported_equally_in_every_format() {
     let at = |entity: &str, step: u64| recording.held(entity, [step]).pop().unwrap_or_default();
     let number = |entity: &str| at(entity, 60).scalar().expect("a number");
     let surface = at("/world/merged/surface", 60);
-    let positions = surface.get::<rerun::datatypes::Vec3D>("Mesh3D:vertex_positions");
-    let triangles = surface.get::<rerun::datatypes::UVec3D>("Mesh3D:triangle_indices");
+    let positions = surface.get::<sdk::datatypes::Vec3D>("Mesh3D:vertex_positions");
+    let triangles = surface.get::<sdk::datatypes::UVec3D>("Mesh3D:triangle_indices");
     assert_eq!(number("/groups/a/components"), 1.0);
     assert_eq!((number("/groups/a/euler"), number("/groups/a/genus")), (2.0, 0.0));
     assert_eq!(positions.len() - triangles.len() / 2, 2, "χ of the drawn surface");
@@ -59,7 +60,7 @@ fn a_merged_surface_is_recorded_and_exported_equally_in_every_format() {
     let [gap, overlap, neck] = ["gap", "overlap", "neck"].map(|measure| number(&format!("/pairs/a~b/{measure}")));
     assert!(gap < 0.0 && overlap > 0.0 && neck > 0.1, "{gap} {overlap} {neck}");
     // its bodies are not drawn in addition, and before they merge there is no merged surface
-    assert!(at("/world/merged/surface", 0).get::<rerun::datatypes::Vec3D>("Mesh3D:vertex_positions").is_empty());
+    assert!(at("/world/merged/surface", 0).get::<sdk::datatypes::Vec3D>("Mesh3D:vertex_positions").is_empty());
 
     for format in ["glb", "obj", "ply", "stl"] {
         let range = ["--from", "60", "--to", "60", "--format", format];

@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use glam::DQuat;
-use rerun::{AnyValues, InstancePoses3D, Mesh3D, Quaternion, components::Text, external::arrow::array::UInt32Array};
 
 use super::{
     FrameView,
@@ -13,6 +12,7 @@ use super::{
 use crate::{
     geometry::Mesh,
     observe::Schema,
+    sdk::{AnyValues, InstancePoses3D, Mesh3D, Quaternion, arrow::array::UInt32Array, components::Text},
     stream::{
         chunks::{Chunks, TrackId},
         columns::Cell,

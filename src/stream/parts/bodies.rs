@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use glam::DQuat;
-use rerun::{Mesh3D, Transform3D};
 
 use super::{
     FrameView,
@@ -13,6 +12,7 @@ use super::{
 use crate::{
     geometry::Mesh,
     observe::{BodyFrame, Schema},
+    sdk::{Mesh3D, Transform3D},
     stream::{
         chunks::{Chunks, TrackId},
         columns::Cell,

@@ -2,11 +2,10 @@
 
 use std::collections::{BTreeMap, btree_map::Entry};
 
-use rerun::{AnnotationContext, Arrows3D};
-
 use super::{FrameView, vertices};
 use crate::{
     observe::Schema,
+    sdk::{self, AnnotationContext, Arrows3D},
     stream::{
         chunks::{Chunks, TrackId},
         columns::Cell,
@@ -48,7 +47,7 @@ impl Forces {
             let entity = entity(term.name);
             let style = Arrows3D::update_fields()
                 .with_colors([color(term.color)])
-                .with_radii([rerun::Radius::new_ui_points(1.2)])
+                .with_radii([sdk::Radius::new_ui_points(1.2)])
                 .with_show_labels(false);
             chunks.log_static(&entity, &style);
             let mut components = vec![Arrows3D::descriptor_origins(), Arrows3D::descriptor_vectors()];

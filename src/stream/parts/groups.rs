@@ -3,14 +3,13 @@
 
 use std::collections::BTreeMap;
 
-use rerun::{AnyValues, components::Text};
-
 use super::{FrameView, pairs::has_named_pairs};
 use crate::{
     observe::{
         Schema,
         surface::{Group, Merged},
     },
+    sdk::{AnyValues, components::Text},
     stream::{
         chunks::Chunks,
         palette,

@@ -3,11 +3,10 @@
 //! The displacement of a vertex is its texture coordinate. The colour range can thus follow the data: only the texture
 //! is logged again when a displacement exceeds its range.
 
-use rerun::{
-    AnyValues, ComponentDescriptor, Image, Points2D,
+use crate::sdk::{
+    self, AnyValues, ComponentDescriptor, Image, Points2D,
     components::{ImageBuffer, ImageFormat},
 };
-
 use crate::stream::{
     blueprint::Mapping,
     chunks::Chunks,
@@ -100,7 +99,7 @@ impl Heat {
         });
         let ticks = Points2D::new(ticks.map(|share| [(share * WIDTH as f64) as f32, HEIGHT as f32]))
             .with_labels(labels)
-            .with_radii([rerun::Radius::new_ui_points(2.0)])
+            .with_radii([sdk::Radius::new_ui_points(2.0)])
             .with_colors([color(palette::DOT)])
             .with_show_labels(true);
         chunks.log_static(&format!("{LEGEND}/ticks"), &ticks);

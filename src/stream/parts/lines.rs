@@ -4,11 +4,11 @@
 use std::collections::BTreeMap;
 
 use glam::DVec3;
-use rerun::{LineStrips3D, Points3D};
 
 use super::{FrameView, MAX_LABELS};
 use crate::{
     observe::{PairEvent, PairFrame, Schema},
+    sdk::{self, LineStrips3D, Points3D},
     stream::{
         chunks::{Chunks, TrackId},
         columns::Cell,
@@ -73,13 +73,12 @@ impl Lines {
     pub fn new(schema: &Schema, settings: &Settings, chunks: &mut Chunks) -> Lines {
         let has_labels = schema.bodies.len() <= MAX_LABELS;
         let style =
-            LineStrips3D::update_fields().with_radii([rerun::Radius::new_ui_points(1.5)]).with_show_labels(has_labels);
+            LineStrips3D::update_fields().with_radii([sdk::Radius::new_ui_points(1.5)]).with_show_labels(has_labels);
         chunks.log_static(PAIRS, &style);
         let components =
             [LineStrips3D::descriptor_strips(), LineStrips3D::descriptor_colors(), LineStrips3D::descriptor_labels()];
         let track = chunks.track(PAIRS, components);
-        let style =
-            LineStrips3D::update_fields().with_radii([rerun::Radius::new_ui_points(4.0)]).with_show_labels(true);
+        let style = LineStrips3D::update_fields().with_radii([sdk::Radius::new_ui_points(4.0)]).with_show_labels(true);
         chunks.log_static(RECENT, &style);
         let components =
             [LineStrips3D::descriptor_strips(), LineStrips3D::descriptor_colors(), LineStrips3D::descriptor_labels()];
@@ -145,7 +144,7 @@ impl Lines {
 impl Names {
     fn new(schema: &Schema, chunks: &mut Chunks) -> Names {
         let style = Points3D::update_fields()
-            .with_radii([rerun::Radius::new_ui_points(0.5)])
+            .with_radii([sdk::Radius::new_ui_points(0.5)])
             .with_labels(schema.bodies.iter().map(|body| body.name.as_str()))
             .with_colors((0..schema.bodies.len()).map(|index| color(palette::of_body(schema, index))))
             .with_show_labels(true);

@@ -8,7 +8,6 @@ use std::{
 
 use glam::DVec3;
 use rayon::prelude::*;
-use rerun::{AnnotationContext, AnyValues, ComponentDescriptor, LineStrips3D, Mesh3D, components::TriangleIndices};
 
 use super::FrameView;
 use crate::{
@@ -16,6 +15,7 @@ use crate::{
         self, Frame, Schema,
         surface::{Group, Merged, Merger, VertexOrigin},
     },
+    sdk::{self, AnnotationContext, AnyValues, ComponentDescriptor, LineStrips3D, Mesh3D, components::TriangleIndices},
     stream::{
         chunks::{Chunks, TrackId},
         columns::Cell,
@@ -98,7 +98,7 @@ impl MergedEntities {
             let names = schema.bodies.iter().zip(1..u16::MAX).map(|(body, class)| (class, body.name.as_str()));
             chunks.log_static(CLASSES, &AnnotationContext::new(std::iter::once((0, "seam")).chain(names)));
             let style = LineStrips3D::update_fields()
-                .with_radii([rerun::Radius::new_ui_points(1.0)])
+                .with_radii([sdk::Radius::new_ui_points(1.0)])
                 .with_colors([color(palette::SEAM)])
                 .with_show_labels(false);
             chunks.log_static(SEAMS, &style);
@@ -230,16 +230,13 @@ impl Mesh {
 
 #[cfg(test)]
 mod tests {
-    use rerun::{
-        StoreId, StoreKind,
-        external::re_log_types::{ApplicationId, LogMsg},
-    };
 
     use super::*;
     use crate::{
         World,
         observe::{Experiment as _, Simulation as _, Want},
         scene::Scene,
+        sdk::{ApplicationId, LogMsg, StoreId, StoreKind},
         stream::{parts::pairs::PairPlots, series::Series, settings::Settings},
     };
 

@@ -1,11 +1,11 @@
 //! Net force and torque on free bodies: an arrow for each at the centre.
 
 use glam::DVec3;
-use rerun::Arrows3D;
 
 use super::{FrameView, forces};
 use crate::{
     observe::{NetForce, Schema, colors, schema::BodySchema},
+    sdk::{self, Arrows3D},
     stream::{
         chunks::{Chunks, TrackId},
         columns::Cell,
@@ -42,7 +42,7 @@ impl NetForces {
             let entity = forces::entity(name);
             let style = Arrows3D::update_fields()
                 .with_colors([color(rgb)])
-                .with_radii([rerun::Radius::new_ui_points(2.5)])
+                .with_radii([sdk::Radius::new_ui_points(2.5)])
                 .with_show_labels(false);
             chunks.log_static(&entity, &style);
             chunks.track(&entity, [Arrows3D::descriptor_origins(), Arrows3D::descriptor_vectors()])

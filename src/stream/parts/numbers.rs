@@ -2,11 +2,10 @@
 
 use std::time::{Duration, Instant as Clock};
 
-use rerun::Scalars;
-
 use super::FrameView;
 use crate::{
     observe::{Schema, schema::ScalarOf},
+    sdk::Scalars,
     stream::{
         chunks::{Chunks, TrackId},
         columns::Cell,

@@ -2,16 +2,15 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use rerun::{
-    AnyValues, AsComponents, SerializedComponentBatch, SeriesLines, StateChange, StateConfiguration, TextLog,
-    components::{Scalar, Text},
-};
-
 use super::{FrameView, marks::Marks};
 use crate::{
     observe::{
         BodyEvent, Frame, PairEvent, PairFrame, Schema, Shortfall, SurfaceEvent, colors, surface::PairMeasures,
         touch::Finding,
+    },
+    sdk::{
+        AnyValues, AsComponents, SerializedComponentBatch, SeriesLines, StateChange, StateConfiguration, TextLog,
+        components::{Scalar, Text},
     },
     stream::{
         chunks::Chunks,

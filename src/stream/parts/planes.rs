@@ -1,10 +1,10 @@
 //! Planes that bodies cannot pass: a translucent sheet with a grid, as large as the scene.
 
 use glam::DVec3;
-use rerun::{LineStrips3D, Mesh3D};
 
 use crate::{
     observe::{Schema, schema::PlaneSchema},
+    sdk::{self, LineStrips3D, Mesh3D},
     stream::{
         chunks::Chunks,
         palette::{self, color},
@@ -39,7 +39,7 @@ pub fn log(schema: &Schema, spheres: &[(DVec3, f64)], chunks: &mut Chunks) {
         });
         let friction = if plane.friction > 0.0 { format!(", friction {}", plane.friction) } else { String::new() };
         let grid = LineStrips3D::new(lines)
-            .with_radii([rerun::Radius::new_ui_points(0.6)])
+            .with_radii([sdk::Radius::new_ui_points(0.6)])
             .with_colors([color(palette::GRID)])
             .with_labels([format!("plane {number}{friction}")])
             .with_show_labels(false);

@@ -1,10 +1,9 @@
 //! Influence spheres, coloured by the deepest phase of their body.
 
-use rerun::{Ellipsoids3D, components::FillMode};
-
 use super::{FrameView, lines::PAIRS};
 use crate::{
     observe::Schema,
+    sdk::{self, Ellipsoids3D, components::FillMode},
     stream::{
         chunks::{Chunks, TrackId},
         columns::Cell,
@@ -55,7 +54,7 @@ impl SphereEntities {
         let spheres = Ellipsoids3D::update_fields()
             .with_half_sizes(radii.map(|r| [r, r, r]))
             .with_fill_mode(FillMode::MajorWireframe)
-            .with_line_radii([rerun::Radius::new_ui_points(LINE)])
+            .with_line_radii([sdk::Radius::new_ui_points(LINE)])
             .with_labels(schema.bodies.iter().map(|body| body.name.as_str()))
             // several bodies have their names beside them instead
             .with_show_labels(schema.bodies.len() == 1);
@@ -108,7 +107,7 @@ impl Reaching {
     fn new(chunks: &mut Chunks) -> Reaching {
         let style = Ellipsoids3D::update_fields()
             .with_fill_mode(FillMode::MajorWireframe)
-            .with_line_radii([rerun::Radius::new_ui_points(LINE)]);
+            .with_line_radii([sdk::Radius::new_ui_points(LINE)]);
         chunks.log_static(PAIRS, &style);
         let components = [
             Ellipsoids3D::descriptor_centers(),

@@ -1,11 +1,10 @@
 //! Trails: the paths that the centres of free bodies have taken. Every frame adds one segment for each; the viewer
 //! shows those of the last seconds together.
 
-use rerun::LineStrips3D;
-
 use super::FrameView;
 use crate::{
     observe::Schema,
+    sdk::{self, LineStrips3D},
     stream::{
         chunks::{Chunks, TrackId},
         columns::Cell,
@@ -36,7 +35,7 @@ impl Trails {
         }
         let style = LineStrips3D::update_fields()
             .with_colors(bodies.iter().map(|&i| color(palette::of_body(schema, i))))
-            .with_radii([rerun::Radius::new_ui_points(1.2)]);
+            .with_radii([sdk::Radius::new_ui_points(1.2)]);
         chunks.log_static(TRAILS, &style);
         let track = chunks.track(TRAILS, [LineStrips3D::descriptor_strips()]);
         Some(Trails { track, bodies, last: Vec::new(), segments: Vec::new() })

@@ -2,12 +2,11 @@
 
 use std::sync::Arc;
 
-use rerun::{AnyValues, ComponentDescriptor, components::Text, external::arrow::array::UInt32Array};
-
 use super::heat;
 
 use crate::{
     observe::{BodyFrame, Schema, schema::BodySchema},
+    sdk::{AnyValues, ComponentDescriptor, arrow::array::UInt32Array, components::Text},
     stream::{
         chunks::{Chunks, TrackId},
         columns::Cell,

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use super::note::viewer_help;
+use crate::sdk;
 use crate::text::counted;
 
 /// A destination that cannot be opened, or a required one that has failed.
@@ -19,7 +20,7 @@ pub enum SinkError {
     /// The address of a viewer is invalid.
     #[error(
         "\"{url}\" is not the address of a viewer ({reason}); expected something like {}",
-        rerun::DEFAULT_CONNECT_URL
+        sdk::DEFAULT_CONNECT_URL
     )]
     Url {
         /// The address as given.

@@ -10,13 +10,12 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use rerun::external::re_build_info::CrateVersion;
-use rerun::external::re_log_encoding::{EncodeError, Encoder, EncodingOptions};
 use same_file::Handle;
 
 use super::SinkError;
 use super::error::file_help;
 use super::queue::{Parcel, Queue, WhenFull};
+use crate::sdk::{CrateVersion, EncodeError, Encoder, EncodingOptions};
 use crate::stream::unfinished;
 
 /// Upper limit on data waiting to be written [bytes]; beyond it the run waits for the disk. A larger queue would not be

@@ -6,11 +6,13 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
-use rerun::external::re_uri::ProxyUri;
-use rerun::sink::{GrpcSink, LogSink};
+use re_grpc_client::write::{Client, ClientConnectionFailure, GrpcFlushError, Options};
+use re_sorbet::timestamp_metadata::{TimestampLocation, now_timestamp};
+use re_uri::ProxyUri;
 
 use super::SinkError;
 use super::queue::{Parcel, Queue, WhenFull};
+use crate::sdk::LogMsg;
 
 /// Upper limit on data waiting for a viewer [bytes]: several thousand steps of a scene with a few bodies.
 const VIEWER_LIMIT: u64 = 128 << 20;
@@ -21,6 +23,31 @@ const BATCH: usize = 8;
 const PROBE: Duration = Duration::from_secs(1);
 /// Timeout of resolving a viewer's name and trying all of its addresses.
 const LOOK_UP: Duration = Duration::from_secs(5);
+
+/// The other end of a queue.
+pub(super) trait LogSink {
+    /// Sends a message, waiting while there are too many before it.
+    fn send(&self, msg: LogMsg);
+
+    /// Waits until everything is delivered. `Err` tells why it cannot be.
+    fn flush(&self) -> Result<(), String>;
+}
+
+impl LogSink for Client {
+    fn send(&self, mut msg: LogMsg) {
+        // for the latencies that the viewer shows
+        if let Some(key) = TimestampLocation::GrpcSink.metadata_key() {
+            msg.insert_arrow_record_batch_metadata(key.to_owned(), now_timestamp());
+        }
+        self.send_blocking(msg);
+    }
+
+    fn flush(&self) -> Result<(), String> {
+        // No timeout: the SDK returns as soon as the connection is lost. If the viewer is connected but does not read,
+        // this blocks forever, which is why nothing waits long for this thread.
+        self.flush_blocking(Duration::MAX).map_err(|err| plain(&err))
+    }
+}
 
 /// A destination that displays messages, over a gRPC connection.
 pub(super) struct Live {
@@ -35,7 +62,9 @@ impl Live {
     /// Connects to the viewer at `uri`, which must have answered a [`probe`].
     pub fn connect(uri: ProxyUri) -> Result<Live, SinkError> {
         let name = format!("the viewer at {uri}");
-        Live::start(name, VIEWER_LIMIT, WhenFull::Thin, false, move || Ok(Box::new(GrpcSink::new(uri))))
+        Live::start(name, VIEWER_LIMIT, WhenFull::Thin, false, move || {
+            Ok(Box::new(Client::new(uri, Options::default())))
+        })
     }
 
     /// Starts the thread, which calls `open`. With `stays`, the sink is dropped only on [`Queue::release`], not as soon
@@ -96,12 +125,10 @@ fn attend(queue: &Queue, sink: Box<dyn LogSink>, stays: bool) {
         for msg in batch.messages.drain(..) {
             sink.send(msg);
         }
-        // No timeout: the SDK returns as soon as the connection is lost. If the viewer is connected but does not read,
-        // this blocks forever, which is why nothing waits long for this thread.
         if delivered > 0
-            && let Err(err) = sink.flush_blocking(Duration::MAX)
+            && let Err(reason) = sink.flush()
         {
-            queue.gone(plain(&err.to_string()));
+            queue.gone(reason);
             break;
         }
         queue.done(&batch, delivered, true);
@@ -116,16 +143,18 @@ fn attend(queue: &Queue, sink: Box<dyn LogSink>, stays: bool) {
     drop(sink);
 }
 
-/// Translates the SDK's error to a message for users; the original is about implementation details.
-fn plain(error: &str) -> String {
-    const CODE: &str = "Failed to send messages: ";
-    let code = error.split_once(CODE).and_then(|(_, rest)| rest.split(", uri: ").next());
-    match code {
-        // the response of another kind or version of viewer is worth reporting
-        Some(code) if code != "Unknown error" => format!("the connection broke: {code}"),
-        _ if error.contains("unable to connect") => "it does not speak gRPC, or not on this port".to_owned(),
-        _ if error.contains("gracefully") => "it closed the connection".to_owned(),
-        _ if error.contains("server thread shut down") => "it crashed".to_owned(),
+/// The SDK's error as a message for users; the original is about implementation details.
+fn plain(error: &GrpcFlushError) -> String {
+    match error {
+        GrpcFlushError::FailedToConnect { .. } => "it does not speak gRPC, or not on this port".to_owned(),
+        GrpcFlushError::GracefulDisconnect { .. } => "it closed the connection".to_owned(),
+        GrpcFlushError::ErrorDisconnect { err: ClientConnectionFailure::FailedToSendMessages(code), .. } => {
+            match code.description() {
+                "Unknown error" => "the connection broke".to_owned(),
+                // the response of another kind or version of viewer is worth reporting
+                code => format!("the connection broke: {code}"),
+            }
+        }
         _ => "the connection broke".to_owned(),
     }
 }

@@ -20,8 +20,7 @@ use std::net::{IpAddr, Ipv4Addr};
 use std::path::PathBuf;
 use std::time::Duration;
 
-use rerun::external::re_uri::{Origin, ProxyUri, Scheme};
-use rerun::log::LogMsg;
+use re_uri::{Origin, ProxyUri, Scheme};
 
 mod error;
 mod file;
@@ -35,6 +34,7 @@ pub use error::SinkError;
 pub use serve::{Host, Serving};
 
 use super::chunks::Audience;
+use crate::sdk::{self, LogMsg};
 use crate::text::{counted, listed};
 use file::{Claim, Writer};
 use live::Live;
@@ -51,7 +51,7 @@ pub struct Destinations {
     pub stdout: bool,
     /// The viewer to start, if any.
     pub spawn: Option<Spawn>,
-    /// The address of a running viewer, such as [`rerun::DEFAULT_CONNECT_URL`].
+    /// The address of a running viewer, such as [`DEFAULT_CONNECT_URL`](sdk::DEFAULT_CONNECT_URL).
     pub connect: Option<String>,
     /// The web viewer to serve.
     pub serve: Option<Serve>,
@@ -78,7 +78,7 @@ pub struct Spawn {
 
 impl Default for Spawn {
     fn default() -> Self {
-        Spawn { program: "rerun".into(), port: rerun::DEFAULT_SERVER_PORT }
+        Spawn { program: "rerun".into(), port: sdk::DEFAULT_SERVER_PORT }
     }
 }
 
@@ -98,7 +98,7 @@ pub struct Serve {
 impl Default for Serve {
     fn default() -> Self {
         let bind = Ipv4Addr::LOCALHOST.into();
-        Serve { bind, web_port: 9090, grpc_port: rerun::DEFAULT_SERVER_PORT, allow: Vec::new() }
+        Serve { bind, web_port: 9090, grpc_port: sdk::DEFAULT_SERVER_PORT, allow: Vec::new() }
     }
 }
 
@@ -424,6 +424,5 @@ impl Sinks {
 /// Parses the address of a viewer: `rerun+http://HOST:PORT/proxy`, or `rerun+https://` and `rerun://` for an encrypted
 /// one.
 fn parse_url(url: &str) -> Result<ProxyUri, SinkError> {
-    url.parse()
-        .map_err(|err: rerun::external::re_uri::Error| SinkError::Url { url: url.to_owned(), reason: err.to_string() })
+    url.parse().map_err(|err: re_uri::Error| SinkError::Url { url: url.to_owned(), reason: err.to_string() })
 }

@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use crate::sdk;
+
 /// A duration as "5 s" or "0.5 s".
 pub(super) fn seconds(duration: Duration) -> String {
     format!("{} s", (duration.as_secs_f64() * 10.0).round() / 10.0)
@@ -9,7 +11,7 @@ pub(super) fn seconds(duration: Duration) -> String {
 
 /// Advice on installing the viewer version that matches this program.
 pub(super) fn install_help() -> String {
-    let version = rerun::build_info().version;
+    let version = sdk::VERSION;
     format!(
         "install it with `python3 -m pip install rerun-sdk=={version}` \
          or `cargo install rerun-cli --version {version} --locked`"

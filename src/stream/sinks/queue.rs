@@ -5,10 +5,8 @@ use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use rerun::SizeBytes as _;
-use rerun::log::LogMsg;
-
 use super::SinkError;
+use crate::sdk::{self, LogMsg, SizeBytes as _};
 
 /// Size from which messages are dropped first when a viewer cannot keep up [bytes]. Smaller ones (about 2 kB each) are
 /// events, phases and scalars, which cost little and matter most to the user.
@@ -47,7 +45,7 @@ fn size_of(msg: &LogMsg) -> u64 {
 /// data.
 fn stream_of(msg: &LogMsg) -> Option<u64> {
     let LogMsg::ArrowMsg(store, arrow) = msg else { return None };
-    if store.kind() == rerun::StoreKind::Blueprint {
+    if store.kind() == sdk::StoreKind::Blueprint {
         return None;
     }
     let schema = arrow.batch.schema_ref();
@@ -458,11 +456,8 @@ impl Drop for Attendance<'_> {
 mod tests {
     use std::sync::Arc;
 
-    use rerun::external::re_log_types::{SetStoreInfo, StoreInfo, StoreSource};
-    use rerun::log::{Chunk, RowId};
-    use rerun::{StoreId, StoreKind, TimePoint, Timeline};
-
     use super::*;
+    use crate::sdk::{Chunk, RowId, SetStoreInfo, StoreId, StoreInfo, StoreKind, StoreSource, TimePoint, Timeline};
 
     const SMALL: u64 = 100;
 
@@ -615,7 +610,7 @@ mod tests {
     }
 
     /// A message with points at `entity`, in a store of this `kind`.
-    fn points(kind: StoreKind, entity: &str, time: impl Into<TimePoint>, points: rerun::Points3D) -> Parcel {
+    fn points(kind: StoreKind, entity: &str, time: impl Into<TimePoint>, points: sdk::Points3D) -> Parcel {
         let chunk = Chunk::builder(entity).with_archetype_auto_row(time, &points).build().expect("a valid chunk");
         Parcel::new(LogMsg::ArrowMsg(store(kind), chunk.to_arrow_msg().expect("a chunk encodes")))
     }
@@ -624,7 +619,7 @@ mod tests {
     fn messages_of_the_same_entity_and_columns_share_a_stream() {
         use StoreKind::{Blueprint, Recording};
         let at = |step: i64| [(Timeline::new_sequence("step"), step)];
-        let some = || rerun::Points3D::new([[1.0, 2.0, 3.0]]);
+        let some = || sdk::Points3D::new([[1.0, 2.0, 3.0]]);
         let stream = |parcel: Parcel| parcel.stream;
 
         let first = stream(points(Recording, "a", at(0), some()));
@@ -640,7 +635,7 @@ mod tests {
     #[test]
     fn a_shared_message_counts_in_full() {
         let many = vec![[1.0, 2.0, 3.0]; 1_000];
-        let one = points(StoreKind::Recording, "a", TimePoint::STATIC, rerun::Points3D::new(many));
+        let one = points(StoreKind::Recording, "a", TimePoint::STATIC, sdk::Points3D::new(many));
         let others = vec![one.msg.clone(); 10];
         assert!((13_000..15_000).contains(&one.bytes), "{}", one.bytes);
         assert_eq!(Parcel::new(others[0].clone()).bytes, one.bytes);

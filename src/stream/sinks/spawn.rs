@@ -1,6 +1,6 @@
 //! Starts a viewer.
 //!
-//! `rerun::spawn` is not used because its viewer listens on every interface and inherits standard output, where it
+//! The SDK's own `spawn` is not used because its viewer listens on every interface and inherits standard output, where it
 //! would corrupt `--stdout` and keep the pipe of a program that reads our output open until the window is closed.
 
 use std::ffi::OsString;
@@ -11,11 +11,10 @@ use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
-use rerun::external::re_build_info::CrateVersion;
-
 use super::live::within;
 use super::note::{install_help, seconds};
 use super::{SinkError, Spawn};
+use crate::sdk::{self, CrateVersion};
 
 /// Timeout of a viewer's start; the first start on a slow machine takes several seconds.
 const START: Duration = Duration::from_secs(30);
@@ -96,7 +95,7 @@ fn other_version(program: &OsString) -> Option<String> {
     let output = within(VERSION, move || command.output())?.ok()?;
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     let theirs = CrateVersion::try_parse_from_build_info_string(text).ok()?;
-    let ours = rerun::build_info().version;
+    let ours = sdk::VERSION;
     (!theirs.is_compatible_with(ours)).then(|| {
         format!("the viewer has version {theirs} and may not understand this program's {ours}: {}", install_help())
     })

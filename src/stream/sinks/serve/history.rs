@@ -7,19 +7,16 @@ use std::collections::{BTreeMap, VecDeque};
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll, ready};
-use std::time::Duration;
 
 use hyper::body::Bytes;
 use re_protos::external::prost::Message as _;
 use re_protos::log_msg::v1alpha1 as proto;
 use re_protos::sdk_comms::v1alpha1::ReadMessagesResponse;
-use rerun::StoreKind;
-use rerun::external::re_log_encoding::ToTransport as _;
-use rerun::external::re_log_encoding::rrd::Compression;
-use rerun::log::{ChunkBatcherConfig, LogMsg};
-use rerun::sink::{LogSink, SinkFlushError};
 use tokio::sync::watch;
 use tokio_stream::{Stream as _, wrappers::WatchStream};
+
+use crate::sdk::{Compression, LogMsg, StoreKind, ToTransport as _};
+use crate::stream::sinks::live::LogSink;
 
 /// Approximate overhead per message [bytes].
 const ENTRY: u64 = 96;
@@ -49,15 +46,11 @@ impl LogSink for Feed {
         }
     }
 
-    fn flush_blocking(&self, _timeout: Duration) -> Result<(), SinkFlushError> {
+    fn flush(&self) -> Result<(), String> {
         if let Some(reason) = &*self.failure.lock().unwrap_or_else(PoisonError::into_inner) {
-            return Err(SinkFlushError::failed(format!("a message cannot be encoded: {reason}")));
+            return Err(format!("a message cannot be encoded: {reason}"));
         }
-        if self.news.is_closed() { Err(SinkFlushError::failed("server thread shut down")) } else { Ok(()) }
-    }
-
-    fn default_batcher_config(&self) -> ChunkBatcherConfig {
-        ChunkBatcherConfig::LOW_LATENCY
+        if self.news.is_closed() { Err("it crashed".to_owned()) } else { Ok(()) }
     }
 }
 
@@ -240,9 +233,9 @@ mod tests {
     #[test]
     fn a_feed_fails_without_a_server() {
         let (feed, history) = history(1 << 20);
-        assert!(feed.flush_blocking(Duration::MAX).is_ok());
+        assert!(feed.flush().is_ok());
         let _reader_of_a_connection = history.log();
         drop(history);
-        assert!(feed.flush_blocking(Duration::MAX).is_err());
+        assert!(feed.flush().is_err());
     }
 }
