@@ -1,8 +1,8 @@
 //! The parts of the Rerun SDK that this crate is made with, in one place and under the SDK's own names.
 //!
-//! They are the same types as those of the crate `rerun`, which is these parts and 118 crates more: servers, importers, queries,
-//! none of which this crate uses. The connections of [`stream::sinks`](crate::stream::sinks) use the SDK's gRPC client and
-//! the files of its web viewer directly.
+//! They are the same types as in the crate `rerun`, which is these parts and 118 crates more (servers, importers, a
+//! store with queries) of which nothing is used here. [`stream::sinks`](crate::stream::sinks) uses three other parts
+//! directly: the gRPC client, its messages, and the files of the web viewer.
 
 pub use re_build_info::CrateVersion;
 pub use re_byte_size::SizeBytes;
@@ -33,3 +33,4 @@ pub const DEFAULT_SERVER_PORT: u16 = re_uri::DEFAULT_PROXY_PORT;
 
 /// The address of a viewer on this machine.
 pub const DEFAULT_CONNECT_URL: &str = "rerun+http://127.0.0.1:9876/proxy";
+const _: () = assert!(DEFAULT_SERVER_PORT == 9876, "the port of the address");

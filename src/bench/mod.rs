@@ -77,7 +77,8 @@
 //! plane.
 //!
 //! **Recording** (`bench record`): frames per second and bytes per frame by detail and destination, with and without
-//! simulating, compared with the size of the payload and with a plain `log()` of the same data, one entity at a time.
+//! simulating, compared with the size of the payload and with the same data recorded as the SDK's plain `log()` does,
+//! one entity at a time (through its batcher and its file sink: the crate with `log()` itself is not a dependency).
 //! Most of a recorded frame of `two` is the merged surface of its bodies with its measures, which recordings did not
 //! have when the goals were set (24,000 frames/s were saved then on two cores, 12,000 with all forces). Instructions per
 //! frame with surfaces, over the 300 frames of `two`, start and end of the run included (Callgrind):

@@ -1,6 +1,6 @@
 //! Recording cost: frames per second and bytes per frame, by detail and destination, compared with the payload itself
-//! and with a plain `log()` of the same data one entity at a time; the slow-down of steps, and the cost of
-//! verification.
+//! and with the same data recorded as a plain `log()` does, one entity at a time; the slow-down of steps, and the cost
+//! of verification.
 
 pub mod csv;
 pub mod goals;

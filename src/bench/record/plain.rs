@@ -7,11 +7,11 @@ use crate::sdk::{
     StoreId, StoreInfo, StoreKind, StoreSource, TimeCell, TimePoint, Timeline,
 };
 
-/// What `log()` of the SDK consists of: every call is a row, the SDK's batcher collects the rows of an entity into chunks
-/// on one thread, another thread encodes them, and the SDK's file sink writes them on a third.
+/// What `log()` of the SDK does: every call is a row, the SDK's batcher collects the rows of an entity into chunks on
+/// one thread, another thread passes them on, and the SDK's file sink encodes and writes them on a third.
 ///
-/// The call itself is part of the crate `re_sdk`, which is not a dependency because of what it takes to build. What it
-/// adds to this is a lookup of the current time.
+/// The call itself is part of the crate `re_sdk`, which is not a dependency because of what it takes to build. It adds
+/// a lookup of the time that was set; files and rates are the same.
 pub struct PlainLog {
     batcher: ChunkBatcher,
     encoding: JoinHandle<Result<(), String>>,
