@@ -311,8 +311,8 @@ fn measure_point(
         }
         reached.add(world.energy().reached_vertices as f64);
     }
-    if steps.is_multiple_of(PERIOD) {
-        // blocks end at the phase at which they began, so sample within a period instead
+    if !is_long {
+        // blocks may end at the phase at which they began, so sample within a period instead
         reached = Mean::default();
         for _ in 0..COUNTS {
             run(&mut world, PERIOD / COUNTS);

@@ -11,7 +11,8 @@
 //! dt = 0.0166666666             # step, s [1/60]
 //! duration = 4.0                # s
 //! integrator = "exponential"    # thesis | mps | euler | verlet | rk4 | exponential [exponential]
-//! tolerance = 1e-6              # for exponential: error in radii per unit of scene time [1e-6]
+//! tolerance = 1e-6              # for exponential: error in radii per unit of scene time; it sets the integrator's steps,
+//!                               # which may be longer than dt; above 1e-2: steps of dt [1e-6]
 //! gravity = [0, 0, 0]           # acceleration of free bodies, scene unit/s² [0]
 //! model = "oscillators"         # of a soft body: oscillators | metaballs | lattice | fem [oscillators]
 //!

@@ -97,17 +97,23 @@ impl ActiveSet {
         }
     }
 
-    /// Sum of the hashes of all bodies in the set.
-    pub fn hash(&self) -> u64 {
-        let (awake, asleep) = self.states.split_at(self.awake);
+    /// Sum of the hashes of all bodies in the set, with the awake ones in the states `awake`.
+    pub fn hash(&self, awake: &[Active]) -> u64 {
+        let asleep = &self.states[self.awake..];
         let asleep = self.hash_of_sleeping.get(|| checksum::of_bodies(self.arch, asleep));
         checksum::of_bodies(self.arch, awake).wrapping_add(asleep)
     }
 
     /// Memory allocated for the set [bytes].
     pub fn memory(&self) -> usize {
-        self.states.iter().map(Active::memory).sum::<usize>() + self.states.capacity() * size_of::<Active>()
+        memory(&self.states)
     }
+}
+
+/// Memory allocated for states [bytes].
+#[allow(clippy::ptr_arg)] // the capacity counts
+pub(super) fn memory(states: &Vec<Active>) -> usize {
+    states.iter().map(Active::memory).sum::<usize>() + states.capacity() * size_of::<Active>()
 }
 
 fn hash_of(arch: Arch, state: &Active) -> u64 {

@@ -20,6 +20,7 @@ use super::{
     pairs::Pairs,
     span::Span,
     state::{Common, State},
+    stride::Stride,
     terms::{Acting, Moment, On, Phases, Steady, Surroundings, carry},
     tracks::Tracks,
     work::{Tally, Work},
@@ -62,8 +63,12 @@ pub(super) struct Context<'a> {
     pub arch: Arch,
     /// See [`Options::skip`](super::Options::skip).
     pub skip: bool,
-    /// Steps taken before this one.
+    /// Frames before the stride.
     pub step: u64,
+    /// Frames that the bodies advance: a whole stride, or its beginning for an observer.
+    pub frames: u64,
+    /// The stride.
+    pub stride: Stride,
     /// The work budget of the step.
     pub work: &'a Work,
 }
@@ -219,7 +224,7 @@ impl<'a> Context<'a> {
             return None;
         }
         let index = active.body as usize;
-        let steady = Steady::of(self.scene, index, self.tracks.track(index), self.scene.dt)?;
+        let steady = Steady::of(self.scene, index, self.tracks.track(index), self.stride.length)?;
         let pushes = self.body(active.body).pushes.bound(span);
         Some(self.body(active.body).radius + active.farthest_of_steady(&steady, pushes, span.start, span.length()))
     }
@@ -311,7 +316,7 @@ impl<'a> Context<'a> {
         if active.state.common_as_of < self.step {
             active.state.common = active.common_at(now);
         }
-        active.state.common_as_of = self.step + 1;
+        active.state.common_as_of = self.step + self.frames;
 
         scratch.contributing.clear();
         if self.skip && (all || !(active.bounds.reachable.is_empty() && active.can_sleep())) {
@@ -346,7 +351,7 @@ impl<'a> Context<'a> {
             let body = self.body(active.body);
             work.spend((contributing.len() + body.pushes.shared().len()) as u64);
             self.on(active.body).over(contributing, part, acting);
-            let is_whole = breaks.len() == 2;
+            let is_whole = breaks.len() == 2 && self.frames == self.stride.frames;
             let field = body.pushes.many_act(part).then(|| {
                 let BodyState { push_field, deformation, .. } = &mut active.state;
                 let summed = push_field.advance(&body.pushes, body.mesh.directions(), part.start + 0.5 * part.length());
@@ -358,8 +363,8 @@ impl<'a> Context<'a> {
                 index,
                 mesh: &body.mesh,
                 start: part.start,
-                // All whole steps have bit-identical lengths, so that weights are computed once.
-                length: if is_whole { scene.dt } else { part.length() },
+                // All whole strides have bit-identical lengths, so that weights are computed once.
+                length: if is_whole { self.stride.length } else { part.length() },
                 tracks: self.tracks,
                 is_whole,
                 spheres: &acting.spheres,

@@ -63,6 +63,7 @@ impl Body {
 }
 
 /// The state of a body that isn't at rest.
+#[derive(Clone)]
 pub(super) struct Active {
     /// Index of the body.
     pub body: u32,
@@ -78,6 +79,7 @@ pub(super) struct Active {
 
 /// The state of a body's vertices: at the end of the last step if the body is awake, otherwise as of the last time it
 /// was needed. Nothing acts on a sleeping body, so the flow advances it to any later time.
+#[derive(Clone)]
 pub(super) struct BodyState {
     /// ω and κ of its vertices.
     pub oscillator: Oscillator,
@@ -99,7 +101,7 @@ pub(super) struct BodyState {
 }
 
 /// The conditions for which an active set was selected. It is valid until spheres have moved too far.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub(super) struct Chosen {
     /// Where the spheres were when the active set was selected.
     pub references: Vec<Reference>,
@@ -112,6 +114,7 @@ pub(super) struct Chosen {
 }
 
 /// Bounds on the motion of a body's vertices in a step, and on the spheres that reach them.
+#[derive(Clone)]
 pub(super) struct StepBounds {
     /// Bodies whose spheres can reach it.
     pub reachable: Vec<Neighbour>,

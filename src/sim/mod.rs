@@ -5,6 +5,7 @@
 //! | the world and its step | `world` |
 //! | the state of one body and how a step advances it | `body`, `advance` |
 //! | the bodies that are not at rest | `active_set` |
+//! | how many frames a step of the integrator spans | `stride` |
 //! | per-vertex state beyond the motion that all vertices share | `deformation` |
 //! | what acts on vertices, one file per force term | `terms` |
 //! | the frame of a body during a step, and the frames of all moving bodies | `track`, `tracks` |
@@ -70,6 +71,7 @@ pub mod simulation;
 mod span;
 mod stages;
 mod state;
+mod stride;
 mod terms;
 mod track;
 mod tracks;

@@ -17,7 +17,6 @@ use super::{
     events::{Event, PairTracks, Search},
     neighbours::{FatBounds, Neighbour},
     reach::{Ball, Grid},
-    report::StepReport,
     span::Span,
     terms::spheres,
     track::Track,
@@ -28,7 +27,7 @@ use crate::{model::phase::Phase, scene::Scene};
 
 /// How far a body may move before its neighbours are searched for again [radii].
 const SKIN: f64 = 0.25;
-/// Number of steps ahead that the next phase change of a pair is searched for.
+/// The next phase change of a pair is searched for up to a multiple of this number of frames.
 const AHEAD: f64 = 16.0;
 /// Largest number of steps for which fat bounds are valid.
 const MAX_STAY: f64 = 256.0;
@@ -183,7 +182,7 @@ impl Pairs {
     fn place(&mut self, of: &mut Surrounded<'_>, i: usize, vertices: f64, t: f64) {
         let scene = of.scene;
         let (this, track) = (&scene.bodies[i], of.tracks.track(i));
-        let (skin, until) = stay(track, SKIN * this.radius, t, scene.dt);
+        let (skin, until) = stay(track, SKIN * this.radius, t, of.tracks.stride());
         let merging = self.max_merge_at * this.radius;
         let reach = scene.influence.sphere_radius(this.radius).max(vertices).max(merging) + skin;
         let centre = track.position(t);
@@ -259,7 +258,8 @@ impl Pairs {
         self.pairs.len() as u32 - 1
     }
 
-    /// Finds the exact times at which pairs change phase during `span`; reports them in order of time.
+    /// Finds the exact times at which pairs change phase during `span`: adds them to `events`, the last one first. Their
+    /// step is left open.
     ///
     /// # Errors
     /// If that takes too much work: the pair that took the most.
@@ -267,13 +267,12 @@ impl Pairs {
         &mut self,
         among: Moving<'_>,
         span: Span,
-        report: &mut StepReport,
+        events: &mut Vec<Event>,
     ) -> Result<(), (Stop, [u32; 2])> {
         let Moving { scene, bodies, tracks, work } = among;
-        let StepReport { events, step, .. } = report;
-        let step = *step;
         let tally = Tally::new(work, None);
         let mut busiest = (0, [0, 0]);
+        let ahead = AHEAD * scene.dt * ((span.start / (AHEAD * scene.dt) + 1e-6).floor() + 1.0);
         self.changes.clear();
         self.changed.clear();
         let pairs = &self.pairs;
@@ -295,7 +294,7 @@ impl Pairs {
                 let horizon = match self.is_naive {
                     true => span.end,
                     false if rests() => f64::INFINITY,
-                    false => (span.start + AHEAD * span.length()).min(both.known_until()),
+                    false => ahead.min(both.known_until()),
                 };
                 let mut from = pair.phase;
                 let (a, b, before) = (pair.a, pair.b, tally.done());
@@ -303,7 +302,7 @@ impl Pairs {
                 pair.advance(search, span, horizon, |time, to| {
                     self.changes.push((time, to));
                     let (q, rate) = (both.q(time), both.rate(time));
-                    events.push(Event { time, step, a, b, q, rate, from, to, energy: 0.0 });
+                    events.push(Event { time, step: 0, a, b, q, rate, from, to, energy: 0.0 });
                     from = to;
                 });
                 busiest = busiest.max((tally.done() - before, [a, b]));
@@ -317,6 +316,7 @@ impl Pairs {
             }
         }
         events.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
+        events.reverse();
         Ok(())
     }
 
@@ -342,9 +342,14 @@ impl Pairs {
         self.pairs.capacity() * size_of::<Pair>() + self.free.capacity() * size_of::<u32>() + self.grid.memory()
     }
 
-    /// The sum of the hashes of all pairs that are not apart.
-    pub fn hash(&self) -> u64 {
-        self.hash.get(|| self.pairs.iter().map(Pair::hash).fold(0, u64::wrapping_add))
+    /// The sum of the hashes of all pairs that are not apart at `t`, within the current stride.
+    pub fn hash_at(&self, t: f64) -> u64 {
+        let before = self.hash.get(|| self.pairs.iter().map(Pair::hash).fold(0, u64::wrapping_add));
+        let changed = self.changed.iter().map(|&index| self.get(index)).filter(|pair| !pair.changes.is_empty());
+        changed.fold(before, |sum, pair| {
+            let now = Pair { phase: self.phase_of(pair, t), ..pair.clone() };
+            sum.wrapping_sub(pair.hash()).wrapping_add(now.hash())
+        })
     }
 
     /// The pair with an index.
@@ -361,11 +366,16 @@ impl Pairs {
         &self.changes[pair.changes.start as usize..pair.changes.end as usize]
     }
 
-    /// The phase of a pair from `t` on, within the current step.
+    /// The phase of a pair from `t` on, within the current stride.
     pub fn phase_at(&self, index: u32, t: f64) -> Phase {
-        let changes = self.changes(index);
+        self.phase_of(self.get(index), t)
+    }
+
+    /// Like [`Pairs::phase_at`].
+    pub fn phase_of(&self, pair: &Pair, t: f64) -> Phase {
+        let changes = self.changes_of(pair);
         let passed = changes.partition_point(|&(time, _)| time <= t);
-        changes[..passed].last().map_or(self.get(index).phase, |&(_, phase)| phase)
+        changes[..passed].last().map_or(pair.phase, |&(_, phase)| phase)
     }
 }
 

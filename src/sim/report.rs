@@ -185,7 +185,8 @@ pub struct StepReport {
     /// Energy brought to free bodies in this step, by cause; zero in scenes that are not coupled, and for integrators
     /// without an error estimate.
     pub ledger: Ledger,
-    /// Number of integrator steps: one per body and interval without a jump, plus the substeps of single vertices.
+    /// Number of integrator steps: one per body and interval without a jump, plus the substeps of single vertices. If the
+    /// integrator's steps span several frames, those that end in this one.
     pub substeps: u64,
     /// The largest error of any vertex in this step, as estimated by the integrator [radii of its body]; 0 for
     /// integrators without an error estimate.
@@ -194,19 +195,19 @@ pub struct StepReport {
     pub shortfall: Option<Shortfall>,
     /// Why the run should end here, if it should.
     pub failure: Option<Failure>,
-    /// Number of bodies at rest for the whole step, which were skipped.
+    /// Number of bodies that were at rest for the whole of the integrator's last step, and skipped.
     pub sleeping_bodies: u64,
     /// Time spent in each stage, in the order of [`Stage::ALL`].
     pub timings: [Duration; Stage::ALL.len()],
 }
 
 impl StepReport {
-    /// Clears the report of the previous step.
+    /// Clears the report of the previous step; the bodies at rest are counted at the end of a stride.
     pub(super) fn begin(&mut self, step: u64, time: f64) {
-        let StepReport { events, .. } = self;
-        let mut events = std::mem::take(events);
+        let StepReport { events, sleeping_bodies, .. } = self;
+        let (mut events, sleeping_bodies) = (std::mem::take(events), *sleeping_bodies);
         events.clear();
-        *self = StepReport { step, time, events, ..StepReport::default() };
+        *self = StepReport { step, time, events, sleeping_bodies, ..StepReport::default() };
     }
 }
 

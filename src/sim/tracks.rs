@@ -3,7 +3,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{events::PairTracks, nodes::SAMPLES, span::Span, track::Track};
+use super::{events::PairTracks, nodes::SAMPLES, span::Span, stride::Stride, track::Track};
 use crate::scene::{
     Body, Motion, Path, Scene,
     path::{Bounds, Kinematics, Turns},
@@ -16,6 +16,8 @@ const STILL: u32 = u32::MAX;
 
 /// The tracks of all bodies.
 pub struct Tracks {
+    /// Their stride.
+    stride: Stride,
     /// The path of each body.
     paths: Vec<Path>,
     /// The bodies that move, ascending.
@@ -72,7 +74,7 @@ pub struct Mover {
 
 impl Tracks {
     /// The tracks of a scene before the first step. Free bodies count as fixed, because tracks know no forces.
-    pub fn new(scene: &Scene) -> Tracks {
+    pub(super) fn new(scene: &Scene, stride: Stride) -> Tracks {
         let path = |body: &Body| match &body.motion {
             Motion::Prescribed(path) => path.clone(),
             Motion::Free(free) => Path::Fixed(free.from),
@@ -91,7 +93,7 @@ impl Tracks {
             let path = &paths[body as usize];
             if !path.is_fixed() {
                 *mover = movers.len() as u32;
-                let turns = path.turns(&SAMPLES.map(|theta| theta * scene.dt));
+                let turns = path.turns(&SAMPLES.map(|theta| theta * stride.length));
                 let bounds = Bounds { speed: 0.0, acceleration: 0.0 };
                 let kinematics = [path.at(0.0); 5];
                 movers.push(Mover {
@@ -107,10 +109,15 @@ impl Tracks {
                 });
             }
         }
-        Tracks { paths, movers, motion_bounds, of_body }
+        Tracks { stride, paths, movers, motion_bounds, of_body }
     }
 
-    /// Evaluates the motion of all movers over a step.
+    /// Length of a stride [s].
+    pub fn stride(&self) -> f64 {
+        self.stride.length
+    }
+
+    /// Evaluates the motion of all movers over a stride.
     pub(super) fn follow(&mut self, span: Span) {
         let paths = &self.paths;
         let follow = |track: &mut Mover| {
@@ -223,7 +230,7 @@ mod tests {
     fn tracks_follow_their_paths() {
         for name in ["two", "three", "crowd", "size_ratio"] {
             let scene = Scene::builtin(name).unwrap();
-            let mut tracks = Tracks::new(&scene);
+            let mut tracks = Tracks::new(&scene, Stride { frames: 1, length: scene.dt });
             for step in 0..scene.steps() {
                 let span = Span { start: step as f64 * scene.dt, end: (step + 1) as f64 * scene.dt };
                 tracks.follow(span);

@@ -13,13 +13,14 @@ use pulp::Arch;
 use rayon::prelude::*;
 
 use super::{
-    active_set::ActiveSet,
+    active_set::{self, ActiveSet},
     advance::Context,
     arrays::Vectors,
     body::{Active, Body},
     checksum,
     coupled::{Coupled, member::Member},
     deformation::Now,
+    events::Event,
     free::Ledger,
     integrator::exponential,
     memory::{self, TooLarge},
@@ -27,6 +28,7 @@ use super::{
     report::{Diverged, EditError, Failure, Overworked, Stage, StepReport, Toil},
     span::Span,
     state::State,
+    stride::Stride,
     terms::{self, Moment, Surroundings},
     track::Track,
     tracks::Tracks,
@@ -71,6 +73,15 @@ pub struct World {
     scene: Scene,
     pub(super) options: Options,
     pub(super) step: u64,
+    stride: Stride,
+    /// The awake bodies as they are now, within a stride, once somebody has looked.
+    seen: OnceLock<Vec<Active>>,
+    /// Whether somebody has looked at this frame within a stride …
+    has_looked: AtomicBool,
+    /// … and whether at the last one, and so probably at the next.
+    is_watched: bool,
+    /// Events of this stride that have not been reported yet, the next one last.
+    coming: Vec<Event>,
     pub(super) bodies: Vec<Body>,
     /// Bodies that are not at rest.
     pub(super) actives: ActiveSet,
@@ -114,7 +125,13 @@ impl World {
         let mut pushes = vec![Vec::new(); scene.bodies.len()];
         scene.pushes.iter().for_each(|push| pushes[push.body].push(*push));
         let bodies = pushes.into_iter().enumerate().map(|(index, pushes)| Body::new(&scene, index, pushes)).collect();
+        let stride = Stride::of(&scene);
         let mut world = World {
+            stride,
+            seen: OnceLock::new(),
+            has_looked: AtomicBool::new(false),
+            is_watched: false,
+            coming: Vec::new(),
             coupled: None,
             ledger: Ledger::default(),
             first_energy: 0.0,
@@ -122,14 +139,14 @@ impl World {
             step: 0,
             bodies,
             actives: ActiveSet::new(options.arch),
-            tracks: Tracks::new(&scene),
+            tracks: Tracks::new(&scene, stride),
             pairs: Pairs::default(),
             woken: Vec::new(),
             starts: terms::starts(&scene),
             started: 0,
             vertices: scene.vertex_count(),
             work: Work::new(options.interrupt),
-            report: StepReport::default(),
+            report: StepReport { sleeping_bodies: scene.bodies.len() as u64, ..StepReport::default() },
             options,
             scene,
         };
@@ -187,6 +204,9 @@ impl World {
 
     /// Advances the world by one step of the scene's Δt and reports what happened.
     ///
+    /// Where the motion and the tolerance permit it, the integrator's own steps span several of these. Then its work is done
+    /// in the last of them, and in the others by whoever looks at a body.
+    ///
     /// A step that is not completed ([`Failure::Overworked`], [`Failure::Interrupted`]) does not count as taken: from
     /// then on the state is meaningless and the world takes no further step.
     pub fn step(&mut self) -> &StepReport {
@@ -195,21 +215,56 @@ impl World {
         }
         let span = Span { start: self.time(), end: self.time_of(self.step + 1) };
         self.report.begin(self.step + 1, span.end);
-        self.work.begin(self.vertices);
         if let Err(failure) = self.take_step(span) {
             self.report.failure = Some(failure);
         }
         &self.report
     }
 
-    fn take_step(&mut self, span: Span) -> Result<(), Failure> {
+    fn take_step(&mut self, frame: Span) -> Result<(), Failure> {
         if let Some(coupled) = &mut self.coupled {
-            let diverged = coupled.step(&self.scene, span, &mut self.work, &mut self.report)?;
+            self.work.begin(self.vertices, 1);
+            let diverged = coupled.step(&self.scene, frame, &mut self.work, &mut self.report)?;
             self.step += 1;
             self.ledger += self.report.ledger;
             self.report.failure = diverged.map(|body| self.divergence(body).into());
             return Ok(());
         }
+        if self.step != self.stored_at() {
+            self.seen.take();
+            self.is_watched = std::mem::take(self.has_looked.get_mut());
+        }
+        let stride = self.stride_span();
+        if self.step == self.stored_at() {
+            self.begin_stride(stride)?;
+        }
+        if self.step + 1 < self.stored_at() + self.stride.frames {
+            if self.work.is_interrupted() {
+                return Err(Failure::Interrupted { step: self.step + 1 });
+            }
+            self.step += 1;
+            self.report_events(frame.end);
+            if self.is_watched {
+                let ready = Instant::now();
+                self.seen = OnceLock::from(self.within_stride(true));
+                self.report.timings[Stage::Integrate as usize] = ready.elapsed();
+            }
+            return Ok(());
+        }
+        let ready = Instant::now();
+        let sum = self.integrate(stride)?;
+        self.report_events(f64::INFINITY);
+        self.step += 1;
+        self.pairs.enter_phases();
+        self.finish(&sum);
+        self.sleep(&sum, stride);
+        self.report.timings[Stage::Integrate as usize] = ready.elapsed();
+        Ok(())
+    }
+
+    /// Finds what can happen in a stride.
+    fn begin_stride(&mut self, span: Span) -> Result<(), Failure> {
+        self.work.begin(self.vertices, self.stride.frames);
         let start = Instant::now();
         self.broad_phase(span)?;
         let followed = Instant::now();
@@ -217,17 +272,28 @@ impl World {
         let found = Instant::now();
         self.wake(span);
         self.find_bounds(span)?;
-        let ready = Instant::now();
-        let sum = self.integrate(span)?;
-        self.step += 1;
-        self.pairs.enter_phases();
-        self.finish(&sum);
-        self.sleep(&sum, span);
-        let end = Instant::now();
-        self.report.timings[Stage::Reach as usize] = (followed - start) + (ready - found);
+        self.report.timings[Stage::Reach as usize] = (followed - start) + found.elapsed();
         self.report.timings[Stage::Events as usize] = found - followed;
-        self.report.timings[Stage::Integrate as usize] = end - ready;
         Ok(())
+    }
+
+    /// The number of frames as of which the states of awake bodies are stored: those before the stride.
+    fn stored_at(&self) -> u64 {
+        self.step - self.step % self.stride.frames
+    }
+
+    /// The stride that the next frame belongs to.
+    fn stride_span(&self) -> Span {
+        let start = self.stored_at();
+        Span { start: self.time_of(start), end: self.time_of(start + self.stride.frames) }
+    }
+
+    /// Reports the events of the stride up to `time` [s].
+    fn report_events(&mut self, time: f64) {
+        let StepReport { events, step, .. } = &mut self.report;
+        while let Some(event) = self.coming.pop_if(|event| event.time <= time) {
+            events.push(Event { step: *step, ..event });
+        }
     }
 
     /// Bounds the motion of moving bodies during `span` and finds which bodies they come near.
@@ -240,11 +306,11 @@ impl World {
 
     /// Finds the exact times at which pairs change phase during `span`.
     fn find_events(&mut self, span: Span) -> Result<(), Failure> {
-        let World { scene, bodies, tracks, pairs, report, work, .. } = self;
-        let found = pairs.find_events(Moving { scene, bodies, tracks, work }, span, report);
+        let World { scene, bodies, tracks, pairs, coming, work, .. } = self;
+        let found = pairs.find_events(Moving { scene, bodies, tracks, work }, span, coming);
         found.map_err(|(stop, pair)| {
             let [a, b] = pair.map(|body| self.scene.bodies[body as usize].name.clone());
-            self.failure(stop, Toil::Events { a, b, found: self.report.events.len() })
+            self.failure(stop, Toil::Events { a, b, found: self.coming.len() })
         })
     }
 
@@ -361,16 +427,46 @@ impl World {
 
     /// What stepping a body reads.
     pub(super) fn reading(&self) -> Context<'_> {
-        let World { scene, bodies, tracks, pairs, options, step, work, .. } = self;
+        self.reading_frames(self.stride.frames, &self.work)
+    }
+
+    /// What advancing a body over the first `frames` of the stride reads.
+    fn reading_frames<'a>(&'a self, frames: u64, work: &'a Work) -> Context<'a> {
+        let World { scene, bodies, tracks, pairs, options, stride, .. } = self;
         let Options { skip, arch, .. } = *options;
-        Context { scene, bodies, pairs, tracks, arch, skip, step: *step, work }
+        Context { scene, bodies, pairs, tracks, arch, skip, step: self.stored_at(), frames, stride: *stride, work }
+    }
+
+    /// The awake bodies as they are now.
+    fn awake_now(&self) -> &[Active] {
+        if self.step == self.stored_at() {
+            return self.actives.awake();
+        }
+        self.has_looked.store(true, Ordering::Relaxed);
+        // Not in parallel: a thread that waits here for others could take up a task that also looks at this world.
+        self.seen.get_or_init(|| self.within_stride(false))
+    }
+
+    /// The awake bodies as they are now, within a stride: advanced from its start, like its own step advances them to its
+    /// end. If that exceeds the work limit of the stride, as its own step then does, they are those at its start.
+    fn within_stride(&self, is_parallel: bool) -> Vec<Active> {
+        let mut seen = self.actives.awake().to_vec();
+        let mut work = self.work.once_more();
+        work.begin_turns(seen.len());
+        let context = self.reading_frames(self.step - self.stored_at(), &work);
+        let span = Span { start: self.stride_span().start, end: self.time() };
+        let is_worth_threads = is_parallel && is_worth_threads(&seen);
+        each(&mut seen, is_worth_threads, |turn, active| context.advance(active, turn, span));
+        if work.check().is_ok() { seen } else { self.actives.awake().to_vec() }
     }
 
     /// What stepping a body reads, and the awake bodies.
     fn context(&mut self) -> (Context<'_>, &mut [Active]) {
-        let World { scene, bodies, tracks, pairs, options, step, actives, work, .. } = self;
-        let Options { skip, arch, .. } = *options;
-        (Context { scene, bodies, pairs, tracks, arch, skip, step: *step, work }, actives.awake_mut())
+        let step = self.stored_at();
+        let World { scene, bodies, tracks, pairs, options, stride, actives, work, .. } = self;
+        let (Options { skip, arch, .. }, stride) = (*options, *stride);
+        let frames = stride.frames;
+        (Context { scene, bodies, pairs, tracks, arch, skip, step, frames, stride, work }, actives.awake_mut())
     }
 
     /// Integrates the equation of motion of every awake body.
@@ -398,8 +494,8 @@ impl World {
     /// Sums the results of the step over all awake bodies.
     fn sum(&self) -> Sum {
         let actives = self.actives.awake();
-        let scene = &self.scene;
-        let add = |sum: Sum, active: &Active| sum.and(Sum::of(active, scene));
+        let (scene, h) = (&self.scene, self.stride.length);
+        let add = |sum: Sum, active: &Active| sum.and(Sum::of(active, scene, h));
         if actives.len() >= PARALLEL_BODIES {
             let chunks = actives.par_iter().with_min_len(256);
             chunks.fold(Sum::default, add).reduce(Sum::default, Sum::and)
@@ -422,10 +518,12 @@ impl World {
         if !self.options.skip || !sum.any_idle {
             return;
         }
-        let World { scene, bodies, tracks, pairs, options, step, actives, work, .. } = self;
-        let Options { skip, arch, .. } = *options;
+        let step = self.stored_at();
+        let World { scene, bodies, tracks, pairs, options, stride, actives, work, .. } = self;
+        let (Options { skip, arch, .. }, stride) = (*options, *stride);
+        let frames = stride.frames;
         actives.sleep(bodies, |bodies, active| {
-            let context = Context { scene, bodies, pairs, tracks, arch, skip, step: *step, work };
+            let context = Context { scene, bodies, pairs, tracks, arch, skip, step, frames, stride, work };
             active.statistics.substeps == 0 && active.bounds.may_sleep && context.own_force(active.body, span) == 0.0
         });
     }
@@ -490,14 +588,14 @@ struct Sum {
 }
 
 impl Sum {
-    fn of(active: &Active, scene: &Scene) -> Sum {
+    fn of(active: &Active, scene: &Scene, h: f64) -> Sum {
         let statistics = active.statistics;
         let is_idle = statistics.substeps == 0;
         Sum {
             stepped: u64::from(!is_idle),
             substeps: statistics.substeps,
             error: f64::max(0.0, statistics.error / scene.bodies[active.body as usize].radius),
-            shortfall: shortfall(active, scene),
+            shortfall: shortfall(active, scene, h),
             work: statistics.work,
             base: statistics.base,
             vertices: active.state.deformation.active_set.vertices.len() as u64,
@@ -522,9 +620,9 @@ impl Sum {
 }
 
 /// The error of a body's step, if it exceeds the tolerance because steps cannot be made shorter.
-fn shortfall(active: &Active, scene: &Scene) -> Option<Shortfall> {
+fn shortfall(active: &Active, scene: &Scene, h: f64) -> Option<Shortfall> {
     let body = active.body as usize;
-    let (allowed, excess) = (scene.tolerance * scene.dt, active.statistics.excess / scene.bodies[body].radius);
+    let (allowed, excess) = (scene.tolerance * h, active.statistics.excess / scene.bodies[body].radius);
     (excess > 0.0).then_some(Shortfall { body, error: allowed + excess, allowed })
 }
 
@@ -572,7 +670,7 @@ impl World {
         if let Some(coupled) = &self.coupled {
             return checksum::of_world(self.step, coupled.hash());
         }
-        checksum::of_world(self.step, self.actives.hash().wrapping_add(self.pairs.hash()))
+        checksum::of_world(self.step, self.actives.hash(self.awake_now()).wrapping_add(self.pairs.hash_at(self.time())))
     }
 
     /// Number of bodies.
@@ -608,7 +706,11 @@ impl World {
     }
 
     fn active(&self, index: usize) -> Option<&Active> {
-        self.actives.get(&self.bodies[index])
+        let body = &self.bodies[index];
+        match body.active {
+            Some(slot) if self.actives.is_awake(body) => self.awake_now().get(slot as usize),
+            _ => self.actives.get(body),
+        }
     }
 
     /// The options of this world.
@@ -620,6 +722,7 @@ impl World {
     pub fn memory(&self) -> usize {
         self.bodies.iter().map(Body::memory).sum::<usize>()
             + self.actives.memory()
+            + self.seen.get().map_or(0, active_set::memory)
             + self.bodies.capacity() * size_of::<Body>()
             + self.pairs.memory()
             + self.tracks.memory()
@@ -644,7 +747,7 @@ impl World {
         self.known_pairs()
             .map(move |pair| {
                 let q = self.tracks.pair(pair.a, pair.b).q(time);
-                PairView { a: pair.a as usize, b: pair.b as usize, q, phase: pair.phase }
+                PairView { a: pair.a as usize, b: pair.b as usize, q, phase: self.pairs.phase_of(pair, time) }
             })
             .chain(coupled)
             .filter(|pair| pair.phase != Phase::Apart || pair.q <= self.reach_of(pair.a, pair.b))
@@ -666,7 +769,8 @@ impl World {
 
     /// Bodies and phase of every pair that may not be apart.
     pub(super) fn phases(&self) -> impl Iterator<Item = (usize, usize, Phase)> + '_ {
-        self.known_pairs().map(|pair| (pair.a as usize, pair.b as usize, pair.phase))
+        let time = self.time();
+        self.known_pairs().map(move |pair| (pair.a as usize, pair.b as usize, self.pairs.phase_of(pair, time)))
     }
 
     /// The q up to which one of two bodies can have vertices inside the other's influence sphere, or the two can merge
@@ -689,7 +793,7 @@ impl World {
         }
         let neighbours = &self.bodies[a].neighbours;
         let found = neighbours.binary_search_by_key(&(b as u32), |neighbour| neighbour.other);
-        found.map_or(Phase::Apart, |index| self.pairs.get(neighbours[index].pair).phase)
+        found.map_or(Phase::Apart, |index| self.pairs.phase_at(neighbours[index].pair, self.time()))
     }
 
     /// What acts on body `index` in the current state, except its own oscillators.

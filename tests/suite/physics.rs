@@ -381,6 +381,7 @@ fn still_company(weight: &str, damping: f64, divided: f64) -> World {
     let text = format!(
         r#"
 duration = 4.0
+tolerance = 1.0 # steps of dt
 [material]
 omega = 12.0
 damping = {damping}
@@ -470,9 +471,9 @@ fn energy_never_grows_with_damping() {
 /// A single body with additional `lines`, simulated for 3 s with steps of dt / `divided`.
 fn lone(lines: &str, divided: u64) -> World {
     let mut scene = scene(&format!(
-        "duration = 3.0\n[[body]]\nname = \"a\"\nradius = 0.7\nshape = {{ sphere = {{ stacks = 3, slices = 4 }} }}\n{lines}\n"
+        "duration = 3.0\ntolerance = 1.0\n[[body]]\nname = \"a\"\nradius = 0.7\nshape = {{ sphere = {{ stacks = 3, slices = 4 }} }}\n{lines}\n"
     ));
-    scene.dt /= divided as f64;
+    scene.dt /= divided as f64; // and so are the steps, because the tolerance leaves errors to them
     World::new(scene).expect("enough memory")
 }
 

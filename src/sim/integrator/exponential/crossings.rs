@@ -12,7 +12,7 @@ use super::{
     course::Course,
     lanes::{LANES, Mask, Reals, Vector},
     series::{LONGEST, Series, weigh},
-    step::{MAX_SWEEPS, SMOOTHNESS, Step, has_kink, left_out, usual},
+    step::{LEFT_OUT, MAX_SWEEPS, SMOOTHNESS, Step, UNSETTLED, has_kink, left_out, usual},
     together::{Outcomes, RESULTS},
     weights::{ASIDE, BEND_ASIDE, Polynomials, quartic_through},
     work_of,
@@ -604,7 +604,7 @@ impl<S: Simd> Batch<'_, S> {
         let wanted = h * self.tolerance;
         let constant = (h * h) * last.j[2];
         let gain = constant + h * self.whole.weights.swing;
-        let left = stiffness * constant * gain;
+        let left = stiffness * constant * (gain * UNSETTLED);
         let enough = wanted * 0.25;
         let mut unsettled = Reals::splat(simd, f64::INFINITY);
         let mut settled = pending.negated();
@@ -670,7 +670,7 @@ impl<S: Simd> Batch<'_, S> {
             let all = left_out(simd, self.course.body().material, h, stiffness, [bent, skew]);
             effect = needs_more.select(all * gain, effect);
         }
-        part.error = unsettled + effect;
+        part.error = unsettled + effect * LEFT_OUT;
     }
 }
 

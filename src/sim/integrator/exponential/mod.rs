@@ -126,8 +126,8 @@ pub fn work_of(vertices: usize, spheres: usize, pushes: usize) -> u64 {
     vertices as u64 * (FORCES * (1 + spheres as u64) + pushes as u64)
 }
 
-/// Advances the shared motion of a body's vertices, and the vertices in its active set, over `course`, in steps of the
-/// scene halved `halvings` times. Adjusts `halvings` to the number of vertices for which the steps were too long or
+/// Advances the shared motion of a body's vertices, and the vertices in its active set, over `course`, in strides
+/// halved `halvings` times. Adjusts `halvings` to the number of vertices for which the steps were too long or
 /// would be if they were longer; vertices on which nothing acts do not count.
 pub fn advance(
     course: &Course<'_>,
@@ -141,8 +141,8 @@ pub fn advance(
     scratch.count_near = *halvings > 0;
     let steps = match *halvings {
         0 => 1.0,
-        // a part of a step of the scene is already shorter by this ratio
-        halvings => (f64::from(1 << halvings) * (course.length / course.scene.dt)).ceil(),
+        // a part of a stride is already shorter by this ratio
+        halvings => (f64::from(1 << halvings) * (course.length / course.tracks.stride())).ceil(),
     };
     scratch.max_steps = (single::MAX_STEPS / steps as u32).max(MIN_STEPS);
     let length = course.length / steps;
@@ -256,6 +256,7 @@ fn step_active_set(
         error: 0.0,
         excess: 0.0,
     };
+    single.begin();
     let has_kink = step::has_kink(course.weight());
     let count = active_set.vertices.len();
     for group in &outcomes.groups {
@@ -270,11 +271,14 @@ fn step_active_set(
             let vertex = Vertex { rest: active_set.rest(i), local: course.local(i) };
             let forces = FORCES.map(|node| outcomes.results.get(node, i));
             let end = active_set.state(i);
-            let outcome = Outcome { end, forces, bend: outcomes.results.get(BEND, i), error: outcomes.error[i] };
+            let (error, bend) = (outcomes.error[i], outcomes.results.get(BEND, i));
+            let outcome = Outcome { end, forces, bend, error, bent: error };
             let [x, u] = START.map(|k| outcomes.results.get(k, i));
             let start = State { x, u };
-            statistics.hard += u64::from(!(outcome.error <= wanted));
+            // one more step for a rim is no sign that the steps are too long
+            let expected = alone.substeps + u64::from(outcome.error <= wanted);
             let end = alone.advance((vertex, inside), start, outcome, known, single);
+            statistics.hard += alone.substeps.saturating_sub(expected);
             active_set.set_state(i, end);
         }
     }

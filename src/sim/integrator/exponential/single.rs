@@ -6,7 +6,7 @@ use pulp::Scalar;
 
 use super::{
     course::Course,
-    lanes::{LANES, Vector},
+    lanes::{LANES, Reals, Vector},
     rim::{self, Motion, Rim, Unresolved},
     step::{Collocated, Group, Outcome, Pull, SHORTER, Step, Trajectories, Vertex, is_sampled_aside},
     weights::{Dense, KnownWeights, Stage, Weights},
@@ -21,11 +21,13 @@ use crate::{
     },
 };
 
-/// Upper limit on the steps of a vertex in one step of the scene. The rest is then taken in a single step, unchecked
+/// Upper limit on the steps of a vertex in one stride. The rest is then taken in a single step, unchecked
 /// but bounded. After half of them the acceptable error grows: it doubles with each of `DOUBLINGS` equal shares of the
 /// others.
 pub const MAX_STEPS: u32 = 3072;
 const DOUBLINGS: u32 = 32;
+/// Number of halves, quarters, … of an interval that are kept for other vertices.
+const MAX_HALVED: usize = 64;
 
 /// Work of preparing a step of one vertex by polynomials, …
 const STEP: u64 = 60;
@@ -42,10 +44,21 @@ const SAMPLE_EXACTLY: u64 = 120;
 #[derive(Default)]
 pub struct Scratch {
     part: Step,
+    /// Halves, quarters, … of the interval, prepared once for all vertices that take them …
+    halved: Vec<Step>,
+    /// … and how many of them belong to this interval.
+    prepared: usize,
     /// Remaining parts of the interval as (start, length) [s], the next one last.
     left: Vec<(f64, f64)>,
     pulls: Vec<Pull>,
     inside: Vec<u64>,
+}
+
+impl Scratch {
+    /// Begins an interval.
+    pub fn begin(&mut self) {
+        self.prepared = 0;
+    }
 }
 
 /// The spheres that contain a vertex throughout a step, one bit each, if the weight has a kink at their rims. Otherwise the
@@ -92,19 +105,21 @@ impl Single<'_> {
         scratch: &mut Scratch,
     ) -> State {
         let course = self.course;
-        let Scratch { part, left, pulls, inside: spheres } = scratch;
+        let Scratch { part, halved, prepared, left, pulls, inside: spheres } = scratch;
         let has_kink = inside.is_some();
         spheres.clear();
         spheres.extend_from_slice(inside.unwrap_or_default());
         let (mut start, mut h) = (course.start, course.length);
         let (mut is_whole, mut error, mut excess, mut steps) = (true, 0.0, 0.0, 1);
+        // the index of the step in `halved`, if it is not `part`
+        let mut shared: Option<usize> = None;
         // steps longer than this are not worth trying, because one was not accurate enough
         let mut longest = f64::INFINITY;
         left.clear();
         // the sphere at whose rim a step starts because the previous one ended there
         let mut crossed = None;
         loop {
-            let step = if is_whole { self.whole } else { &*part };
+            let step = if is_whole { self.whole } else { shared.map_or(&*part, |index| &halved[index]) };
             let (middle, end) = (start + 0.5 * h, start + h);
             let wanted = self.wanted(h, steps);
             let inside = has_kink.then_some(&**spheres);
@@ -141,7 +156,7 @@ impl Single<'_> {
                 state = outcome.end;
                 error += outcome.error;
                 // at sixth order, a step of twice the length would still meet the tolerance
-                let is_easy = SHORTER * outcome.error <= wanted;
+                let is_easy = SHORTER * outcome.bent <= wanted && outcome.error <= wanted;
                 longest = if is_easy { longest.max(2.0 * h) } else { longest };
             }
             if is_accepted && !(outcome.error <= self.tolerance * h) {
@@ -159,7 +174,7 @@ impl Single<'_> {
                 break;
             }
             (start, h) = next;
-            is_whole = false;
+            (is_whole, shared) = (false, None);
             steps += 1;
             if steps == self.max_steps {
                 let weights = Weights::new(course.oscillator(), course.end() - start, false);
@@ -176,18 +191,25 @@ impl Single<'_> {
                 free(course, state, h)
             } else {
                 // the length of the part beyond a rim does not recur, so its weights are not cached
-                let halved = course.length / h == (course.length / h).round();
-                let once;
+                let is_halved = course.length / h == (course.length / h).round();
                 let is_sampled_aside = is_sampled_aside(course, h, self.tolerance * h);
-                let weights = if halved {
-                    known.get(course.oscillator(), h, is_sampled_aside)
-                } else {
-                    once = Weights::new(course.oscillator(), h, is_sampled_aside);
-                    &once
-                };
-                part.prepare_part(course, self.whole, self.common, start, weights);
+                if is_halved {
+                    shared = halved[..*prepared].iter().position(|step| step.start == start && step.h == h);
+                    if shared.is_none() && *prepared < MAX_HALVED {
+                        let weights = known.get(course.oscillator(), h, is_sampled_aside);
+                        halved.resize_with(halved.len().max(*prepared + 1), Step::default);
+                        halved[*prepared].prepare_part(course, self.whole, self.common, start, weights);
+                        shared = Some(*prepared);
+                        *prepared += 1;
+                    }
+                }
+                if shared.is_none() {
+                    let weights = Weights::new(course.oscillator(), h, is_sampled_aside);
+                    part.prepare_part(course, self.whole, self.common, start, &weights);
+                }
+                let step = shared.map_or(&*part, |index| &halved[index]);
                 let inside = has_kink.then_some(&**spheres);
-                collocate(course, part, (&vertex, inside), state, self.wanted(h, steps), pulls)
+                collocate(course, step, (&vertex, inside), state, self.wanted(h, steps), pulls)
             };
         }
         self.substeps += u64::from(steps - 1);
@@ -339,6 +361,7 @@ fn free(course: &Course<'_>, State { x, u }: State, h: f64) -> Outcome {
         forces: [DVec3::ZERO; 4],
         bend: DVec3::ZERO,
         error: 0.0,
+        bent: 0.0,
     }
 }
 
@@ -364,16 +387,18 @@ fn collocate(
     } else {
         Group::<_, 1, 6>::new(simd, course, step, rest, local, pulls).collocate(x, u, wanted)
     };
-    let Collocated { x, u, forces, bend, error } = end;
+    let Collocated { x, u, forces, bend, error, bent } = end;
+    let only = |values: Reals<Scalar, 1>| {
+        let mut only = [0.0];
+        values.store(&mut only, 0);
+        only[0]
+    };
     Outcome {
         end: State { x: first(x), u: first(u) },
         forces: forces.map(first),
         bend: first(bend),
-        error: {
-            let mut only = [0.0];
-            error.store(&mut only, 0);
-            only[0]
-        },
+        error: only(error),
+        bent: only(bent),
     }
 }
 

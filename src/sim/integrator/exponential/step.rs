@@ -70,6 +70,11 @@ pub struct Step {
 /// Factor from the number of the force's time scales that pass in a step to the fraction of the residual that counts,
 /// see `roughness` of [`Group`].
 pub const SMOOTHNESS: f64 = 0.5;
+/// Factor from the bound on what a correction leaves to what it usually leaves, and …
+pub const UNSETTLED: f64 = 0.1;
+/// … from the bound on the error of the interpolated force to the usual error: 0.15 to 0.4 over the vertices of the
+/// reference scenes.
+pub const LEFT_OUT: f64 = 0.3;
 /// Relative error after a few roundings.
 const ROUNDING: f64 = 8.0 * f64::EPSILON;
 
@@ -117,6 +122,8 @@ pub struct Outcome {
     pub bend: DVec3,
     /// Estimated error of the displacement caused by the step [scene unit].
     pub error: f64,
+    /// The part of it that a shorter step would reduce: the rest is what corrections left, as much as was allowed.
+    pub bent: f64,
 }
 
 /// Vertices that take a step together, and the influences on them. `SAMPLES` is the number of their rest positions: one
@@ -149,6 +156,8 @@ pub struct Collocated<S: Simd, const W: usize> {
     pub bend: Vector<S, W>,
     /// Estimated error of the displacement caused by the step [scene unit].
     pub error: Reals<S, W>,
+    /// See [`Outcome::bent`].
+    pub bent: Reals<S, W>,
 }
 
 /// `flow + Σ wᵢ fᵢ`, the response to the forces at the first `N` nodes.
@@ -293,7 +302,7 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
         }
         // Effect of a force error on the displacement, now or after the oscillator has converted the velocity.
         let gain = weights.gain();
-        let left = stiffness * (weights.constant.abs() * gain);
+        let left = stiffness * (UNSETTLED * weights.constant.abs() * gain);
         let enough = Reals::splat(simd, 0.25 * wanted);
         let mut unsettled = Reals::splat(simd, f64::INFINITY);
         let mut settled = Mask::none(simd);
@@ -341,12 +350,14 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
                 effect = is_quick.or(is_near.and(is_bent)).select(all, effect);
             }
         }
+        let bent = effect * (LEFT_OUT * gain);
         Collocated {
             x: end,
             u: respond(x * weights.ux + u * weights.uu, &weights.velocity, &forces),
             forces,
             bend,
-            error: unsettled + effect * gain,
+            error: unsettled + bent,
+            bent,
         }
     }
 
@@ -459,7 +470,7 @@ impl Step {
         self.noise = self.rounding(course);
     }
 
-    /// Samples a whole step of the scene, for which the tracks hold samples.
+    /// Samples a whole stride, for which the tracks hold samples.
     fn sample_whole(&mut self, course: &Course<'_>) {
         let own = course.tracks.kinematics(course.index);
         for (moment, own) in self.moments.iter_mut().zip(&own) {

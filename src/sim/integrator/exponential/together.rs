@@ -182,7 +182,14 @@ impl Together<'_> {
                 // a constant unit force adds S(h) to the velocity, as a unit velocity adds to the displacement
                 (x1, u1) = (x1 + local * weights.constant, u1 + local * last.xu);
             }
-            Collocated { x: x1, u: u1, forces: [local; 4], bend: zero, error: Reals::splat(simd, 0.0) }
+            Collocated {
+                x: x1,
+                u: u1,
+                forces: [local; 4],
+                bend: zero,
+                error: Reals::splat(simd, 0.0),
+                bent: Reals::splat(simd, 0.0),
+            }
         } else {
             let group = Group::<S, W, SAMPLES>::new(simd, course, step, rest, local, &*self.pulls);
             group.collocate(x, u, self.wanted)
@@ -205,7 +212,7 @@ impl Together<'_> {
         let outcomes = &mut *self.outcomes;
         if self.count_near {
             let mut errors = [0.0; LANES];
-            end.error.store(&mut errors, 0);
+            end.bent.store(&mut errors, 0);
             for error in &errors[..Reals::<S, W>::COUNT.min(self.active_set.vertices.len() - first)] {
                 outcomes.near += u64::from(!(error * SHORTER <= self.wanted));
             }
