@@ -186,7 +186,7 @@ pub struct StepReport {
     /// without an error estimate.
     pub ledger: Ledger,
     /// Number of integrator steps: one per body and interval without a jump, plus the substeps of single vertices. If the
-    /// integrator's steps span several frames, those that end in this one.
+    /// integrator's steps span several frames, its last steps are spread over the frame in which they end and the next.
     pub substeps: u64,
     /// The largest error of any vertex in this step, as estimated by the integrator [radii of its body]; 0 for
     /// integrators without an error estimate.
@@ -202,12 +202,12 @@ pub struct StepReport {
 }
 
 impl StepReport {
-    /// Clears the report of the previous step; the bodies at rest are counted at the end of a stride.
+    /// Clears the report of the previous step, but for what is known only at the end of a stride.
     pub(super) fn begin(&mut self, step: u64, time: f64) {
-        let StepReport { events, sleeping_bodies, .. } = self;
-        let (mut events, sleeping_bodies) = (std::mem::take(events), *sleeping_bodies);
+        let StepReport { events, error, sleeping_bodies, .. } = self;
+        let (mut events, error, sleeping_bodies) = (std::mem::take(events), *error, *sleeping_bodies);
         events.clear();
-        *self = StepReport { step, time, events, sleeping_bodies, ..StepReport::default() };
+        *self = StepReport { step, time, events, error, sleeping_bodies, ..StepReport::default() };
     }
 }
 

@@ -80,6 +80,8 @@ pub struct World {
     has_looked: AtomicBool,
     /// … and whether at the last one, and so probably at the next.
     is_watched: bool,
+    /// Steps of the integrator that are still to be reported.
+    unreported: u64,
     /// Events of this stride that have not been reported yet, the next one last.
     coming: Vec<Event>,
     pub(super) bodies: Vec<Body>,
@@ -131,6 +133,7 @@ impl World {
             seen: OnceLock::new(),
             has_looked: AtomicBool::new(false),
             is_watched: false,
+            unreported: 0,
             coming: Vec::new(),
             coupled: None,
             ledger: Ledger::default(),
@@ -224,6 +227,7 @@ impl World {
     fn take_step(&mut self, frame: Span) -> Result<(), Failure> {
         if let Some(coupled) = &mut self.coupled {
             self.work.begin(self.vertices, 1);
+            self.report.error = 0.0;
             let diverged = coupled.step(&self.scene, frame, &mut self.work, &mut self.report)?;
             self.step += 1;
             self.ledger += self.report.ledger;
@@ -244,6 +248,7 @@ impl World {
             }
             self.step += 1;
             self.report_events(frame.end);
+            self.report_substeps(self.stored_at() + self.stride.frames - self.step);
             if self.is_watched {
                 let ready = Instant::now();
                 self.seen = OnceLock::from(self.within_stride(true));
@@ -286,6 +291,12 @@ impl World {
     fn stride_span(&self) -> Span {
         let start = self.stored_at();
         Span { start: self.time_of(start), end: self.time_of(start + self.stride.frames) }
+    }
+
+    /// Reports an equal share of the integrator's steps for this frame and those up to the last of the next stride.
+    fn report_substeps(&mut self, frames: u64) {
+        self.report.substeps = self.unreported.div_ceil(frames);
+        self.unreported -= self.report.substeps;
     }
 
     /// Reports the events of the stride up to `time` [s].
@@ -506,7 +517,8 @@ impl World {
 
     /// Writes the results of the step to the report, and whether it led to an invalid state.
     fn finish(&mut self, sum: &Sum) {
-        self.report.substeps = sum.substeps;
+        self.unreported += sum.substeps;
+        self.report_substeps(self.stride.frames);
         self.report.error = sum.error;
         self.report.shortfall = sum.shortfall;
         self.report.sleeping_bodies = self.bodies.len() as u64 - sum.stepped;
