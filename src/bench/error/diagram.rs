@@ -74,7 +74,7 @@ pub fn svg(reports: &[Report], machine: &Machine) -> Result<String, String> {
         title: &title,
         heading: [
             "Lower is more accurate, left is faster. Each point halves the step of the previous one; a ring marks the scene’s own.",
-            "Stars: the scene’s own step, divided where the tolerance requires it; each star has a tighter tolerance.",
+            "Stars: steps as long as the tolerance permits; each star has a tighter tolerance.",
         ],
         notes: &notes.iter().map(String::as_str).collect::<Vec<_>>(),
     };

@@ -29,6 +29,9 @@
 //! | the world: broad phase, events, timers | 3,700 | 28,000 | 1,900 |
 //! | all | 45,900 | 282,900 | 17,700 |
 //!
+//! These are steps of one frame. In strides of two, which the default tolerance permits, with the error estimates of
+//! [`step`] and rims side by side, the runs take 0.61, 0.65 and 0.71 of the instructions that they took without these.
+//!
 //! A scheme with half as many force evaluations would therefore save little. Three Lobatto nodes instead of four were
 //! tried, with a fourth force as a check that falls back to full order: they saved 5 to 8 %, with errors of 1e-7 to
 //! 7e-7 R at a tolerance of 1e-6, and the kernels took many times as long to compile. Using the slope of the forces at
