@@ -21,8 +21,8 @@
 //!
 //! **Error against run time** (`bench error`): every integrator over a range of step sizes, compared with an
 //! independent solution by extrapolation that shares no code with the integrators. The table shows the largest error
-//! over time and vertices at the scene's own Δt (`exponential` in fixed steps of that length), in radii, against a solution accurate to 1e-13 (`bench error
-//! tests/reference/*.toml`):
+//! over time and vertices at the scene's own Δt (`exponential` in fixed steps of that length), in radii, against a
+//! solution accurate to 1e-13 (`bench error tests/reference/*.toml`):
 //!
 //! | scene (`tests/reference/`) | thesis | mps | euler | verlet | rk4 | exponential |
 //! | --- | --- | --- | --- | --- | --- | --- |

@@ -188,7 +188,7 @@ pub struct StepReport {
     /// Number of integrator steps: one per body and interval without a jump, plus the substeps of single vertices. If the
     /// integrator's steps span several frames, its last steps are spread over the frame in which they end and the next.
     pub substeps: u64,
-    /// The largest error of any vertex in this step, as estimated by the integrator [radii of its body]; 0 for
+    /// The largest error of any vertex in the integrator's last step, as estimated by it [radii of its body]; 0 for
     /// integrators without an error estimate.
     pub error: f64,
     /// Where the error exceeds the tolerance because steps cannot be made shorter.

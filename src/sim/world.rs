@@ -227,7 +227,7 @@ impl World {
     fn take_step(&mut self, frame: Span) -> Result<(), Failure> {
         if let Some(coupled) = &mut self.coupled {
             self.work.begin(self.vertices, 1);
-            self.report.error = 0.0;
+            self.report.error = 0.0; // it becomes the largest of this step
             let diverged = coupled.step(&self.scene, frame, &mut self.work, &mut self.report)?;
             self.step += 1;
             self.ledger += self.report.ledger;

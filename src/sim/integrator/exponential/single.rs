@@ -195,17 +195,22 @@ impl Single<'_> {
                 let is_sampled_aside = is_sampled_aside(course, h, self.tolerance * h);
                 if is_halved {
                     shared = halved[..*prepared].iter().position(|step| step.start == start && step.h == h);
-                    if shared.is_none() && *prepared < MAX_HALVED {
-                        let weights = known.get(course.oscillator(), h, is_sampled_aside);
+                }
+                if shared.is_none() {
+                    let once;
+                    let weights = if is_halved {
+                        known.get(course.oscillator(), h, is_sampled_aside)
+                    } else {
+                        once = Weights::new(course.oscillator(), h, is_sampled_aside);
+                        &once
+                    };
+                    if is_halved && *prepared < MAX_HALVED {
                         halved.resize_with(halved.len().max(*prepared + 1), Step::default);
-                        halved[*prepared].prepare_part(course, self.whole, self.common, start, weights);
                         shared = Some(*prepared);
                         *prepared += 1;
                     }
-                }
-                if shared.is_none() {
-                    let weights = Weights::new(course.oscillator(), h, is_sampled_aside);
-                    part.prepare_part(course, self.whole, self.common, start, &weights);
+                    let step = shared.map_or(&mut *part, |index| &mut halved[index]);
+                    step.prepare_part(course, self.whole, self.common, start, weights);
                 }
                 let step = shared.map_or(&*part, |index| &halved[index]);
                 let inside = has_kink.then_some(&**spheres);
