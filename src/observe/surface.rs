@@ -5,7 +5,7 @@
 //! simulation needs no support for it, and does not pay for it unless frames are recorded.
 //!
 //! # Cost per frame
-//! Single bodies and pairs out of reach cost nothing. For a pair that is apart but within reach, only the gap is
+//! Single bodies and pairs out of reach cost nothing. For a pair within reach that a plane separates, only the gap is
 //! computed, starting from the nearest triangles of the last frame. For a group, the union, the smooth seam, and the
 //! gap, overlap and neck of its pairs are computed in every recorded frame: a surface drawn less often would disagree
 //! with the bodies, spheres and plots of its frame. For two spheres, this takes tenths of a millisecond, more than the
@@ -392,24 +392,30 @@ impl<'a> Scene<'a> {
     fn measure(self, pair: [usize; 2], budget: &Budget, mut hint: Hint) -> (Option<PairMeasures>, Hint) {
         let mut measures = || {
             let bodies = self.bodies(&pair)?;
+            if let Some(apart) = union::measures_apart(&bodies[0], &bodies[1], budget, &mut hint).ok()? {
+                return Some(self.in_radii(pair, &apart, &bodies));
+            }
             self.measures(pair, &union::union(&bodies, budget).ok()?, budget, &mut hint)
         };
         (measures(), hint)
     }
 
     fn measures(self, pair: [usize; 2], united: &Union, budget: &Budget, hint: &mut Hint) -> Option<PairMeasures> {
-        let radius = pair.map(|body| self.schema.bodies[body].radius).into_iter().fold(f64::INFINITY, f64::min);
         let measures = union::measures_of(united, budget, hint).ok()?;
+        Some(self.in_radii(pair, &measures, united.bodies()))
+    }
+
+    fn in_radii(self, pair: [usize; 2], measures: &union::PairMeasures, bodies: &[Body]) -> PairMeasures {
+        let radius = pair.map(|body| self.schema.bodies[body].radius).into_iter().fold(f64::INFINITY, f64::min);
         let is_overlap = measures.overlap > 0.0; // skips the volumes, which are sums over all triangles
-        let volume =
-            if is_overlap { united.bodies().iter().map(Body::volume).fold(f64::INFINITY, f64::min) } else { 0.0 };
-        Some(PairMeasures {
+        let volume = if is_overlap { bodies.iter().map(Body::volume).fold(f64::INFINITY, f64::min) } else { 0.0 };
+        PairMeasures {
             gap: measures.gap / radius,
             overlap: measures.overlap / (radius * radius * radius),
             share: if volume > 0.0 { measures.overlap / volume } else { 0.0 },
             neck: measures.neck / radius,
             perimeter: measures.perimeter / radius,
-        })
+        }
     }
 }
 

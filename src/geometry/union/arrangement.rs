@@ -234,6 +234,35 @@ fn passes_inside([a, b]: [DVec3; 2], [x, y, z]: [DVec3; 3]) -> Result<bool, Fail
     Ok(behind != turn && is_in_front(a, b, y, z)? == turn)
 }
 
+/// Whether an edge that straddles the plane of a triangle without a common vertex passes through it; both with their
+/// bodies.
+fn passes(placement: &Placement, [edge, edge_body]: [u32; 2], [triangle, body]: [u32; 2]) -> Result<bool, Failure> {
+    let ends = placement.ends(edge, edge_body);
+    let names = placement.corners(triangle, body);
+    if body == edge_body && (names.contains(&ends[0]) || names.contains(&ends[1])) {
+        return Ok(false);
+    }
+    passes_inside(ends.map(|v| placement.placed(v)), names.map(|v| placement.placed(v)))
+}
+
+/// Whether a body intersects itself, by its candidate edges and triangles.
+pub fn meets_itself(
+    placement: &Placement,
+    body: u32,
+    candidates: &[EdgeAndTriangle],
+    meter: &Meter,
+) -> Result<bool, Failure> {
+    for candidates in candidates.chunks(AT_ONCE) {
+        meter.spend(candidates.len() as u64)?;
+        for &candidate in candidates {
+            if passes(placement, [(candidate >> 32) as u32, body], [candidate as u32, body])? {
+                return Ok(true);
+            }
+        }
+    }
+    Ok(false)
+}
+
 impl Arrangement {
     /// The nodes and segments of the candidate edges and triangles.
     pub fn new(
@@ -278,16 +307,10 @@ impl Arrangement {
                 if !placement.is_triangle_of(triangle, body) {
                     body = placement.body_of_triangle(triangle);
                 }
+                if !passes(placement, [edge, edge_body], [triangle, body])? {
+                    continue;
+                }
                 let ends = placement.ends(edge, edge_body);
-                let names = placement.corners(triangle, body);
-                if body == edge_body && (names.contains(&ends[0]) || names.contains(&ends[1])) {
-                    continue;
-                }
-                let [a, b] = ends.map(|v| placement.placed(v));
-                let [x, y, z] = names.map(|v| placement.placed(v));
-                if !passes_inside([a, b], [x, y, z])? {
-                    continue;
-                }
                 let heights = Height { placement, nodes: &[] };
                 let passage = heights.passage(ends.map(End::Vertex), triangle, body)?;
                 let passage = passage.ok_or(Failure::Inconsistent("an edge that crosses a plane does not"))?;

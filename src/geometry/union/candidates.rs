@@ -41,28 +41,39 @@ pub struct Near {
     triangles: [Vec<u32>; 2],
 }
 
-/// The triangles that are near each other, for all meetings and for the bodies that may intersect themselves.
+/// The triangles that are near each other, for all meetings.
 pub fn near(placement: &Placement, meetings: &[Meeting], meter: &Meter, threads: bool) -> Result<Vec<Near>, Failure> {
     let of_meeting = |meeting: &Meeting| {
         let [first, second] = &meeting.blocks;
-        Near::between(placement, meeting.bodies, [first, second], meter)
+        Near::between(placement, meeting.bodies, [first, second], None, meter)
     };
-    let of_fold = |body: u32| {
-        let blocks: Vec<u32> = (0..placement.bodies[body as usize].topology.block_count() as u32).collect();
-        Near::between(placement, [body; 2], [&blocks; 2], meter)
-    };
-    let folds: Vec<u32> = (0..placement.bodies.len() as u32).filter(|&b| placement.folds[b as usize]).collect();
-    if threads {
-        (meetings.par_iter().map(of_meeting)).chain(folds.par_iter().map(|&b| of_fold(b))).collect()
-    } else {
-        (meetings.iter().map(of_meeting)).chain(folds.iter().map(|&b| of_fold(b))).collect()
-    }
+    if threads { meetings.par_iter().map(of_meeting).collect() } else { meetings.iter().map(of_meeting).collect() }
+}
+
+/// The triangles of a body that are near each other; if `suspects` are given, only those of them.
+pub fn near_itself(
+    placement: &Placement,
+    body: u32,
+    suspects: Option<&[bool]>,
+    meter: &Meter,
+) -> Result<Near, Failure> {
+    let topology = placement.bodies[body as usize].topology;
+    let is_suspect = |t: &u32| suspects.is_none_or(|suspects| suspects[*t as usize]);
+    let has_suspects = |block: &u32| topology.block(*block as usize).iter().any(is_suspect);
+    let blocks: Vec<u32> = (0..topology.block_count() as u32).filter(has_suspects).collect();
+    Near::between(placement, [body; 2], [&blocks; 2], suspects, meter)
 }
 
 impl Near {
     /// Finds the triangles of some blocks of two bodies, or of one, whose boxes overlap, unless both lie inside other
-    /// bodies.
-    fn between(placement: &Placement, bodies: [u32; 2], blocks: [&[u32]; 2], meter: &Meter) -> Result<Near, Failure> {
+    /// bodies. For one body, `suspects` may restrict them.
+    fn between(
+        placement: &Placement,
+        bodies: [u32; 2],
+        blocks: [&[u32]; 2],
+        suspects: Option<&[bool]>,
+        meter: &Meter,
+    ) -> Result<Near, Failure> {
         let mut found = Near { bodies, ..Near::default() };
         if blocks.iter().any(|blocks| blocks.is_empty()) {
             return Ok(found);
@@ -93,7 +104,7 @@ impl Near {
         let zoom = Zoom::new(placement, bodies);
         let lists = [0, 1].map(|k| {
             let other = (!is_one).then_some(bodies[1 - k]);
-            Listed::new(placement, bodies[k], blocks[k], &is_met[k], &zoom, other)
+            Listed::new(placement, bodies[k], blocks[k], &is_met[k], &zoom, other, suspects)
         });
         lists[0].meet(&lists[1], &pairs, meter, &mut found)?;
         Ok(found)
@@ -112,10 +123,12 @@ pub const AT_ONCE: usize = 512;
 /// half, the triangle in the lower, so that candidates sort by edge.
 pub type EdgeAndTriangle = u64;
 
-/// The edges and triangles that may meet, ascending, each once. The triangles near each other must be placed.
+/// The edges and triangles that may meet and those in `known`, ascending, each once. The triangles near each other must be
+/// placed.
 pub fn edges_and_triangles(
     placement: &Placement,
     near: &[Near],
+    mut known: Vec<EdgeAndTriangle>,
     meter: &Meter,
     threads: bool,
 ) -> Result<Vec<EdgeAndTriangle>, Failure> {
@@ -133,10 +146,10 @@ pub fn edges_and_triangles(
     };
     let found: Result<Vec<Vec<EdgeAndTriangle>>, Failure> =
         if threads { near.par_iter().map(of_near).collect() } else { near.iter().map(of_near).collect() };
-    let mut found = found?.concat();
-    found.sort_unstable();
-    found.dedup();
-    Ok(found)
+    found?.into_iter().for_each(|mut found| known.append(&mut found));
+    known.sort_unstable();
+    known.dedup();
+    Ok(known)
 }
 
 /// Coordinates relative to two bodies and their size, in which single precision suffices for culling.
@@ -190,8 +203,9 @@ struct Listed {
 }
 
 impl Listed {
-    /// The triangles of the blocks that meet others; if there is another body, only those in its hull. Triangles inside
-    /// other bodies are listed only if triangles of the other body that are not inside one may be near.
+    /// The triangles of the blocks that meet others; if there is another body, only those in its hull, and if there are
+    /// suspects, only those. Triangles inside other bodies are listed only if triangles of the other body that are not
+    /// inside one may be near.
     fn new(
         placement: &Placement,
         body: u32,
@@ -199,6 +213,7 @@ impl Listed {
         is_met: &[bool],
         zoom: &Zoom,
         other: Option<u32>,
+        suspects: Option<&[bool]>,
     ) -> Listed {
         let mesh = placement.bodies[body as usize];
         let margin = placement.displaced[body as usize];
@@ -218,6 +233,9 @@ impl Listed {
         for (&block, &is_met) in blocks.iter().zip(is_met) {
             let mut hull = Aabb::EMPTY;
             for &t in if is_met { mesh.topology.block(block as usize) } else { &[] } {
+                if suspects.is_some_and(|suspects| !suspects[t as usize]) {
+                    continue;
+                }
                 let [a, b, c] = mesh.corners(t);
                 let bounds = Aabb { min: lower(lower(a, b), c), max: higher(higher(a, b), c) }.grown(margin);
                 let t = t + placement.first_triangle[body as usize];

@@ -68,8 +68,9 @@ fn hierarchy(boxes: &[Aabb]) -> Vec<Branch> {
 /// The state of a search. Reused, because nearby points have nearby nearest triangles.
 #[derive(Default)]
 pub struct Search {
-    /// The nearest triangle of the last point.
-    hint: u32,
+    /// The triangle to begin with: the nearest one of the last point, or one that proved it too near. Does not affect
+    /// results.
+    pub hint: u32,
     queue: Vec<(u32, f64)>,
 }
 
@@ -119,6 +120,9 @@ impl<'t, 'a> Tree<'t, 'a> {
         let (position, feature) = nearest_of_triangle(point, corners);
         let distance_squared = point.distance_squared(position);
         let mut best = Nearest { distance_squared, position, triangle: first, feature };
+        if distance_squared <= least_squared {
+            return None;
+        }
         queue.clear();
         queue.push((0, 0.0));
         while let Some((branch, bound)) = queue.pop() {
@@ -212,6 +216,48 @@ impl<'t, 'a> Tree<'t, 'a> {
         None
     }
 
+    /// The smallest squared distance to another surface, if it is below `best`, the distance of the triangles of `hint`;
+    /// sets `hint` to the nearest ones. Only compares triangles that, in one direction, are near enough to the other
+    /// surface: very few if this is the direction from one nearest point to the other. `None` if they are many.
+    fn distance_along(
+        &self,
+        other: &Tree,
+        direction: DVec3,
+        mut best: f64,
+        hint: &mut [u32; 2],
+        meter: &Meter,
+    ) -> Result<Option<f64>, Failure> {
+        let Some(along) = direction.try_normalize() else { return Ok(None) };
+        let (own, others) = (Heights::new(self.body, along), Heights::new(other.body, -along));
+        // of the other surface, heights are negative depths: those of two points differ by their sum
+        let is_near = |a: f64, b: f64, best: f64| {
+            let apart = -(a + b);
+            apart <= 0.0 || !self.is_farther(apart * apart, best)
+        };
+        let Some(first) = own.triangles(|a| is_near(a, others.highest, best)) else { return Ok(None) };
+        let Some(second) = others.triangles(|b| is_near(own.highest, b, best)) else { return Ok(None) };
+        meter.spend((first.len() * second.len()) as u64 + 1)?;
+        let second: Vec<(u32, f64, [DVec3; 3], Aabb)> = (second.into_iter())
+            .map(|(t, b)| {
+                let corners = other.corners(t);
+                (t, b, corners, Aabb::of(corners))
+            })
+            .collect();
+        for (s, a) in first {
+            let corners = self.corners(s);
+            let hull = Aabb::of(corners);
+            for (t, b, others, bounds) in &second {
+                if is_near(a, *b, best) && !self.is_farther(box_to_box_squared(&hull, bounds), best) {
+                    let squared = triangle_to_triangle_squared(corners, *others);
+                    if squared < best {
+                        (best, *hint) = (squared, [s, *t]);
+                    }
+                }
+            }
+        }
+        Ok(Some(best))
+    }
+
     fn has(&self, triangle: u32) -> bool {
         (triangle as usize) < self.body.topology.triangles.len()
     }
@@ -227,7 +273,11 @@ impl<'t, 'a> Tree<'t, 'a> {
             return Ok(best);
         }
         if let ([s, t], true) = (*hint, self.has(hint[0]) && other.has(hint[1])) {
-            best = triangle_to_triangle_squared(self.corners(s), other.corners(t));
+            let (corners, others) = (self.corners(s), other.corners(t));
+            best = triangle_to_triangle_squared(corners, others);
+            if let Some(nearest) = self.distance_along(other, between(corners, others), best, hint, meter)? {
+                return Ok(nearest.sqrt());
+            }
         }
         let mut queue = vec![(0, 0, 0.0)];
         while let Some((a, b, bound)) = queue.pop() {
@@ -267,6 +317,61 @@ impl<'t, 'a> Tree<'t, 'a> {
         }
         Ok(best.sqrt())
     }
+}
+
+/// Most triangles of a surface that are compared with those of another without a hierarchy.
+const FEW: usize = 48;
+
+/// Heights of a body's vertices in a direction.
+struct Heights<'t, 'a> {
+    body: &'t Body<'a>,
+    along: DVec3,
+    of_vertices: Vec<f64>,
+    highest: f64,
+}
+
+impl<'t, 'a> Heights<'t, 'a> {
+    fn new(body: &'t Body<'a>, along: DVec3) -> Self {
+        let of_vertices: Vec<f64> = body.positions.iter().map(|at| along.dot(*at)).collect();
+        let highest = of_vertices.iter().copied().fold(f64::NEG_INFINITY, |a, b| if b > a { b } else { a });
+        Heights { body, along, of_vertices, highest }
+    }
+
+    /// The triangles whose highest corner is accepted, and its height; `None` if they are more than [`FEW`]. If a height
+    /// is accepted, so are higher ones.
+    fn triangles(&self, is_accepted: impl Fn(f64) -> bool) -> Option<Vec<(u32, f64)>> {
+        let topology = self.body.topology;
+        let mut found = Vec::new();
+        for (block, bounds) in self.body.block_bounds.iter().enumerate() {
+            let highest = (self.along * bounds.min).max(self.along * bounds.max).element_sum();
+            // allows for rounding of this sum
+            if !is_accepted(highest + 1e-12 * (highest.abs() + self.highest.abs())) {
+                continue;
+            }
+            for &t in topology.block(block) {
+                let corners = topology.triangles[t as usize];
+                let height = corners.map(|v| match self.of_vertices.get(v as usize) {
+                    Some(&height) => height,
+                    None => self.along.dot(self.body.position(v)),
+                });
+                let height = height[0].max(height[1]).max(height[2]);
+                if is_accepted(height) {
+                    found.push((t, height));
+                }
+            }
+            if found.len() > FEW {
+                return None;
+            }
+        }
+        Some(found)
+    }
+}
+
+/// The width of the gap between two bodies, measured along a direction from the first to the second [scene unit]; not
+/// positive if no plane across it separates them.
+pub fn separation(first: &Body, second: &Body, along: DVec3) -> f64 {
+    let Some(along) = along.try_normalize() else { return f64::NEG_INFINITY };
+    -(Heights::new(first, along).highest + Heights::new(second, -along).highest)
 }
 
 fn point_to_box_squared(point: DVec3, bounds: &Aabb) -> f64 {
@@ -310,6 +415,27 @@ fn nearest_of_triangle(p: DVec3, [a, b, c]: [DVec3; 3]) -> (DVec3, Feature) {
     (a + ab * (vb * share) + ac * (vc * share), Feature::Inside)
 }
 
+/// A vector from a point of one triangle to one of another, about as near as they are.
+fn between(first: [DVec3; 3], second: [DVec3; 3]) -> DVec3 {
+    let corners = |of: [DVec3; 3], to: [DVec3; 3]| of.map(|p| nearest_of_triangle(p, to).0 - p);
+    let mut all = [corners(first, second), corners(second, first).map(|back| -back)].into_iter().flatten();
+    let mut least = all.next().unwrap_or_default();
+    for vector in all {
+        if vector.length_squared() < least.length_squared() {
+            least = vector;
+        }
+    }
+    for i in 0..3 {
+        for j in 0..3 {
+            let [p, q] = nearest_of_edges([first[i], first[(i + 1) % 3]], [second[j], second[(j + 1) % 3]]);
+            if p.distance_squared(q) < least.length_squared() {
+                least = q - p;
+            }
+        }
+    }
+    least
+}
+
 /// Squared distance of two disjoint triangles: from a corner of one to the other, or from edge to edge.
 fn triangle_to_triangle_squared(first: [DVec3; 3], second: [DVec3; 3]) -> f64 {
     let corners = |of: [DVec3; 3], to: [DVec3; 3]| {
@@ -318,15 +444,15 @@ fn triangle_to_triangle_squared(first: [DVec3; 3], second: [DVec3; 3]) -> f64 {
     let mut least = corners(first, second).min(corners(second, first));
     for i in 0..3 {
         for j in 0..3 {
-            let between = edge_to_edge_squared([first[i], first[(i + 1) % 3]], [second[j], second[(j + 1) % 3]]);
-            least = least.min(between);
+            let [p, q] = nearest_of_edges([first[i], first[(i + 1) % 3]], [second[j], second[(j + 1) % 3]]);
+            least = least.min(p.distance_squared(q));
         }
     }
     least
 }
 
-/// Squared distance of two edges (Ericson 2005, section 5.1.9).
-fn edge_to_edge_squared([p1, q1]: [DVec3; 2], [p2, q2]: [DVec3; 2]) -> f64 {
+/// The nearest points of two edges (Ericson 2005, section 5.1.9).
+fn nearest_of_edges([p1, q1]: [DVec3; 2], [p2, q2]: [DVec3; 2]) -> [DVec3; 2] {
     let (d1, d2, r) = (q1 - p1, q2 - p2, p1 - p2);
     let (a, e, f) = (d1.length_squared(), d2.length_squared(), d2.dot(r));
     let (b, c) = (d1.dot(d2), d1.dot(r));
@@ -334,5 +460,5 @@ fn edge_to_edge_squared([p1, q1]: [DVec3; 2], [p2, q2]: [DVec3; 2]) -> f64 {
     let mut s = ratio(b * f - c * e, a * e - b * b);
     let t = ratio(b * s + f, e);
     s = ratio(b * t - c, a);
-    (p1 + d1 * s).distance_squared(p2 + d2 * t)
+    [p1 + d1 * s, p2 + d2 * t]
 }

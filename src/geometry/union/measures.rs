@@ -4,7 +4,7 @@ use glam::DVec3;
 
 use super::{
     Body, Budget, Seam, UnionError,
-    distance::{Search, Tree},
+    distance::{Search, Tree, separation},
     report::{Failure, Meter},
     surface::{Origin, Union},
     union,
@@ -12,6 +12,10 @@ use super::{
 
 /// Work steps to find the depth of a point.
 const SAMPLE: u64 = 64;
+/// Bodies this far apart are apart in a union, too [radii]; …
+const APART: f64 = 1e-6;
+/// … and this fraction of that for every unit of their coordinates.
+const SCENE: f64 = 1e-3;
 
 /// Where two bodies were nearest to each other, as the starting point of a search in a later frame. Does not affect
 /// results.
@@ -70,14 +74,36 @@ pub fn measures_of(united: &Union, budget: &Budget, hint: &mut Hint) -> Result<P
     } else {
         volume(0)? + volume(1)? - united.volume()
     };
-    let vector_area: DVec3 = united.seams.iter().map(|seam| seam.vector_area).sum();
-    Ok(PairMeasures {
-        gap: gap_of(united, budget, hint)?,
-        overlap: overlap.max(0.0),
-        neck: (vector_area.length() / std::f64::consts::PI).sqrt(),
-        perimeter: united.seams.iter().map(|seam| seam.length).sum(),
-        seams: united.seams.clone(),
-    })
+    Ok(PairMeasures::new(gap_of(united, budget, hint)?, overlap.max(0.0), united.seams.clone()))
+}
+
+impl PairMeasures {
+    fn new(gap: f64, overlap: f64, seams: Vec<Seam>) -> PairMeasures {
+        let vector_area: DVec3 = seams.iter().map(|seam| seam.vector_area).sum();
+        let neck = (vector_area.length() / std::f64::consts::PI).sqrt();
+        PairMeasures { gap, overlap, neck, perimeter: seams.iter().map(|seam| seam.length).sum(), seams }
+    }
+}
+
+/// [`pair_measures`] of two bodies that a plane separates, without their union. `None` if none is found.
+///
+/// # Errors
+///
+/// Those of [`union`].
+pub fn measures_apart(
+    a: &Body,
+    b: &Body,
+    budget: &Budget,
+    hint: &mut Hint,
+) -> Result<Option<PairMeasures>, UnionError> {
+    // farther than a union displaces vertices
+    let magnitude = a.bounds.max.abs().max(a.bounds.min.abs()).max_element();
+    if separation(a, b, b.centre - a.centre) <= APART * (a.radius + b.radius + SCENE * magnitude) {
+        return Ok(None);
+    }
+    let meter = Meter::new(Budget { work: u64::MAX, ..*budget });
+    let gap = Tree::new(a).distance(&Tree::new(b), &mut hint.triangles, &meter).map_err(|_| meter.gave_up())?;
+    Ok(Some(PairMeasures::new(gap, 0.0, Vec::new())))
 }
 
 /// The gap alone: the smallest distance of two surfaces or minus the greatest depth [scene unit], as in
@@ -110,20 +136,40 @@ fn gap_of(united: &Union, budget: &Budget, hint: &mut Hint) -> Result<f64, Union
 fn deepen(united: &Union, body: usize, other: &Tree, deepest: &mut f64, meter: &Meter) -> Result<(), Failure> {
     let samples = samples(united, body);
     let mut search = Search::default();
+    // where the search for a vertex ended, those for samples beside it begin
+    let mut ended = vec![u32::MAX; united.bodies[body].topology.fan_count()];
     // the deepest point is usually the one nearest to the centre; shallower points then cost little
     let centre = other.body.centre;
-    let nearest = samples.iter().min_by(|a, b| a.distance_squared(centre).total_cmp(&b.distance_squared(centre)));
-    for &at in nearest.into_iter().chain(&samples) {
+    let key = |sample: &&Sample| sample.at.distance_squared(centre);
+    let nearest = samples.iter().min_by(|a, b| key(a).total_cmp(&key(b)));
+    for &Sample { at, vertex, is_vertex } in nearest.into_iter().chain(&samples) {
         meter.spend(SAMPLE)?;
+        let beside = &mut ended[vertex as usize];
+        if !is_vertex && *beside != u32::MAX {
+            search.hint = *beside;
+        }
         if let Some(depth) = other.depth_beyond(at, *deepest, &mut search) {
             *deepest = deepest.max(depth);
+        }
+        if is_vertex {
+            *beside = search.hint;
         }
     }
     Ok(())
 }
 
+/// A point on a body's surface.
+#[derive(Clone, Copy)]
+struct Sample {
+    at: DVec3,
+    /// A vertex near it, or itself.
+    vertex: u32,
+    is_vertex: bool,
+}
+
 /// Sample points on the part of a body's surface that is not on the union.
-fn samples(united: &Union, body: usize) -> Vec<DVec3> {
+fn samples(united: &Union, body: usize) -> Vec<Sample> {
+    let near = |at: DVec3, vertex: u32| Sample { at, vertex, is_vertex: false };
     let mesh = &united.bodies[body];
     let topology = mesh.topology;
     let removed = &united.removed[body];
@@ -139,7 +185,7 @@ fn samples(united: &Union, body: usize) -> Vec<DVec3> {
     let is_lost = is_done.iter().map(|is_kept| !is_kept).collect::<Vec<bool>>();
     for v in removed.iter().flat_map(|&t| topology.triangles[t as usize]) {
         if !std::mem::replace(&mut is_done[v as usize], true) {
-            samples.push(mesh.position(v));
+            samples.push(Sample { at: mesh.position(v), vertex: v, is_vertex: true });
         }
     }
     for &t in removed {
@@ -151,13 +197,13 @@ fn samples(united: &Union, body: usize) -> Vec<DVec3> {
             // if both triangles of the edge were removed, the first one samples it
             let is_first = t < beside || !united.is_removed(body as u32, beside);
             if is_first && ends.iter().all(|&v| is_lost[v as usize]) {
-                samples.push((mesh.position(ends[0]) + mesh.position(ends[1])) / 2.0);
+                samples.push(near((mesh.position(ends[0]) + mesh.position(ends[1])) / 2.0, ends[0]));
             }
         }
     }
     for &t in removed {
         let [a, b, c] = mesh.corners(t);
-        samples.push((a + b + c) / 3.0);
+        samples.push(near((a + b + c) / 3.0, topology.triangles[t as usize][0]));
     }
     // between consecutive cuts of an edge, and between cuts and ends
     let mut cuts: Vec<([u32; 2], f64)> = (united.new_vertices.iter())
@@ -171,7 +217,7 @@ fn samples(united: &Union, body: usize) -> Vec<DVec3> {
         let [a, b] = cuts[0].0.map(|v| mesh.positions[v as usize]);
         let mut from = 0.0;
         for to in cuts.iter().map(|cut| cut.1).chain([1.0]) {
-            samples.push(a + (b - a) * ((from + to) / 2.0));
+            samples.push(near(a + (b - a) * ((from + to) / 2.0), cuts[0].0[usize::from(from + to > 1.0)]));
             from = to;
         }
     }

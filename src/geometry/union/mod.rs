@@ -17,6 +17,7 @@
 //! 3. Boxes of bodies, of blocks of triangles and of triangles find candidates (`candidates`); signs determine which of
 //!    them intersect (`arrangement`). Triangles well inside another body (`placement`) are not on the boundary:
 //!    intersections of two such triangles are skipped.
+//!    A body is tested against itself only where it may intersect itself (`folds`).
 //! 4. Winding numbers (Zhou et al., *Mesh Arrangements for Solid Geometry*, 2016) are flood-filled from known values
 //!    (`winding`), and checked at the end of every edge and segment. A part of a triangle bounds the union if the space
 //!    in front of it is outside all bodies and the space behind it is not.
@@ -57,6 +58,7 @@ mod contact;
 mod distance;
 mod exact;
 mod faces;
+mod folds;
 mod measures;
 mod placement;
 mod ranks;
@@ -73,14 +75,17 @@ mod winding;
 
 pub use body::{Aabb, Body, BodyError};
 pub use contact::{Contact, Crossing, contact};
-pub use measures::{Hint, PairMeasures, gap, measures_of, pair_measures};
+pub use measures::{Hint, PairMeasures, gap, measures_apart, measures_of, pair_measures};
 pub use report::{Budget, UnionError, is_raised};
 pub use seams::Seam;
 pub use self_contact::{SelfContactError, self_contact};
 pub use surface::{Component, NewTriangle, NewVertex, Origin, Statistics, Union, UnionMesh};
 pub use topology::{Topology, TopologyError};
 
+use rayon::prelude::*;
+
 use arrangement::Arrangement;
+use candidates::{EdgeAndTriangle, Near};
 use faces::Faces;
 use placement::Placement;
 use report::{Failure, Meter};
@@ -137,30 +142,36 @@ fn attempt_union<'a, 'b>(
     union.statistics.pairs = placement.pairs.len();
     union.statistics.folds = placement.folds.iter().filter(|f| **f).count();
     union.statistics.dropped = placement.dropped;
-    if placement.pairs.is_empty() && union.statistics.folds == 0 {
+    let is_done = |placement: &Placement| placement.pairs.is_empty() && !placement.folds.contains(&true);
+    if is_done(&placement) {
         return Ok(union);
     }
 
     let meetings = candidates::meetings(&placement);
     let threads = rayon::current_num_threads() > 1 && winding::is_worth_threads(&meetings);
-    placement.bury(&meetings);
-    let near = candidates::near(&placement, &meetings, meter, threads)?;
-    for (body, triangles) in near.iter().flat_map(candidates::Near::triangles) {
-        if placement.folds[body as usize] {
+    union.may_cross_itself.fill(false);
+    let mut folded = Vec::new();
+    for Fold { body, is_simple, meets_itself, mut candidates } in folds(&mut placement, meter, threads)? {
+        union.may_cross_itself[order[body as usize] as usize] = meets_itself;
+        placement.folds[body as usize] = !is_simple;
+        if !is_simple {
             placement.place_all(body);
-        } else {
-            placement.place(body, triangles);
+            folded.append(&mut candidates);
         }
     }
-    let candidates = candidates::edges_and_triangles(&placement, &near, meter, threads)?;
+    if is_done(&placement) {
+        return Ok(union);
+    }
+    placement.bury(&meetings);
+    let near = candidates::near(&placement, &meetings, meter, threads)?;
+    for (body, triangles) in near.iter().flat_map(Near::triangles) {
+        placement.place(body, triangles);
+    }
+    let candidates = candidates::edges_and_triangles(&placement, &near, folded, meter, threads)?;
     drop(near);
     union.statistics.tests = candidates.len();
     let mut arrangement = Arrangement::new(&placement, &candidates, meter, threads)?;
     meter.check()?;
-    for (k, &b) in order.iter().enumerate() {
-        let meets_itself = |segment: &arrangement::Segment| segment.bodies == [k as u32; 2];
-        union.may_cross_itself[b as usize] = placement.folds[k] && arrangement.segments.iter().any(meets_itself);
-    }
     let mut classified = Classified::new(&placement, &meetings, &mut arrangement, meter, threads)?;
     arrangement.find_triple_points(&placement, meter, threads)?;
     classified.walk_segments(&arrangement, meter)?;
@@ -171,6 +182,39 @@ fn attempt_union<'a, 'b>(
     union.statistics.segments = arrangement.segments.len();
     union.statistics.triple_points = arrangement.triple_points.len();
     union.assemble(&placement, &arrangement, &classified, faces, &order)
+}
+
+/// A body that was tested against itself.
+struct Fold {
+    body: u32,
+    /// Whether it is known not to intersect itself and to be the right way out.
+    is_simple: bool,
+    meets_itself: bool,
+    /// Its edges and triangles that may meet.
+    candidates: Vec<EdgeAndTriangle>,
+}
+
+/// Tests each body that may intersect itself.
+fn folds(placement: &mut Placement, meter: &Meter, threads: bool) -> Result<Vec<Fold>, Failure> {
+    let folds: Vec<u32> = (0..placement.bodies.len() as u32).filter(|&b| placement.folds[b as usize]).collect();
+    let near = |&body: &u32| {
+        let suspects = folds::suspects(placement.bodies[body as usize], placement.displaced[body as usize]);
+        let near = candidates::near_itself(placement, body, suspects.as_deref(), meter)?;
+        Ok((suspects.is_some(), near))
+    };
+    let near: Result<Vec<(bool, Near)>, Failure> =
+        if threads { folds.par_iter().map(near).collect() } else { folds.iter().map(near).collect() };
+    let near = near?;
+    for (body, triangles) in near.iter().flat_map(|(_, near)| near.triangles()) {
+        placement.place(body, triangles);
+    }
+    let fold = |(&body, (encloses_centre, near)): (&u32, &(bool, Near))| {
+        let candidates =
+            candidates::edges_and_triangles(placement, std::slice::from_ref(near), Vec::new(), meter, false)?;
+        let meets_itself = arrangement::meets_itself(placement, body, &candidates, meter)?;
+        Ok(Fold { body, is_simple: *encloses_centre && !meets_itself, meets_itself, candidates })
+    };
+    if threads { folds.par_iter().zip(&near).map(fold).collect() } else { folds.iter().zip(&near).map(fold).collect() }
 }
 
 /// The bodies sorted by their positions, without duplicates, so that the result does not depend on their given order.

@@ -639,21 +639,23 @@ impl<'a, 'b> Union<'a, 'b> {
             .collect();
         let first_new = parts.add(self.new_triangles.len());
         let mut is_partial: Vec<Vec<bool>> = vec![Vec::new(); self.bodies.len()];
-        let mut singles: FxHashMap<(u32, u32), u32> = FxHashMap::default();
+        // the parts of single triangles, `u32::MAX` for others
+        let mut singles: Vec<Vec<u32>> = vec![Vec::new(); self.bodies.len()];
         for (b, removed) in self.removed.iter().enumerate().filter(|(b, _)| is_cut(*b)) {
             let topology = self.bodies[b].topology;
             is_partial[b].resize(topology.block_count(), false);
+            singles[b].resize(topology.triangles.len(), u32::MAX);
             removed.iter().for_each(|&t| is_partial[b][topology.block_of[t as usize] as usize] = true);
             for (block, _) in is_partial[b].iter().enumerate().filter(|(_, is_partial)| **is_partial) {
                 parts.count -= 1;
                 for &t in topology.block(block).iter().filter(|&&t| !self.is_removed(b as u32, t)) {
-                    singles.insert((b as u32, t), parts.add(1));
+                    singles[b][t as usize] = parts.add(1);
                 }
             }
         }
-        let part_of = |b: usize, t: u32| {
-            let block = self.bodies[b].topology.block_of[t as usize];
-            if is_partial[b][block as usize] { singles[&(b as u32, t)] } else { first_of[b] + block }
+        let part_of = |b: usize, t: u32| match singles[b].get(t as usize) {
+            Some(&part) if part != u32::MAX => part,
+            _ => first_of[b] + self.bodies[b].topology.block_of[t as usize],
         };
         for (b, is_partial) in is_partial.iter().enumerate().filter(|(_, is_partial)| !is_partial.is_empty()) {
             let topology = self.bodies[b].topology;
@@ -663,13 +665,15 @@ impl<'a, 'b> Union<'a, 'b> {
                 }
             }
         }
-        for (&(b, t), &part) in &singles {
-            let topology = self.bodies[b as usize].topology;
-            for beside in
-                topology.triangle_edges[t as usize].into_iter().flat_map(|e| topology.edge_triangles[e as usize])
-            {
-                if beside != t && !self.is_removed(b, beside) {
-                    parts.join(part, part_of(b as usize, beside));
+        for (b, topology) in self.bodies.iter().map(|body| body.topology).enumerate() {
+            let blocks = is_partial[b].iter().enumerate().filter(|(_, is_partial)| **is_partial);
+            for &t in blocks.flat_map(|(block, _)| topology.block(block)).filter(|&&t| !self.is_removed(b as u32, t)) {
+                for beside in
+                    topology.triangle_edges[t as usize].into_iter().flat_map(|e| topology.edge_triangles[e as usize])
+                {
+                    if beside != t && !self.is_removed(b as u32, beside) {
+                        parts.join(singles[b][t as usize], part_of(b, beside));
+                    }
                 }
             }
         }

@@ -1,6 +1,7 @@
 //! Tests of the union as a whole.
 
 mod closed_forms;
+mod folds;
 mod random;
 mod shapes;
 mod ties;

@@ -1,0 +1,94 @@
+//! Bodies that are not seen whole from their centre.
+
+use super::{
+    super::{arrangement::Arrangement, distance::Tree, folds::suspects, measures::measures_apart},
+    *,
+};
+
+/// A sphere with dents, spikes and bends, some of which pass through others.
+fn deformed(random: &mut shapes::Random, strength: f64) -> Shape {
+    let mut shape = shapes::sphere(12, 24);
+    for _ in 0..3 {
+        let (centre, by) = (random.in_cube().normalize(), strength * random.in_cube());
+        let width = 0.05 + 0.5 * random.next();
+        for at in &mut shape.positions {
+            let share = 1.0 - at.distance_squared(centre) / width;
+            *at += by * share.max(0.0);
+        }
+    }
+    shape
+}
+
+#[test]
+fn a_body_intersects_itself_only_among_suspects() {
+    let mut random = shapes::Random::new(7);
+    let (mut known, mut crossing, mut simple) = (0, 0, 0);
+    for round in 0..120 {
+        let shape = deformed(&mut random, 0.3 + 0.02 * f64::from(round));
+        let topology = Topology::new(shape.positions.len(), &shape.triangles).unwrap();
+        let body = Body::new(&topology, &shape.positions).unwrap();
+        let mut placement = Placement::new(vec![&body], 0);
+        let Some(suspects) = suspects(&body, placement.displaced[0]) else { continue };
+        if body.slack() > 0.0 {
+            assert!(!suspects.contains(&true), "round {round}: a body seen whole has suspects");
+            continue;
+        }
+        let meter = Meter::new(Budget::default());
+        let near = candidates::near_itself(&placement, 0, None, &meter).unwrap();
+        placement.place_all(0);
+        let candidates = candidates::edges_and_triangles(&placement, &[near], Vec::new(), &meter, false).unwrap();
+        let arrangement = Arrangement::new(&placement, &candidates, &meter, false).unwrap();
+        for segment in &arrangement.segments {
+            assert!(segment.triangles.iter().all(|&t| suspects[t as usize]), "round {round}: {segment:?}");
+        }
+        // and they are found among the suspects
+        let near = candidates::near_itself(&placement, 0, Some(&suspects), &meter).unwrap();
+        let fewer = candidates::edges_and_triangles(&placement, &[near], Vec::new(), &meter, false).unwrap();
+        let restricted = Arrangement::new(&placement, &fewer, &meter, false).unwrap();
+        assert_eq!(restricted.segments.len(), arrangement.segments.len(), "round {round}");
+        assert!(fewer.len() <= candidates.len());
+        known += 1;
+        *if arrangement.segments.is_empty() { &mut simple } else { &mut crossing } += 1;
+        // a body that does not intersect itself encloses its centre
+        if arrangement.segments.is_empty() {
+            let winding = winding_number(&shape.positions, &shape.triangles, body.centre);
+            assert!((winding - 1.0).abs() < 1e-6, "round {round}: {winding}");
+        }
+    }
+    assert!(known >= 40 && crossing >= 10 && simple >= 10, "{known} known, {crossing} crossing, {simple} simple");
+}
+
+/// Everything is suspected of a body that is inside out, and of one whose centre is outside.
+#[test]
+fn nothing_is_known_of_a_body_that_does_not_enclose_its_centre_once() {
+    let sphere = shapes::sphere(12, 24);
+    let mut bowl = sphere.clone();
+    bowl.positions.iter_mut().filter(|at| at.x > 0.0).for_each(|at| at.x = -0.9 * at.x);
+    for shape in [sphere.inverted(), bowl] {
+        let topology = Topology::new(shape.positions.len(), &shape.triangles).unwrap();
+        assert_eq!(suspects(&Body::new(&topology, &shape.positions).unwrap(), 1e-9), None);
+    }
+}
+
+/// Neither what a search begins with nor the way that is taken changes a bit of the measures.
+#[test]
+fn measures_of_separated_bodies_are_those_of_their_union() {
+    let mut random = shapes::Random::new(11);
+    let (mut separated, mut hint) = (0, Hint::default());
+    for round in 0..60 {
+        let first = deformed(&mut random, 0.2);
+        let second = deformed(&mut random, 0.2).at(DVec3::new(1.8 + 0.02 * f64::from(round), 0.3, 0.1));
+        let topologies = [&first, &second].map(|s| Topology::new(s.positions.len(), &s.triangles).unwrap());
+        let bodies = [Body::new(&topologies[0], &first.positions), Body::new(&topologies[1], &second.positions)];
+        let [a, b] = bodies.map(Result::unwrap);
+        let Some(apart) = measures_apart(&a, &b, &Budget::default(), &mut hint).unwrap() else { continue };
+        let expected = pair_measures(&a, &b, &Budget::default()).unwrap();
+        assert_eq!(format!("{apart:?}"), format!("{expected:?}"), "round {round}");
+        let again = measures_apart(&a, &b, &Budget::default(), &mut hint.clone()).unwrap();
+        assert_eq!(again.as_ref(), Some(&apart), "round {round}");
+        let all = Tree::new(&a).distance(&Tree::new(&b), &mut [u32::MAX; 2], &Meter::new(Budget::default()));
+        assert_eq!(all.ok(), Some(apart.gap), "round {round}");
+        separated += 1;
+    }
+    assert!(separated >= 20, "{separated} separated");
+}
