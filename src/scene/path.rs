@@ -148,23 +148,20 @@ impl Path {
 
     /// c, c′ and c″ at five instants `start + theta · (end − start)` at once; theta = 1 is just before `end`. A sine
     /// path is rotated from its phase at `start` by precomputed angles, so that only one sine is evaluated.
-    pub fn kinematics(&self, start: f64, end: f64, thetas: &[f64; 5], turns: &Turns, found: &mut [Kinematics; 5]) {
+    pub fn kinematics(&self, start: f64, end: f64, thetas: &[f64; 5], turns: &Turns) -> [Kinematics; 5] {
         if let Path::Sine { center, amplitude, frequency, phase } = self {
             let rate = TAU * frequency;
             let (sin, cos) = libm::sincos(rate * start + phase);
-            for (found, (turn_sin, turn_cos)) in found.iter_mut().zip(&turns.0) {
+            return turns.0.map(|(turn_sin, turn_cos)| {
                 let (sin, cos) = (sin * turn_cos + cos * turn_sin, cos * turn_cos - sin * turn_sin);
-                *found = Kinematics {
+                Kinematics {
                     position: *center + *amplitude * sin,
                     velocity: *amplitude * (rate * cos),
                     acceleration: *amplitude * (-rate * rate * sin),
-                };
-            }
-            return;
+                }
+            });
         }
-        for (found, &theta) in found.iter_mut().zip(thetas) {
-            *found = if theta == 1.0 { self.before(end) } else { self.at(start + theta * (end - start)) };
-        }
+        thetas.map(|theta| if theta == 1.0 { self.before(end) } else { self.at(start + theta * (end - start)) })
     }
 
     /// A bounding sphere of the path over `[start, end]` [s]: centre and radius [scene unit].

@@ -154,8 +154,8 @@ impl<'a> Context<'a> {
 
     /// The data about a body that force terms use.
     pub fn on(&self, index: u32) -> On<'a, &'a Pairs> {
-        let Body { neighbours, pushes, .. } = self.body(index);
-        On { scene: self.scene, index, neighbours, pushes, tracks: self.tracks, phases: self.pairs }
+        let Body { material, neighbours, pushes, .. } = self.body(index);
+        On { scene: self.scene, index, material, neighbours, pushes, tracks: self.tracks, phases: self.pairs }
     }
 
     /// Lower bound on the distance of the centres of two bodies within the step, allowing for rounding [scene unit].
@@ -168,20 +168,19 @@ impl<'a> Context<'a> {
     /// pull. A sphere that does not reach where the others can pull a vertex cannot be the first to pull it farther,
     /// and so never pulls.
     pub fn find_reachable(&self, active: &mut Active, span: Span) {
-        let mut reachable = std::mem::take(&mut active.bounds.reachable);
         SCRATCH.with_borrow_mut(|scratch| {
             let margins = &mut scratch.margins;
             let Farthest { distance, pull, later } = self.farthest(active, span, margins);
-            (active.bounds.farthest, active.bounds.pull, active.bounds.max_reach) = (distance, pull, later);
-            let neighbours = self.body(active.body).neighbours.iter().zip(&*margins);
-            reachable.clear();
-            reachable.extend(
-                neighbours.filter(|(_, margin)| margin.gap <= active.bounds.farthest).map(|(source, _)| source),
-            );
-            active.bounds.may_sleep = !margins.iter().any(|margin| margin.gap <= active.bounds.max_reach);
+            let bounds = &mut active.bounds;
+            (bounds.farthest, bounds.pull, bounds.max_reach) = (distance, pull, later);
+            bounds.may_sleep = !margins.iter().any(|margin| margin.gap <= later);
+            bounds.reachable.clear();
+            for (source, margin) in self.body(active.body).neighbours.iter().zip(&*margins) {
+                if margin.gap <= distance && (source.always_acts || self.acts(source, active.body)) {
+                    bounds.reachable.push(*source);
+                }
+            }
         });
-        reachable.retain(|source| source.always_acts || self.acts(source, active.body));
-        active.bounds.reachable = reachable;
     }
 
     /// Whether vertices may leave the body's fat bounds, in the step or later if nothing else acts. False for NaN,
@@ -224,9 +223,11 @@ impl<'a> Context<'a> {
             return None;
         }
         let index = active.body as usize;
-        let steady = Steady::of(self.scene, index, self.tracks.track(index), self.stride.length)?;
-        let pushes = self.body(active.body).pushes.bound(span);
-        Some(self.body(active.body).radius + active.farthest_of_steady(&steady, pushes, span.start, span.length()))
+        self.tracks.of(index).filter(|mover| mover.is_unresolved)?;
+        let body = self.body(active.body);
+        let steady = Steady::of(&body.material, self.tracks.track(index), self.stride.length)?;
+        let pushes = body.pushes.bound(span);
+        Some(body.radius + active.farthest_of_steady(&steady, pushes, span.start, span.length()))
     }
 
     /// Takes one step with the phases at its start.
@@ -242,7 +243,7 @@ impl<'a> Context<'a> {
         // A body at rest must not be woken by a sphere that reaches none of its vertices. The vertices of a moving body
         // may get anywhere in an inaccurate step.
         let at_rest = active.is_at_rest();
-        let farthest = if at_rest { self.scene.bodies[active.body as usize].radius } else { f64::INFINITY };
+        let farthest = if at_rest { self.body(active.body).radius } else { f64::INFINITY };
         let look = |time, surroundings: &mut Surroundings| {
             let moment = Moment { time, phases_at: span.start };
             self.on(active.body).surroundings_into(moment, farthest, surroundings);
@@ -279,11 +280,20 @@ impl<'a> Context<'a> {
     /// The sum of the jumps of a body's velocity within `span`, including its start, as they act on the vertices
     /// [scene unit/s].
     fn kicks(&self, body: u32, span: Span) -> DVec3 {
-        let is_kicked = self.tracks.of(body as usize).is_some_and(|mover| mover.kicks > 0.0);
-        let breaks = if is_kicked { self.tracks.track(body as usize).breaks() } else { &[] };
+        let breaks = self.tracks.breaks(body);
         let first = breaks.partition_point(|&t| t < span.start);
         let inside = breaks[first..].iter().take_while(|&&t| t < span.end);
-        inside.map(|&t| carry::kick(self.scene, self.tracks, body as usize, t)).sum()
+        inside.map(|&t| self.kick(body, t)).sum()
+    }
+
+    /// The jump of the velocities of a body's vertices at time `t`, within the stride [scene unit/s].
+    fn kick(&self, body: u32, t: f64) -> DVec3 {
+        match self.tracks.of(body as usize) {
+            Some(mover) if mover.kicks > 0.0 => {
+                carry::kick(&self.body(body).material, self.tracks.track(body as usize), t)
+            }
+            _ => DVec3::ZERO,
+        }
     }
 
     /// Divides the step where something jumps, and integrates each interval to the scene's tolerance.
@@ -337,23 +347,24 @@ impl<'a> Context<'a> {
                 self.find_breaks(active.body, touching, span, breaks, work);
             }
         }
-        let tolerance = scene.tolerance * scene.bodies[index].radius;
+        let body = self.body(active.body);
+        let tolerance = scene.tolerance * body.radius;
         let control = StepControl { arch: self.arch, tolerance, work };
         let vertices = active.state.deformation.active_set.vertices.len();
-        let base = exponential::work_of(vertices, contributing.len(), self.body(active.body).pushes.shared().len());
+        let base = exponential::work_of(vertices, contributing.len(), body.pushes.shared().len());
         let mut total = StepStatistics { base, ..StepStatistics::default() };
         for ends in breaks.windows(2) {
             let part = Span { start: ends[0], end: ends[1] };
-            let kick = carry::kick(scene, self.tracks, index, part.start);
+            let kick = self.kick(active.body, part.start);
             if kick != DVec3::ZERO {
                 active.state.common.carried.u += kick;
             }
-            let body = self.body(active.body);
             work.spend((contributing.len() + body.pushes.shared().len()) as u64);
             self.on(active.body).over(contributing, part, acting);
             let is_whole = breaks.len() == 2 && self.frames == self.stride.frames;
             let field = body.pushes.many_act(part).then(|| {
                 let BodyState { push_field, deformation, .. } = &mut active.state;
+                let push_field = push_field.get_or_insert_default();
                 let summed = push_field.advance(&body.pushes, body.mesh.directions(), part.start + 0.5 * part.length());
                 work.spend((summed * body.mesh.directions().len()) as u64);
                 push_field.of(&deformation.active_set.vertices, LANES, local)
@@ -361,6 +372,8 @@ impl<'a> Context<'a> {
             let course = Course {
                 scene,
                 index,
+                material: body.material,
+                radius: body.radius,
                 mesh: &body.mesh,
                 start: part.start,
                 // All whole strides have bit-identical lengths, so that weights are computed once.
@@ -410,7 +423,7 @@ impl<'a> Context<'a> {
         breaks.clear();
         breaks.push(span.start);
         let mut knots = |body: u32| {
-            let knots = self.tracks.track(body as usize).breaks();
+            let knots = self.tracks.breaks(body);
             let first = knots.partition_point(|&knot| knot <= span.start);
             breaks.extend(knots[first..].iter().take_while(|&&t| span.holds(t)));
         };

@@ -4,12 +4,13 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
+use smallvec::{Array, SmallVec};
 
 use super::{
     arrays::Vectors,
     deformation::{Deformation, Now, REST, larger},
     integrator::exponential::{StepStatistics, together::Largest},
-    neighbours::{FatBounds, Neighbour},
+    neighbours::{FatBounds, Neighbours},
     push_list::{PushField, PushList},
     state::{Common, Pushed, State},
     terms::Steady,
@@ -17,23 +18,27 @@ use super::{
 use crate::{
     geometry::{Mesh, Rest},
     model::oscillator::Oscillator,
-    scene::{self, Scene},
+    scene::{self, Material, Scene},
 };
 
-/// A body of the scene, at rest or not.
+/// A body of the scene, at rest or not: what a step reads of it besides its state, in one place.
 pub(super) struct Body {
     /// Its rest shape, shared by all bodies of the same shape.
     pub mesh: Arc<Mesh>,
     /// Its radius [scene unit].
     pub radius: f64,
+    /// The constants of its oscillators.
+    pub material: Material,
     /// The scene's pushes on this body.
     pub pushes: PushList,
     /// Its index among the active bodies; `None` if it is at rest.
     pub active: Option<u32>,
     /// Nearby bodies, ascending.
-    pub neighbours: Vec<Neighbour>,
+    pub neighbours: Neighbours,
     /// The bounds for which its neighbours were found.
     pub fat_bounds: FatBounds,
+    /// No pair of the body changes its phase before this time, if the body moves [s].
+    pub calm_until: f64,
 }
 
 impl Body {
@@ -42,10 +47,12 @@ impl Body {
         Body {
             mesh: scene.bodies[index].shape.mesh(),
             radius: scene.bodies[index].radius,
+            material: scene.bodies[index].material,
             pushes: PushList::new(pushes),
             active: None,
-            neighbours: Vec::new(),
+            neighbours: Neighbours::new(),
             fat_bounds: FatBounds::NONE,
+            calm_until: f64::NEG_INFINITY,
         }
     }
 }
@@ -58,7 +65,7 @@ impl Body {
 
     /// Memory allocated for the body [bytes].
     pub fn memory(&self) -> usize {
-        self.neighbours.capacity() * size_of::<Neighbour>() + self.pushes.memory()
+        spilled(&self.neighbours) + self.pushes.memory()
     }
 }
 
@@ -90,7 +97,7 @@ pub(super) struct BodyState {
     /// The motion of single vertices beyond that.
     pub deformation: Deformation,
     /// The accelerations of its vertices if many pushes act on it.
-    pub push_field: PushField,
+    pub push_field: Option<Box<PushField>>,
     /// Number of times that the steps of its vertices are halved.
     pub halvings: u32,
     /// Bounds over [`BodyState::deformation`], without the shared motion.
@@ -104,7 +111,7 @@ pub(super) struct BodyState {
 #[derive(Clone, Default)]
 pub(super) struct Chosen {
     /// Where the spheres were when the active set was selected.
-    pub references: Vec<Reference>,
+    pub references: SmallVec<[Reference; 2]>,
     /// The responses to pushes when the active set was selected [scene unit].
     pub pushed: Vec<f64>,
     /// How far the spheres may move before it is selected again [scene unit].
@@ -117,7 +124,7 @@ pub(super) struct Chosen {
 #[derive(Clone)]
 pub(super) struct StepBounds {
     /// Bodies whose spheres can reach it.
-    pub reachable: Vec<Neighbour>,
+    pub reachable: Neighbours,
     /// The largest distance of its vertices from the centre in this step [scene unit].
     pub farthest: f64,
     /// A bound on the acceleration of any vertex by spheres [scene unit/s²].
@@ -150,13 +157,19 @@ impl Active {
                 common: Common { carried: State::default(), pushed: vec![Pushed::default(); pushes] },
                 common_as_of: step,
                 deformation: Deformation::default(),
-                push_field: PushField::default(),
+                push_field: None,
                 halvings: 0,
                 state_bounds: StateBounds::default(),
                 bound: 0.0,
             },
             chosen: Chosen::default(),
-            bounds: StepBounds { reachable: Vec::new(), farthest: 0.0, pull: 0.0, max_reach: 0.0, may_sleep: true },
+            bounds: StepBounds {
+                reachable: Neighbours::new(),
+                farthest: 0.0,
+                pull: 0.0,
+                max_reach: 0.0,
+                may_sleep: true,
+            },
             statistics: StepStatistics::default(),
         }
     }
@@ -164,11 +177,11 @@ impl Active {
     /// Memory allocated for the body's state [bytes].
     pub fn memory(&self) -> usize {
         self.state.deformation.memory()
-            + self.state.push_field.memory()
+            + self.state.push_field.as_ref().map_or(0, |field| size_of::<PushField>() + field.memory())
             + self.state.common.pushed.capacity() * size_of::<Pushed>()
-            + self.chosen.references.capacity() * size_of::<Reference>()
+            + spilled(&self.chosen.references)
             + self.chosen.pushed.capacity() * size_of::<f64>()
-            + self.bounds.reachable.capacity() * size_of::<Neighbour>()
+            + spilled(&self.bounds.reachable)
     }
 
     /// Whether nothing has acted on the body yet: every displacement and velocity is exactly zero.
@@ -284,6 +297,11 @@ impl Active {
         let (x, m) = (x + displacement, m + momentum);
         !x.is_finite() || !m.is_finite() || m > MARGIN * self.state.bound
     }
+}
+
+/// Memory allocated for a list beyond what it holds in place [bytes].
+fn spilled<A: Array>(list: &SmallVec<A>) -> usize {
+    if list.spilled() { list.capacity() * size_of::<A::Item>() } else { 0 }
 }
 
 /// Applies a flow to a state.

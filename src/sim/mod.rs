@@ -4,7 +4,7 @@
 //! | --- | --- |
 //! | the world and its step | `world` |
 //! | the state of one body and how a step advances it | `body`, `advance` |
-//! | the bodies that are not at rest | `active_set` |
+//! | the bodies that are not at rest, in space order | `active_set`, `morton` |
 //! | how many frames a step of the integrator spans | `stride` |
 //! | per-vertex state beyond the motion that all vertices share | `deformation` |
 //! | what acts on vertices, one file per force term | `terms` |
@@ -57,6 +57,7 @@ pub mod free;
 #[doc(hidden)]
 pub mod integrator;
 pub(crate) mod memory;
+mod morton;
 mod neighbours;
 mod nodes;
 mod observe;

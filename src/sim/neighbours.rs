@@ -1,5 +1,11 @@
 //! The neighbours of a body, and the fat bounds for which they are valid.
 
+use smallvec::SmallVec;
+
+/// The nearby bodies of one, ascending. A few are stored beside what is known of the body: in large scenes a step waits for
+/// memory, and each list of its own is another place.
+pub(super) type Neighbours = SmallVec<[Neighbour; 3]>;
+
 /// A nearby body.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Neighbour {

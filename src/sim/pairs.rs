@@ -209,7 +209,7 @@ impl Pairs {
         let found = std::mem::take(&mut self.found);
         let mut kept = std::mem::take(&mut self.kept);
         kept.clear();
-        kept.append(&mut bodies[i].neighbours);
+        kept.extend(bodies[i].neighbours.drain(..));
         let mut known = kept.drain(..).peekable();
         let leave = |pairs: &mut Pairs, bodies: &mut [Body], neighbour: Neighbour| {
             if pairs.pairs[neighbour.pair as usize].phase != Phase::Apart {
@@ -232,6 +232,9 @@ impl Pairs {
                 let others = &mut bodies[other as usize].neighbours;
                 let index = others.partition_point(|neighbour| neighbour.other < i as u32);
                 others.insert(index, spheres::neighbour(scene, other, i as u32, pair));
+                for body in [i, other as usize] {
+                    bodies[body].calm_until = f64::NEG_INFINITY;
+                }
                 spheres::neighbour(scene, i as u32, other, pair)
             });
             bodies[i].neighbours.push(neighbour);
@@ -275,16 +278,14 @@ impl Pairs {
         let ahead = AHEAD * scene.dt * ((span.start / (AHEAD * scene.dt) + 1e-6).floor() + 1.0);
         self.changes.clear();
         self.changed.clear();
-        let pairs = &self.pairs;
-        tracks.watch(|track| {
-            let mut neighbours = bodies[track.body as usize].neighbours.iter();
-            neighbours.any(|neighbour| pairs[neighbour.pair as usize].may_change(span))
-        });
+        tracks.watch(|track| bodies[track.body as usize].calm_until <= span.end);
         for body in tracks.watched() {
+            let mut calm_until = f64::INFINITY;
             for neighbour in &bodies[body as usize].neighbours {
-                let both_move = tracks.of(neighbour.other as usize).is_some();
                 let index = neighbour.pair as usize;
-                if (both_move && neighbour.other < body) || !self.pairs[index].may_change(span) {
+                // of two bodies that move, the first has found the changes for both
+                if !self.pairs[index].may_change(span) {
+                    calm_until = self.pairs[index].calm_until().min(calm_until);
                     continue;
                 }
                 let first = self.changes.len();
@@ -313,7 +314,9 @@ impl Pairs {
                     self.pairs[index].changes = first as u32..self.changes.len() as u32;
                     self.changed.push(neighbour.pair);
                 }
+                calm_until = self.pairs[index].calm_until().min(calm_until);
             }
+            bodies[body as usize].calm_until = calm_until;
         }
         events.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
         events.reverse();
@@ -382,6 +385,11 @@ impl Pairs {
 impl Pair {
     fn may_change(&self, span: Span) -> bool {
         self.known_until < span.end || self.upcoming.is_some_and(|(time, _)| time <= span.end)
+    }
+
+    /// The phase does not change before this time [s].
+    fn calm_until(&self) -> f64 {
+        self.upcoming.map_or(self.known_until, |(time, _)| time.min(self.known_until))
     }
 
     /// Reports the changes up to the end of `span`, searching up to `horizon` for the next. An infinite `horizon` means

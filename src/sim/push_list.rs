@@ -17,8 +17,8 @@ const ROUNDING: f64 = 1e-9;
 pub(super) struct PushList {
     /// In the order of the scene.
     all: Box<[Push]>,
-    /// Present if there are more than [`MAX_SHARED`].
-    index: Option<Index>,
+    /// Present if there are more than [`MAX_SHARED`], which is rare.
+    index: Option<Box<Index>>,
 }
 
 /// An index of many pushes by time.
@@ -116,7 +116,7 @@ impl Index {
 impl PushList {
     /// The list of the pushes on one body, given in the order of the scene.
     pub fn new(all: Vec<Push>) -> PushList {
-        let index = (all.len() > MAX_SHARED).then(|| Index::new(&all));
+        let index = (all.len() > MAX_SHARED).then(|| Box::new(Index::new(&all)));
         PushList { all: all.into(), index }
     }
 

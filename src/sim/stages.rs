@@ -303,6 +303,8 @@ impl Recomputed<'_> {
         let course = Course {
             scene,
             index,
+            material: body.material,
+            radius: body.radius,
             mesh: &body.mesh,
             start: from,
             length: to - from,
@@ -319,7 +321,7 @@ impl Recomputed<'_> {
             active_set.set_state(i, State { x: states.displacement.get(i), u: states.velocity.get(i) });
         }
         active_set.pad_again();
-        let kicked = State { x: DVec3::ZERO, u: carry::kick(scene, tracks, index, from) };
+        let kicked = State { x: DVec3::ZERO, u: carry::kick(&body.material, self.world.track(index), from) };
         let mut common = Common { carried: kicked, pushed: vec![Pushed::default(); weighted.len()] };
         let tolerance = scene.tolerance * this.radius;
         let control = StepControl { arch: self.world.options().arch, tolerance, work: &self.work };

@@ -3,10 +3,10 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{events::PairTracks, nodes::SAMPLES, span::Span, stride::Stride, track::Track};
+use super::{events::PairTracks, nodes::SAMPLES, span::Span, stride::Stride, terms, track::Track};
 use crate::scene::{
-    Body, Motion, Path, Scene,
-    path::{Bounds, Kinematics, Turns},
+    Body, Material, Motion, Path, Scene,
+    path::{Bounds, Turns},
 };
 
 /// With fewer moving bodies than this, a second thread does not pay off.
@@ -51,6 +51,15 @@ impl MotionBounds {
     }
 }
 
+/// A body's motion at each of a step's [`SAMPLES`].
+#[derive(Clone, Copy, Debug)]
+pub struct Samples {
+    /// Its centre [scene unit].
+    pub positions: [DVec3; 5],
+    /// The acceleration that all its vertices share [scene unit/s²].
+    pub uniform: [DVec3; 5],
+}
+
 /// A moving body during a step.
 pub struct Mover {
     /// Index of the body.
@@ -58,14 +67,20 @@ pub struct Mover {
     /// Whether something may happen between the body and its neighbours in the step, for [`Tracks::watch`].
     pub is_watched: bool,
     turns: Turns,
+    /// The constants of its oscillators.
+    material: Material,
     /// Upper bound of the distance between any two positions of its centre [scene unit].
     extent: f64,
     /// Whether the body stands still in the step …
     stands_still: bool,
     /// … and did so in the step before: nothing changes for its neighbours.
     pub is_idle: bool,
-    /// Motion at each of the step's [`SAMPLES`].
-    pub kinematics: [Kinematics; 5],
+    /// Whether derivatives of the motion jump somewhere.
+    has_breaks: bool,
+    /// Whether the body oscillates more than once in a stride, which steps do not resolve.
+    pub is_unresolved: bool,
+    /// The body's motion over the stride.
+    samples: Samples,
     /// Bounds of the motion over the step.
     pub bounds: Bounds,
     /// A bound on the sum of the jumps of the velocity in the step, including one at its start [scene unit/s].
@@ -95,15 +110,20 @@ impl Tracks {
                 *mover = movers.len() as u32;
                 let turns = path.turns(&SAMPLES.map(|theta| theta * stride.length));
                 let bounds = Bounds { speed: 0.0, acceleration: 0.0 };
-                let kinematics = [path.at(0.0); 5];
+                let samples = Samples { positions: [path.position(0.0); 5], uniform: [DVec3::ZERO; 5] };
+                let is_unresolved =
+                    matches!(path, Path::Sine { frequency, .. } if frequency.abs() * stride.length > 1.0);
                 movers.push(Mover {
                     body,
                     is_watched: false,
                     turns,
+                    material: scene.bodies[body as usize].material,
                     extent: path.extent(),
                     stands_still: false,
                     is_idle: false,
-                    kinematics,
+                    has_breaks: !path.knots().is_empty(),
+                    is_unresolved,
+                    samples,
                     bounds,
                     kicks: 0.0,
                 });
@@ -128,7 +148,11 @@ impl Tracks {
             if track.is_idle {
                 return;
             }
-            path.kinematics(span.start, span.end, &SAMPLES, &track.turns, &mut track.kinematics);
+            let kinematics = path.kinematics(span.start, span.end, &SAMPLES, &track.turns);
+            track.samples = Samples {
+                positions: kinematics.map(|kinematics| kinematics.position),
+                uniform: kinematics.map(|kinematics| terms::uniform(&track.material, &kinematics)),
+            };
             track.bounds = path.bounds(span.start, span.end);
             track.kicks = path.kicks(span.start, span.end);
         };
@@ -136,7 +160,7 @@ impl Tracks {
         let h = span.length();
         for track in &self.movers {
             let motion_bounds = &mut self.motion_bounds[track.body as usize];
-            motion_bounds.centre = track.kinematics[0].position;
+            motion_bounds.centre = track.samples.positions[0];
             let (speed, extent) = (track.bounds.speed, track.extent);
             // the extent is the tighter bound for a body that oscillates many times in a step
             motion_bounds.speed = if speed * h > extent { extent / h } else { speed };
@@ -189,20 +213,19 @@ impl Tracks {
         PairTracks { a: self.track(a), b: self.track(b), radii }
     }
 
-    /// A body's centre and its motion at the step's [`SAMPLES`].
-    pub fn kinematics(&self, body: usize) -> [Kinematics; 5] {
-        match self.of(body) {
-            Some(track) => track.kinematics,
-            None => [self.track(body).at(0.0); 5],
-        }
+    /// A body's motion at the step's [`SAMPLES`]. Nothing acts on the vertices of a body because it does not move.
+    #[inline]
+    pub fn samples(&self, body: usize) -> Samples {
+        let still = || Samples { positions: [self.motion_bounds[body].centre; 5], uniform: [DVec3::ZERO; 5] };
+        self.of(body).map_or_else(still, |track| track.samples)
     }
 
-    /// A body's centre at the step's [`SAMPLES`] [scene unit].
+    /// Instants at which a derivative of a body's motion jumps [s], ascending.
     #[inline]
-    pub fn positions(&self, body: usize) -> [DVec3; 5] {
-        match self.of(body) {
-            Some(track) => track.kinematics.each_ref().map(|kinematics| kinematics.position),
-            None => [self.motion_bounds[body].centre; 5],
+    pub fn breaks(&self, body: u32) -> &[f64] {
+        match self.of(body as usize) {
+            Some(track) if track.has_breaks => self.paths[body as usize].knots(),
+            _ => &[],
         }
     }
 
@@ -229,7 +252,9 @@ mod tests {
     #[test]
     fn tracks_follow_their_paths() {
         for name in ["two", "three", "crowd", "size_ratio"] {
-            let scene = Scene::builtin(name).unwrap();
+            let mut scene = Scene::builtin(name).unwrap();
+            // so that velocities count
+            scene.bodies.iter_mut().for_each(|body| body.material.response = crate::scene::Response::World);
             let mut tracks = Tracks::new(&scene, Stride { frames: 1, length: scene.dt });
             for step in 0..scene.steps() {
                 let span = Span { start: step as f64 * scene.dt, end: (step + 1) as f64 * scene.dt };
@@ -237,10 +262,12 @@ mod tests {
                 for track in tracks.all() {
                     let path = scene.bodies[track.body as usize].path().unwrap();
                     for (sample, theta) in SAMPLES.into_iter().enumerate() {
-                        let t = if theta == 1.0 { span.end } else { span.start + theta * scene.dt };
-                        let (seen, exact) = (track.kinematics[sample], path.at(t));
-                        assert!(seen.position.distance(exact.position) < 1e-14 * exact.position.length().max(1.0));
-                        assert!(seen.velocity.distance(exact.velocity) < 1e-13 * exact.velocity.length().max(1.0));
+                        let (t, is_end) = (span.start + theta * scene.dt, theta == 1.0);
+                        let exact = if is_end { path.before(span.end) } else { path.at(t) };
+                        let Samples { positions, uniform } = track.samples;
+                        let (position, carry) = (exact.position, terms::uniform(&track.material, &exact));
+                        assert!(positions[sample].distance(position) < 1e-14 * position.length().max(1.0));
+                        assert!(uniform[sample].distance(carry) < 1e-12 * carry.length().max(1.0));
                     }
                 }
             }

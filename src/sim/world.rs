@@ -24,6 +24,7 @@ use super::{
     free::Ledger,
     integrator::exponential,
     memory::{self, TooLarge},
+    morton::Curve,
     pairs::{Moving, Pair, Pairs, Surrounded},
     report::{Diverged, EditError, Failure, Overworked, Stage, StepReport, Toil},
     span::Span,
@@ -43,7 +44,7 @@ use crate::{
 
 /// With fewer vertices than this to step, a second thread does not pay off.
 const PARALLEL_VERTICES: usize = 2048;
-/// With fewer bodies than this, a second thread does not pay off for the broad phase or the summary of a step.
+/// With fewer bodies than this, a second thread does not pay off for the bounds on their vertices.
 const PARALLEL_BODIES: usize = 512;
 /// When a body outgrows its fat bounds, the new ones allow its vertices this factor of their current distance from
 /// rest.
@@ -276,6 +277,7 @@ impl World {
         self.find_events(span)?;
         let found = Instant::now();
         self.wake(span);
+        self.sort_awake();
         self.find_bounds(span)?;
         self.report.timings[Stage::Reach as usize] = (followed - start) + found.elapsed();
         self.report.timings[Stage::Events as usize] = found - followed;
@@ -381,6 +383,16 @@ impl World {
         Ok(())
     }
 
+    /// Sorts the awake bodies in space, if that may pay off.
+    fn sort_awake(&mut self) {
+        let World { actives, bodies, tracks, .. } = self;
+        if actives.is_unsorted() {
+            let centre = |active: &Active| tracks.motion_bounds(active.body).centre;
+            let curve = Curve::around(actives.awake().iter().map(centre));
+            actives.sort(bodies, |active| curve.place(centre(active)));
+        }
+    }
+
     /// Wakes the bodies on which something begins to act before the end of `span`.
     fn wake_acted_on(&mut self, span: Span) {
         while let Some(&(start, body)) = self.starts.get(self.started) {
@@ -395,6 +407,9 @@ impl World {
     /// Wakes the bodies that respond to their own motion during `span`, those that a moving sphere can reach, and those
     /// whose vertices can move into a sphere.
     fn wake_moved(&mut self, span: Span) {
+        if self.actives.awake().len() == self.bodies.len() {
+            return;
+        }
         let World { tracks, bodies, actives, woken, .. } = self;
         let is_awake = |body: u32| actives.is_awake(&bodies[body as usize]);
         tracks.watch(|track| {
@@ -485,8 +500,15 @@ impl World {
         self.work.begin_turns(self.actives.awake().len());
         let (context, actives) = self.context();
         let is_worth_threads = is_worth_threads(actives);
-        each(actives, is_worth_threads, |turn, active| context.advance(active, turn, span));
-        let sum = self.sum();
+        let advance = |(turn, active): (usize, &mut Active)| {
+            context.advance(active, turn, span);
+            Sum::of(active, context.scene, context.stride.length)
+        };
+        let sum = if is_worth_threads {
+            actives.par_iter_mut().with_min_len(4).enumerate().map(advance).reduce(Sum::default, Sum::and)
+        } else {
+            actives.iter_mut().enumerate().map(advance).fold(Sum::default(), Sum::and)
+        };
         if self.work.is_interrupted() {
             return Err(Failure::Interrupted { step: self.step + 1 });
         }
@@ -500,19 +522,6 @@ impl World {
         }
         self.work.end(sum.work, sum.base, sum.vertices);
         Ok(sum)
-    }
-
-    /// Sums the results of the step over all awake bodies.
-    fn sum(&self) -> Sum {
-        let actives = self.actives.awake();
-        let (scene, h) = (&self.scene, self.stride.length);
-        let add = |sum: Sum, active: &Active| sum.and(Sum::of(active, scene, h));
-        if actives.len() >= PARALLEL_BODIES {
-            let chunks = actives.par_iter().with_min_len(256);
-            chunks.fold(Sum::default, add).reduce(Sum::default, Sum::and)
-        } else {
-            actives.iter().fold(Sum::default(), add)
-        }
     }
 
     /// Writes the results of the step to the report, and whether it led to an invalid state.

@@ -7,10 +7,10 @@ use glam::DVec3;
 use super::{Cause, On, Term};
 use crate::{
     scene::{
-        Path, Response, Scene,
+        Material, Path, Response,
         path::{Bounds, Kinematics},
     },
-    sim::{span::Span, state::State, track::Track, tracks::Tracks},
+    sim::{span::Span, state::State, track::Track},
 };
 
 pub struct Carry;
@@ -18,16 +18,15 @@ pub struct Carry;
 /// The jump of the velocities of a body's vertices at time `t` due to the jump of its centre's velocity [scene unit/s]:
 /// the vertices keep their world velocity, unless the body is rigid. A centre that jumps between positions takes the
 /// vertices along. At t = 0 every velocity is zero.
-pub fn kick(scene: &Scene, tracks: &Tracks, index: usize, t: f64) -> DVec3 {
-    match scene.bodies[index].material.response {
-        Response::Inertial | Response::World if t > 0.0 => -tracks.track(index).kick(t),
+pub fn kick(material: &Material, track: Track<'_>, t: f64) -> DVec3 {
+    match material.response {
+        Response::Inertial | Response::World if t > 0.0 => -track.kick(t),
         _ => DVec3::ZERO,
     }
 }
 
 impl Term for Carry {
-    fn uniform(scene: &Scene, index: usize, motion: &Kinematics) -> Option<(Cause, DVec3)> {
-        let material = &scene.bodies[index].material;
+    fn uniform(material: &Material, motion: &Kinematics) -> Option<(Cause, DVec3)> {
         let carry = match material.response {
             Response::Rigid => DVec3::ZERO,
             Response::Inertial => motion.acceleration,
@@ -37,7 +36,7 @@ impl Term for Carry {
     }
 
     fn own_bound<P>(on: &On<'_, P>, span: Span) -> f64 {
-        let material = &on.scene.bodies[on.index as usize].material;
+        let material = on.material;
         let Some(mover) = on.tracks.of(on.index as usize) else { return 0.0 };
         let Bounds { speed, acceleration } = mover.bounds;
         // a velocity jump acts on a vertex like the same change spread over the step
@@ -63,11 +62,10 @@ pub struct Steady {
 }
 
 impl Steady {
-    /// The response of body `index`, if carry acts on it and it oscillates more than once in `h` [s], so that steps do
+    /// The response of a body, if carry acts on it and it oscillates more than once in `h` [s], so that steps do
     /// not resolve the motion.
-    pub fn of(scene: &Scene, index: usize, track: Track<'_>, h: f64) -> Option<Steady> {
+    pub fn of(material: &Material, track: Track<'_>, h: f64) -> Option<Steady> {
         let Some(Path::Sine { amplitude, frequency, phase, .. }) = track.path() else { return None };
-        let material = &scene.bodies[index].material;
         if frequency.abs() * h <= 1.0 || material.response == Response::Rigid {
             return None;
         }
@@ -100,8 +98,7 @@ impl Steady {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
-    use crate::sim::World;
+    use crate::{Scene, sim::World};
 
     fn world(response: &str, frequency: f64, phase: f64, steps_per_period: f64) -> World {
         let dt = 1.0 / (60.0 * steps_per_period);

@@ -20,7 +20,7 @@ use crate::{
         influence::{self, Weight},
         phase::Phase,
     },
-    scene::{Scene, path::Kinematics},
+    scene::{Material, Scene, path::Kinematics},
 };
 pub(super) use carry::Steady;
 pub use push::Weighted;
@@ -57,11 +57,10 @@ macro_rules! terms {
             }
         }
 
-        /// The acceleration that all vertices of body `index` share at an instant, given the body's motion
-        /// [scene unit/s²].
-        pub(super) fn uniform(scene: &Scene, index: usize, motion: &Kinematics) -> DVec3 {
+        /// The acceleration that all vertices of a body share at an instant, given its motion [scene unit/s²].
+        pub(super) fn uniform(material: &Material, motion: &Kinematics) -> DVec3 {
             let mut sum = DVec3::ZERO;
-            $(sum += $module::$Term::uniform(scene, index, motion).map_or(DVec3::ZERO, |(_, force)| force);)*
+            $(sum += $module::$Term::uniform(material, motion).map_or(DVec3::ZERO, |(_, force)| force);)*
             sum
         }
 
@@ -71,7 +70,7 @@ macro_rules! terms {
             pub fn surroundings_into(&self, moment: Moment, farthest: f64, surroundings: &mut Surroundings) {
                 let motion = self.tracks.track(self.index as usize).at(moment.time);
                 surroundings.clear();
-                $(surroundings.uniform.extend($module::$Term::uniform(self.scene, self.index as usize, &motion));)*
+                $(surroundings.uniform.extend($module::$Term::uniform(self.material, &motion));)*
                 $($module::$Term::at(self, moment, &motion, farthest, surroundings);)*
             }
 
@@ -142,8 +141,8 @@ terms! {
 
 /// A term's contribution to the acceleration of a body's vertices. Every method defaults to no contribution.
 trait Term {
-    /// The acceleration that all vertices of body `index` share at an instant, given the body's motion [scene unit/s²].
-    fn uniform(_scene: &Scene, _index: usize, _motion: &Kinematics) -> Option<(Cause, DVec3)> {
+    /// The acceleration that all vertices of a body share at an instant, given its motion [scene unit/s²].
+    fn uniform(_material: &Material, _motion: &Kinematics) -> Option<(Cause, DVec3)> {
         None
     }
 
@@ -173,6 +172,8 @@ pub(super) struct On<'a, P> {
     pub scene: &'a Scene,
     /// Its index in the scene.
     pub index: u32,
+    /// The constants of its oscillators.
+    pub material: &'a Material,
     /// Nearby bodies.
     pub neighbours: &'a [Neighbour],
     /// The scene's pushes on it.
@@ -185,8 +186,8 @@ pub(super) struct On<'a, P> {
 impl<'a, P> On<'a, P> {
     /// The same body, with phases from another source.
     pub fn with_phases<Q>(self, phases: Q) -> On<'a, Q> {
-        let On { scene, index, neighbours, pushes, tracks, .. } = self;
-        On { scene, index, neighbours, pushes, tracks, phases }
+        let On { scene, index, material, neighbours, pushes, tracks, .. } = self;
+        On { scene, index, material, neighbours, pushes, tracks, phases }
     }
 }
 

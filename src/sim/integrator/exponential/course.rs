@@ -5,7 +5,7 @@ use glam::DVec3;
 use crate::{
     geometry::Mesh,
     model::{influence::Weight, oscillator::Oscillator},
-    scene::{self, Scene, path::Bounds},
+    scene::{Material, Scene, path::Bounds},
     sim::{
         arrays::Vectors,
         state::State,
@@ -22,6 +22,10 @@ pub struct Course<'a> {
     pub scene: &'a Scene,
     /// … and the body's index in it.
     pub index: usize,
+    /// The constants of its oscillators.
+    pub material: Material,
+    /// Its radius [scene unit].
+    pub radius: f64,
     /// Its rest shape.
     pub mesh: &'a Mesh,
     /// Start of the interval [s].
@@ -55,21 +59,15 @@ impl Course<'_> {
         self.start + self.length
     }
 
-    /// The body in the scene.
-    pub fn body(&self) -> &scene::Body {
-        &self.scene.bodies[self.index]
-    }
-
     /// ω and κ.
     pub fn oscillator(&self) -> Oscillator {
-        let material = self.body().material;
-        Oscillator { omega: material.omega, damping: material.damping }
+        Oscillator { omega: self.material.omega, damping: self.material.damping }
     }
 
     /// The weight of a vertex in a weighted term along `direction` d, that is, how squarely the vertex faces it [–]:
     /// max(0, −l̂·d) for rest position l (Fig. 4.1).
     pub fn facing(&self, direction: DVec3, rest: DVec3) -> f64 {
-        let length = if self.mesh.is_round() { self.body().radius } else { rest.length() };
+        let length = if self.mesh.is_round() { self.radius } else { rest.length() };
         f64::max(0.0, -(rest.dot(direction) / length)) // 0 for a vertex at the centre
     }
 
@@ -95,13 +93,13 @@ impl Course<'_> {
         let own = if t >= self.end() { track.before(t) } else { track.at(t) };
         centres.clear();
         centres.extend((0..self.spheres.len()).map(|j| self.sphere_track(j).position(t) - own.position));
-        terms::uniform(self.scene, self.index, &own)
+        terms::uniform(&self.material, &own)
     }
 
     /// The response to the body's own motion at the end of the interval, given the response `carried` at its start, in
     /// closed form; `None` unless steps would not resolve the motion.
     pub fn carried_over(&self, carried: State) -> Option<State> {
-        let steady = Steady::of(self.scene, self.index, self.track(self.index), self.length)?;
+        let steady = Steady::of(&self.material, self.track(self.index), self.length)?;
         // bit-identical to the start of the next step, which matters if the body oscillates a million times in between
         let end = if self.is_whole { ((self.start / self.length).round() + 1.0) * self.length } else { self.end() };
         let (from, to) = (steady.at(self.start), steady.at(end));

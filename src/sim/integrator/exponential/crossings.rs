@@ -96,7 +96,7 @@ pub struct Crossed {
 
 /// Whether a step may be usual for any vertex.
 pub fn is_usual(course: &Course<'_>, whole: &Step) -> bool {
-    let Material { omega, damping, .. } = course.body().material;
+    let Material { omega, damping, .. } = course.material;
     let is_short = (omega + 2.0 * damping) * whole.h <= LONGEST;
     has_kink(course.weight()) && is_short && whole.smooth && course.weighted.is_empty() && course.local.is_none()
 }
@@ -366,7 +366,7 @@ impl<S: Simd> Batch<'_, S> {
     /// motion of a vertex is interpolated by the quintic that matches displacement, velocity and acceleration at both ends.
     #[inline(always)]
     fn apart(&self, path: &[DVec3; 5], part: &Part<S>, rest: Vector<S, 1>) -> [Vector<S, 1>; 6] {
-        let Material { omega, damping, .. } = self.course.body().material;
+        let Material { omega, damping, .. } = self.course.material;
         let ([x0, u0], [x1, u1]) = (part.start, part.end);
         let h = part.share * self.whole.h;
         let square = h * h;
@@ -448,7 +448,7 @@ impl<S: Simd> Batch<'_, S> {
     ) -> First<S> {
         let simd = self.simd;
         let (zero, one) = (Reals::splat(simd, 0.0), Reals::splat(simd, 1.0));
-        let Material { omega, damping, .. } = self.course.body().material;
+        let Material { omega, damping, .. } = self.course.material;
         let h = part.share * self.whole.h;
         let ([x0, u0], [x1, _]) = (part.start, part.end);
         let force = part.forces[0].length_squared().larger(part.forces[3].length_squared()).sqrt();
@@ -599,7 +599,7 @@ impl<S: Simd> Batch<'_, S> {
         for &j in &scratch.pulls {
             stiffness = stiffness + Reals::load(simd, &scratch.strengths[j], 0).abs();
         }
-        let Material { omega, damping, .. } = self.course.body().material;
+        let Material { omega, damping, .. } = self.course.material;
         let h = last.t;
         let wanted = h * self.tolerance;
         let constant = (h * h) * last.j[2];
@@ -667,7 +667,7 @@ impl<S: Simd> Batch<'_, S> {
             let cubic = (forces[0] * w[0] + forces[1] * w[1]) + (forces[2] * w[2] + forces[3] * w[3]);
             let skew = (found - cubic - part.bend * BEND_ASIDE).length_squared().sqrt() - noise;
             let skew = zero.larger_or_nan(skew);
-            let all = left_out(simd, self.course.body().material, h, stiffness, [bent, skew]);
+            let all = left_out(simd, self.course.material, h, stiffness, [bent, skew]);
             effect = needs_more.select(all * gain, effect);
         }
         part.error = unsettled + effect * LEFT_OUT;

@@ -48,7 +48,7 @@ impl<'a> Motion<'a> {
     /// The motion of a vertex from `state` to the step's outcome.
     pub fn new(course: &Course<'_>, step: &Step, vertex: &'a Vertex, state: State, outcome: &Outcome) -> Motion<'a> {
         let h = step.h;
-        let (omega, damping) = (course.body().material.omega, course.body().material.damping);
+        let (omega, damping) = (course.material.omega, course.material.damping);
         let acceleration = |state: State, force: DVec3| force - omega * omega * state.x - 2.0 * damping * state.u;
         let (from, to) = (state, outcome.end);
         let (x0, u0, a0) = (from.x, from.u * h, acceleration(from, outcome.forces[0]) * (h * h));

@@ -231,7 +231,7 @@ impl Single<'_> {
 
     /// Bound on the distance that the vertex moves by itself in a step of length `h` [s] [scene unit].
     fn travel(&self, h: f64, state: State) -> f64 {
-        let omega = self.course.body().material.omega;
+        let omega = self.course.material.omega;
         let swing = (state.u.length_squared() + omega * omega * state.x.length_squared()).sqrt();
         let speed = swing + self.force * h;
         f64::min(speed * h, speed * (2.0 / omega))
@@ -275,7 +275,7 @@ impl Single<'_> {
         if !is_stiff(self.course, h) {
             return true;
         }
-        let omega = self.course.body().material.omega;
+        let omega = self.course.material.omega;
         let constant = f64::min(0.5 * h * h, 2.0 / (omega * omega)); // bounds the displacement by a unit force
         let stiffness: f64 = self.course.spheres.iter().map(|sphere| sphere.strength.abs()).sum();
         let kink = stiffness * self.travel(h, state) * constant;
@@ -321,7 +321,7 @@ impl Single<'_> {
 
 /// Whether a step is too long to resolve the oscillation of the body's vertices.
 pub fn is_stiff(course: &Course<'_>, h: f64) -> bool {
-    let material = course.body().material;
+    let material = course.material;
     (material.omega + 2.0 * material.damping) * h > 1.0
 }
 

@@ -14,7 +14,7 @@ use crate::{
     sim::{
         nodes,
         state::{Common, Pushed, State},
-        terms::{self, Sphere, Weighted},
+        terms::{Sphere, Weighted},
     },
 };
 
@@ -197,7 +197,7 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
             let none = Reals::splat(simd, 0.0);
             // on a round body the length of a rest position is the radius; it is computed only for other shapes
             let per_length = if course.mesh.is_round() {
-                Reals::splat(simd, 1.0 / course.body().radius)
+                Reals::splat(simd, 1.0 / course.radius)
             } else {
                 Reals::splat(simd, 1.0) / rest.length_squared().sqrt()
             };
@@ -255,7 +255,7 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
     #[inline(always)]
     fn roughness(&self, start: Vector<S, W>, end: Vector<S, W>) -> Reals<S, W> {
         let (simd, step) = (self.simd, self.step);
-        let material = self.course.body().material;
+        let material = self.course.material;
         let travelled = (self.rest_at(3) + end) - (self.rest_at(0) + start);
         let zero = Reals::splat(simd, 0.0);
         let (mut stiffness, mut passed) = (zero, zero);
@@ -331,7 +331,7 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
         let mut effect = left_out * self.roughness(x, end) * 0.1;
         if self.step.weights.is_sampled_aside {
             // depends only on what acts on each vertex, not on spheres that are near other vertices or near none
-            let Material { omega, damping, .. } = self.course.body().material;
+            let Material { omega, damping, .. } = self.course.material;
             let scales = (stiffness.sqrt() + Reals::splat(simd, omega + 2.0 * damping)) * self.step.h;
             let is_quick = Reals::splat(simd, 1.0).below(scales);
             let is_near = Reals::splat(simd, wanted).below(effect * (4.0 * gain));
@@ -342,7 +342,7 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
                 let quartic = respond(bend * weights.bend_aside, &weights.polynomial_aside, &forces);
                 let skew = none.larger_or_nan((found - quartic).length_squared().sqrt() - noise);
                 let h = Reals::splat(simd, self.step.h);
-                let material = self.course.body().material;
+                let material = self.course.material;
                 let all = self::left_out(simd, material, h, stiffness, [left_out, skew])
                     + self.ringing([x, u], &forces, stiffness);
                 let expected = self.pulled() * ((scales * scales) * (scales * scales)) * scales;
@@ -472,15 +472,15 @@ impl Step {
 
     /// Samples a whole stride, for which the tracks hold samples.
     fn sample_whole(&mut self, course: &Course<'_>) {
-        let own = course.tracks.kinematics(course.index);
-        for (moment, own) in self.moments.iter_mut().zip(&own) {
-            moment.uniform = terms::uniform(course.scene, course.index, own);
+        let own = course.tracks.samples(course.index);
+        for (moment, uniform) in self.moments.iter_mut().zip(own.uniform) {
+            moment.uniform = uniform;
             moment.centres.clear();
         }
         for sphere in course.spheres {
-            let positions = course.tracks.positions(sphere.body as usize);
-            for ((moment, own), position) in self.moments.iter_mut().zip(&own).zip(positions) {
-                moment.centres.push(position - own.position);
+            let other = course.tracks.samples(sphere.body as usize);
+            for ((moment, own), other) in self.moments.iter_mut().zip(own.positions).zip(other.positions) {
+                moment.centres.push(other - own);
             }
         }
     }
@@ -504,11 +504,11 @@ impl Step {
     /// Acceptable residuals [scene unit] of the cubics in the middle, and of the quartics at [`ASIDE`]; see
     /// [`Step::smooth`].
     fn largest_left_out(&self, course: &Course<'_>, wanted: f64) -> [f64; 2] {
-        let Material { omega, damping, .. } = course.body().material;
+        let Material { omega, damping, .. } = course.material;
         let stiffness: f64 = course.spheres.iter().map(|sphere| sphere.strength.abs()).sum();
         let seen = stiffness * self.weights.gain();
         let of_cubic = seen * f64::min(1.0, (omega + 2.0 * damping) * self.h);
-        [of_cubic, seen].map(|seen| f64::min(SMOOTH * course.body().radius, 0.25 * wanted / seen))
+        [of_cubic, seen].map(|seen| f64::min(SMOOTH * course.radius, 0.25 * wanted / seen))
     }
 
     /// See [`Step::noise`].
@@ -546,7 +546,7 @@ impl Step {
     /// Bounds on the speed and the acceleration of the shared motion within the step, for vertices whose
     /// weights in the weighted terms are `facing`.
     fn common_bounds(&self, course: &Course<'_>, common: &Common, facing: impl Fn(&Weighted) -> f64) -> Bounds {
-        let material = course.body().material;
+        let material = course.material;
         let uniform = self.moments[..5].iter().map(|moment| moment.uniform.length()).fold(0.0, f64::max);
         let weighted: f64 = course.weighted.iter().map(|weighted| facing(weighted) * weighted.strength.abs()).sum();
         let momentum = common.momentum(material.omega, course.weighted.iter().map(facing));
@@ -679,7 +679,7 @@ impl Moment {
 /// See [`Weights::is_sampled_aside`]; `wanted` is the acceptable error of the step [scene unit]. The sample is taken if
 /// any vertex may need it: [`Group::collocate`] decides for each vertex from the influences on it.
 pub fn is_sampled_aside(course: &Course<'_>, h: f64, wanted: f64) -> bool {
-    let Material { omega, damping, .. } = course.body().material;
+    let Material { omega, damping, .. } = course.material;
     let stiffness: f64 = course.spheres.iter().map(|sphere| sphere.strength.abs()).sum();
     let scales = (omega + 2.0 * damping + stiffness.sqrt()) * h;
     scales > 1.0 || course.strongest_pull() * scales.powi(5) * usual(course, h) > wanted
@@ -690,7 +690,7 @@ pub fn is_sampled_aside(course: &Course<'_>, h: f64, wanted: f64) -> bool {
 pub fn usual(course: &Course<'_>, h: f64) -> f64 {
     /// The usual fraction of the error that [`Group::roughness`] gives for the residual of an oscillation.
     const USUAL: f64 = 1.0 / 16.0;
-    let Material { omega, damping, .. } = course.body().material;
+    let Material { omega, damping, .. } = course.material;
     USUAL * 0.1 * SMOOTHNESS / 384.0 * (h / omega.max(2.0 * damping).max(1.0))
 }
 

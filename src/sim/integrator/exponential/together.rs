@@ -156,7 +156,7 @@ impl Together<'_> {
         let [x, u, rest] = &active_set.blocks.all()[block].0;
         let weights = &step.weights;
         let h = step.h;
-        let material = course.body().material;
+        let material = course.material;
         let rest = Vector::<S, W>::of_block(simd, rest, lane);
         // (no closure for both, which would be compiled for the baseline instruction set)
         let x = Vector::<S, W>::of_block(simd, x, lane);
@@ -314,7 +314,7 @@ fn may_cross<S: Simd, const W: usize>(
     force: Reals<S, W>,
 ) -> Mask<S, W> {
     let h = step.h;
-    let material = course.body().material;
+    let material = course.material;
     let zero = Reals::splat(simd, 0.0);
     let own_speed = swing + force * h;
     let own_acceleration = own_speed * (material.omega + 2.0 * material.damping) + force;
