@@ -127,7 +127,7 @@ impl<T: Copy> Seamed<T> {
             is_queued[v as usize] = false;
             let Near { seam, source, .. } = near[v as usize];
             let (from, inverse) = (self.positions[source as usize], inverse[seam as usize]);
-            for &to in beside.next(v) {
+            for to in beside.next(v) {
                 let distance = self.positions[to as usize].distance_squared(from) * inverse;
                 let known = &mut near[to as usize];
                 if distance < known.distance && distance <= reach * reach {
@@ -149,9 +149,9 @@ impl<T: Copy> Seamed<T> {
                 continue;
             }
             let (at, from) = (self.positions[v as usize], self.positions[source as usize]);
-            let to_edges = beside.next(source).iter().filter(|&&end| self.on_seam[end as usize] == Some(seam));
+            let to_edges = beside.next(source).filter(|&end| self.on_seam[end as usize] == Some(seam));
             let squared = to_edges
-                .map(|&end| {
+                .map(|end| {
                     let along = self.positions[end as usize] - from;
                     let share = ((at - from).dot(along) / along.length_squared()).clamp(0.0, 1.0);
                     at.distance_squared(from + along * share) * inverse[seam as usize]
@@ -436,10 +436,8 @@ impl<T: Copy> Seamed<T> {
 /// The triangles about each vertex.
 struct Beside {
     first: Vec<u32>,
-    triangles: Vec<u32>,
-    /// For each of these triangles, the vertex after the one it is listed for. In a closed surface, these are all
-    /// neighbours.
-    next: Vec<u32>,
+    /// Each triangle about a vertex, and the vertex after that one in it. In a closed surface, these are all neighbours.
+    around: Vec<(u32, u32)>,
     /// Linked list of the vertices merged into each vertex.
     merged: Vec<u32>,
 }
@@ -453,16 +451,15 @@ impl Beside {
         for v in 2..first.len() {
             first[v] += first[v - 1];
         }
-        let (mut list, mut next) = (vec![0; 3 * triangles.len()], vec![0; 3 * triangles.len()]);
-        for (corners, t) in triangles.iter().zip(0..) {
-            for k in 0..3 {
-                let slot = &mut first[corners[k] as usize + 1];
-                list[*slot as usize] = t;
-                next[*slot as usize] = corners[(k + 1) % 3];
+        let mut around = vec![(0, 0); 3 * triangles.len()];
+        for (&[a, b, c], t) in triangles.iter().zip(0..) {
+            for (v, next) in [(a, b), (b, c), (c, a)] {
+                let slot = &mut first[v as usize + 1];
+                around[*slot as usize] = (t, next);
                 *slot += 1;
             }
         }
-        Beside { first, triangles: list, next, merged: vec![NONE; vertices] }
+        Beside { first, around, merged: vec![NONE; vertices] }
     }
 
     fn of(&self, v: u32) -> std::ops::Range<usize> {
@@ -470,15 +467,15 @@ impl Beside {
     }
 
     /// The neighbours of a vertex before any merge.
-    fn next(&self, v: u32) -> &[u32] {
-        &self.next[self.of(v)]
+    fn next(&self, v: u32) -> impl Iterator<Item = u32> {
+        self.around[self.of(v)].iter().map(|&(_, next)| next)
     }
 
     /// Visits the triangles about a vertex and about those merged into it, except removed ones.
     fn each(&self, v: u32, removed: &[bool], mut call: impl FnMut(u32)) {
         let mut from = v;
         while from != NONE {
-            self.triangles[self.of(from)].iter().filter(|&&t| !removed[t as usize]).for_each(|&t| call(t));
+            self.around[self.of(from)].iter().filter(|&&(t, _)| !removed[t as usize]).for_each(|&(t, _)| call(t));
             from = self.merged[from as usize];
         }
     }

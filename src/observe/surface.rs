@@ -259,7 +259,9 @@ impl Merger {
             self.place(schema, frame, body);
         }
         let Merger { closed, bodies, groups: last_groups, pairs: last_pairs, merged, work, .. } = self;
-        let scene = Scene { schema, closed, bodies };
+        let involved = groups.iter().flatten().chain(pairs.iter().flatten());
+        let built = involved.map(|&body| (body, OnceLock::new())).collect();
+        let scene = Scene { schema, closed, bodies, built: &built };
 
         let interrupt = closed.interrupt;
         let budget = Budget { work: *work / groups.len().max(1) as u64, time: None, interrupt };
@@ -364,17 +366,24 @@ impl Merger {
 
 /// The bodies of a frame, ready to be united.
 #[derive(Clone, Copy)]
-struct Scene<'a> {
+struct Scene<'s, 'a> {
     schema: &'a Schema,
     closed: &'a Closed,
     bodies: &'a [Placed],
+    /// Bodies as input of a union, built when one is needed: several pairs may share a body.
+    built: &'s BTreeMap<usize, OnceLock<Option<Body<'a>>>>,
 }
 
-impl<'a> Scene<'a> {
+impl<'s, 'a> Scene<'s, 'a> {
+    /// A body as input of a union; `None` if it is not closed, or its coordinates are out of range.
+    fn body(self, index: usize) -> Option<&'s Body<'a>> {
+        let body = || self.closed.body(index, &self.bodies[index].positions);
+        self.built.get(&index)?.get_or_init(body).as_ref()
+    }
+
     /// Bodies as input of a union; `None` if one of them is not closed, or its coordinates are out of range.
     fn bodies(self, indices: &[usize]) -> Option<Vec<Body<'a>>> {
-        let body = |&index: &usize| self.closed.body(index, &self.bodies[index].positions);
-        indices.iter().map(body).collect()
+        indices.iter().map(|&index| self.body(index).cloned()).collect()
     }
 
     /// The surface of a group, and the measures of a group of two if requested.
@@ -391,10 +400,11 @@ impl<'a> Scene<'a> {
     /// The measures of a pair, and its nearest triangles.
     fn measure(self, pair: [usize; 2], budget: &Budget, mut hint: Hint) -> (Option<PairMeasures>, Hint) {
         let mut measures = || {
-            let bodies = self.bodies(&pair)?;
-            if let Some(apart) = union::measures_apart(&bodies[0], &bodies[1], budget, &mut hint).ok()? {
-                return Some(self.in_radii(pair, &apart, &bodies));
+            let [a, b] = [self.body(pair[0])?, self.body(pair[1])?];
+            if let Some(apart) = union::measures_apart(a, b, budget, &mut hint).ok()? {
+                return Some(self.in_radii(pair, &apart, &[a, b]));
             }
+            let bodies = [a.clone(), b.clone()];
             self.measures(pair, &union::union(&bodies, budget).ok()?, budget, &mut hint)
         };
         (measures(), hint)
@@ -402,13 +412,14 @@ impl<'a> Scene<'a> {
 
     fn measures(self, pair: [usize; 2], united: &Union, budget: &Budget, hint: &mut Hint) -> Option<PairMeasures> {
         let measures = union::measures_of(united, budget, hint).ok()?;
-        Some(self.in_radii(pair, &measures, united.bodies()))
+        Some(self.in_radii(pair, &measures, &united.bodies().iter().collect::<Vec<_>>()))
     }
 
-    fn in_radii(self, pair: [usize; 2], measures: &union::PairMeasures, bodies: &[Body]) -> PairMeasures {
+    fn in_radii(self, pair: [usize; 2], measures: &union::PairMeasures, bodies: &[&Body]) -> PairMeasures {
         let radius = pair.map(|body| self.schema.bodies[body].radius).into_iter().fold(f64::INFINITY, f64::min);
         let is_overlap = measures.overlap > 0.0; // skips the volumes, which are sums over all triangles
-        let volume = if is_overlap { bodies.iter().map(Body::volume).fold(f64::INFINITY, f64::min) } else { 0.0 };
+        let volume =
+            if is_overlap { bodies.iter().map(|body| body.volume()).fold(f64::INFINITY, f64::min) } else { 0.0 };
         PairMeasures {
             gap: measures.gap / radius,
             overlap: measures.overlap / (radius * radius * radius),

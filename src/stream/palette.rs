@@ -62,7 +62,11 @@ pub fn body(index: usize) -> Rgb {
 
 /// Colour of a vertex of a merged surface: its body's colour, blended with that of the adjacent body.
 pub fn blended(schema: &Schema, origin: &VertexOrigin) -> Rgb {
-    let [a, b] = origin.bodies.map(|index| of_body(schema, index as usize).map(f32::from));
+    let [a, b] = origin.bodies.map(|index| of_body(schema, index as usize));
+    if origin.share == 0.0 || a == b {
+        return a; // most vertices are far from any seam
+    }
+    let [a, b] = [a, b].map(|rgb| rgb.map(f32::from));
     std::array::from_fn(|i| (a[i] + (b[i] - a[i]) * origin.share).round() as u8)
 }
 

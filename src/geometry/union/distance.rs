@@ -7,9 +7,12 @@
 use glam::DVec3;
 
 use super::{
-    body::{Aabb, Body},
+    body::{Aabb, Body, higher, lower},
     report::{Failure, Meter},
 };
+
+/// Number of steps from triangle to triangle before a search uses the hierarchy.
+const WALK: usize = 4;
 
 /// A bounding volume hierarchy of a body's blocks.
 pub struct Tree<'t, 'a> {
@@ -117,10 +120,30 @@ impl<'t, 'a> Tree<'t, 'a> {
         let least_squared = least * least;
         let first = *hint;
         let corners = self.body.topology.triangles.get(first as usize).map(|_| self.corners(first))?;
-        let (position, feature) = nearest_of_triangle(point, corners);
-        let distance_squared = point.distance_squared(position);
-        let mut best = Nearest { distance_squared, position, triangle: first, feature };
-        if distance_squared <= least_squared {
+        let of = |triangle: u32, corners: [DVec3; 3]| {
+            let (position, feature) = nearest_of_triangle(point, corners);
+            Nearest { distance_squared: point.distance_squared(position), position, triangle, feature }
+        };
+        let mut best = of(first, corners);
+        // a walk across the nearest edges often ends the search
+        for _ in 0..WALK {
+            let across = match best.feature {
+                _ if best.distance_squared <= least_squared => break,
+                Feature::Inside => break,
+                Feature::Corner(k) | Feature::Edge(k) => {
+                    let edge = self.body.topology.triangle_edges[best.triangle as usize][k];
+                    let [one, other] = self.body.topology.edge_triangles[edge as usize];
+                    if one == best.triangle { other } else { one }
+                }
+            };
+            let next = of(across, self.corners(across));
+            if next.distance_squared >= best.distance_squared {
+                break;
+            }
+            best = next;
+        }
+        *hint = best.triangle;
+        if best.distance_squared <= least_squared {
             return None;
         }
         queue.clear();
@@ -142,10 +165,15 @@ impl<'t, 'a> Tree<'t, 'a> {
                 continue;
             }
             for &triangle in self.body.topology.block(parts[0] as usize) {
-                let (position, feature) = nearest_of_triangle(point, self.corners(triangle));
-                let distance_squared = point.distance_squared(position);
-                if (distance_squared, triangle) < (best.distance_squared, best.triangle) {
-                    best = Nearest { distance_squared, position, triangle, feature };
+                let corners = self.corners(triangle);
+                let [a, b, c] = corners;
+                let bounds = Aabb { min: lower(lower(a, b), c), max: higher(higher(a, b), c) };
+                if self.is_farther(point_to_box_squared(point, &bounds), best.distance_squared) {
+                    continue;
+                }
+                let next = of(triangle, corners);
+                if (next.distance_squared, triangle) < (best.distance_squared, best.triangle) {
+                    best = next;
                 }
             }
         }

@@ -210,10 +210,11 @@ impl Mesh {
         self.positions.extend(group.positions.iter().map(single));
         self.triangles.extend(group.triangles.iter().map(|corners| corners.map(|v| v + first)));
         group.append_normals(&mut self.sums, &mut self.normals);
+        let light = Light::in_world();
         for (origin, &normal) in group.origins.iter().zip(&self.normals[first as usize..]) {
             let rgb = palette::blended(schema, origin);
             self.colors.push(color(rgb).to_u32());
-            self.lit.push(Light::in_world().on(rgb, normal));
+            self.lit.push(light.on(rgb, normal));
         }
         let class = |origin: &VertexOrigin| match origin.vertex {
             Some(_) => u16::try_from(origin.bodies[0] + 1).unwrap_or(0),

@@ -1,7 +1,12 @@
 //! Bodies that are not seen whole from their centre.
 
 use super::{
-    super::{arrangement::Arrangement, distance::Tree, folds::suspects, measures::measures_apart},
+    super::{
+        arrangement::Arrangement,
+        distance::{Search, Tree},
+        folds::suspects,
+        measures::measures_apart,
+    },
     *,
 };
 
@@ -91,4 +96,30 @@ fn measures_of_separated_bodies_are_those_of_their_union() {
         separated += 1;
     }
     assert!(separated >= 20, "{separated} separated");
+}
+
+/// Samples that are left out because they are outside the other body do not change the depth.
+#[test]
+fn no_vertex_or_centre_of_a_triangle_is_deeper_than_the_gap() {
+    let mut random = shapes::Random::new(5);
+    let mut inside = 0;
+    for round in 0..12 {
+        let shapes = [deformed(&mut random, 0.25), deformed(&mut random, 0.25).at(DVec3::new(1.5, 0.3, 0.1))];
+        let topologies = [0, 1].map(|k| Topology::new(shapes[k].positions.len(), &shapes[k].triangles).unwrap());
+        let bodies = [0, 1].map(|k| Body::new(&topologies[k], &shapes[k].positions).unwrap());
+        let depth = -pair_measures(&bodies[0], &bodies[1], &Budget::default()).unwrap().gap;
+        for (body, other) in [(&shapes[0], 1), (&shapes[1], 0)] {
+            let centres =
+                body.triangles.iter().map(|t| t.map(|v| body.positions[v as usize]).iter().sum::<DVec3>() / 3.0);
+            for at in body.positions.iter().copied().chain(centres) {
+                if winding_number(&shapes[other].positions, &shapes[other].triangles, at) < 0.5 {
+                    continue;
+                }
+                let own = Tree::new(&bodies[other]).depth_beyond(at, 0.0, &mut Search::default()).unwrap_or(0.0);
+                assert!(own <= depth + 1e-12, "round {round}: {own} at {at}, deeper than {depth}");
+                inside += 1;
+            }
+        }
+    }
+    assert!(inside > 200, "{inside} points inside");
 }
