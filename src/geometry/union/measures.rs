@@ -85,7 +85,8 @@ impl PairMeasures {
     }
 }
 
-/// [`pair_measures`] of two bodies that a plane separates, without their union. `None` if none is found.
+/// [`pair_measures`] of two bodies that a plane separates, without their union. `None` if none is found, and for bodies
+/// that may intersect themselves, whose measures follow from what their union removes.
 ///
 /// # Errors
 ///
@@ -98,7 +99,8 @@ pub fn measures_apart(
 ) -> Result<Option<PairMeasures>, UnionError> {
     // farther than a union displaces vertices
     let magnitude = a.bounds.max.abs().max(a.bounds.min.abs()).max_element();
-    if separation(a, b, b.centre - a.centre) <= APART * (a.radius + b.radius + SCENE * magnitude) {
+    let is_apart = separation(a, b, b.centre - a.centre) > APART * (a.radius + b.radius + SCENE * magnitude);
+    if !is_apart || a.slack() <= 0.0 || b.slack() <= 0.0 {
         return Ok(None);
     }
     let meter = Meter::new(Budget { work: u64::MAX, ..*budget });
