@@ -101,6 +101,24 @@ fn a_stiff_attraction() {
     assert!(error < 1e-6, "{error:e}");
 }
 
+/// The linear weight has a kink at the centre, too: vertex 0 of the sphere is at (0, 0, 1), and another sphere's centre passes
+/// it closely, at any time of a step.
+#[test]
+fn a_vertex_that_passes_a_centre() {
+    for gap in [0.0, 0.003, 0.03] {
+        for time in [0.2, 0.36, 0.5, 0.64, 0.8] {
+            let (dt, speed) = (1.0 / 60.0, 6.0);
+            let motion = format!(
+                "line = {{ from = [{}, {gap}, 0.98], velocity = [{speed}, 0, 0] }}",
+                -speed * dt * (3.0 + time)
+            );
+            let (error, _) = error(&motion, dt, 200.0);
+            // 1.3e-7 is allowed.
+            assert!(error < 1e-7, "gap {gap}, time {time}: {error:e}");
+        }
+    }
+}
+
 /// In steps three times as long as usual most vertices that cross a rim do so far from both ends, several of them in a
 /// step, and bodies that wobble move along no cubic.
 #[test]

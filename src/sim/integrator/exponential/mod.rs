@@ -5,6 +5,7 @@
 //! | forces on a body over an interval, and the motion that all its vertices share | [`course`] |
 //! | the weights of a step, from the oscillator's φ-functions | [`weights`] |
 //! | one step of several vertices side by side, and its error | [`step`], [`lanes`] |
+//! | what a step leaves out at kinks of the force | [`kinks`] |
 //! | a step of all vertices near a sphere | [`together`] |
 //! | vertices that cross rims, side by side | [`crossings`], [`series`] |
 //! | a vertex that needs shorter steps, or crosses a rim in an unusual way | [`single`], [`rim`] |
@@ -47,6 +48,7 @@
 
 pub mod course;
 pub mod crossings;
+pub mod kinks;
 pub mod lanes;
 pub mod rim;
 pub mod series;
@@ -54,6 +56,8 @@ pub mod single;
 pub mod step;
 pub mod together;
 pub mod weights;
+
+use std::ops::Range;
 
 use pulp::Arch;
 
@@ -65,7 +69,7 @@ use crate::sim::{
 use course::Course;
 use crossings::{Crossed, Crossings};
 use single::Single;
-use step::{Outcome, Pull, Step, Vertex};
+use step::{Outcome, Pull, SHORTER, Step, Vertex};
 use together::{BEND, FORCES, Outcomes, START, Together};
 use weights::KnownWeights;
 
@@ -237,9 +241,12 @@ fn step_active_set(
         work,
         uncounted: 0,
         count_near: *count_near,
+        kinks: kinks::Limit::new(course, whole, wanted),
         pulls,
         outcomes,
     });
+
+    add_errors_of_kinks(course, whole, wanted, active_set, (outcomes, *count_near));
 
     let tolerance = control.tolerance;
     let mut crossed = Crossed::default();
@@ -292,4 +299,30 @@ fn step_active_set(
     statistics.substeps += crossed.substeps + alone.substeps;
     statistics.excess += alone.excess;
     crossed.error.max(alone.error).max(outcomes.largest_error())
+}
+
+/// Adds the errors caused by kinks within the step to those of the vertices to which they may matter.
+fn add_errors_of_kinks(
+    course: &Course<'_>,
+    whole: &Step,
+    wanted: f64,
+    active_set: &ActiveSet,
+    (outcomes, count_near): (&mut Outcomes, bool),
+) {
+    let has_kink = step::has_kink(course.weight());
+    for group in 0..outcomes.groups.len() {
+        let Range { start, end } = outcomes.groups[group];
+        for i in start..end.min(active_set.vertices.len()) {
+            if outcomes.kinked[i] == 0.0 {
+                continue;
+            }
+            let vertex = Vertex { rest: active_set.rest(i), local: course.local(i) };
+            let forces = FORCES.map(|node| outcomes.results.get(node, i));
+            let [x, u] = START.map(|k| outcomes.results.get(k, i));
+            let acts = |j| !has_kink || outcomes.strength(j, i) != 0.0;
+            let error = kinks::error(course, whole, &vertex, State { x, u }, &forces, acts);
+            outcomes.add_error(i, error, wanted);
+            outcomes.near += u64::from(count_near && error * SHORTER > wanted);
+        }
+    }
 }

@@ -6,6 +6,7 @@ use pulp::Scalar;
 
 use super::{
     course::Course,
+    kinks,
     lanes::{LANES, Reals, Vector},
     rim::{self, Motion, Rim, Unresolved},
     step::{Collocated, Group, Outcome, Pull, SHORTER, Step, Trajectories, Vertex, is_sampled_aside},
@@ -392,18 +393,30 @@ fn collocate(
     } else {
         Group::<_, 1, 6>::new(simd, course, step, rest, local, pulls).collocate(x, u, wanted)
     };
-    let Collocated { x, u, forces, bend, error, bent } = end;
+    let Collocated { x, u, forces, bend, error, bent, passed } = end;
     let only = |values: Reals<Scalar, 1>| {
         let mut only = [0.0];
         values.store(&mut only, 0);
         only[0]
     };
+    let forces = forces.map(first);
+    let position = vertex.rest_at(course, &step.moments[0].pushed) + state.x;
+    let mut kinks = 0.0;
+    for pull in &*pulls {
+        let distance = (step.moments[0].centres[pull.sphere] - position).length();
+        let distance = Reals::splat(simd, distance * course.spheres[pull.sphere].inverse_radius);
+        if kinks::Limit::new(course, step, wanted).exceeded(simd, passed, distance).any() {
+            let acts = |j| inside.is_none_or(|inside| is_inside(inside, j));
+            kinks = kinks::error(course, step, vertex, state, &forces, acts);
+            break;
+        }
+    }
     Outcome {
         end: State { x: first(x), u: first(u) },
-        forces: forces.map(first),
+        forces,
         bend: first(bend),
-        error: only(error),
-        bent: only(bent),
+        error: only(error) + kinks,
+        bent: only(bent) + kinks,
     }
 }
 

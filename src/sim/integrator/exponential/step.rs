@@ -158,6 +158,8 @@ pub struct Collocated<S: Simd, const W: usize> {
     pub error: Reals<S, W>,
     /// See [`Outcome::bent`].
     pub bent: Reals<S, W>,
+    /// The way past a sphere that acts on the vertex, the largest [radii of the sphere]: the sum of its three components.
+    pub passed: Reals<S, W>,
 }
 
 /// `flow + Σ wᵢ fᵢ`, the response to the forces at the first `N` nodes.
@@ -246,14 +248,14 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
     }
 
     /// The fraction of the cubic's residual in the force that counts as error, per vertex [–], for a vertex that moves
-    /// from `start` to `end` in the step.
+    /// from `start` to `end` in the step; and [`Collocated::passed`].
     ///
     /// Lobatto quadrature integrates the quartic part of the residual exactly, so it does not affect a slow oscillator.
     /// The rest is of higher order in the ratio of the step to the time scales involved: of the oscillator, of the
     /// influence's own oscillation, and of a sphere that the vertex passes through. So the residual counts in full only
     /// where the force is not smooth.
     #[inline(always)]
-    fn roughness(&self, start: Vector<S, W>, end: Vector<S, W>) -> Reals<S, W> {
+    fn roughness(&self, start: Vector<S, W>, end: Vector<S, W>) -> [Reals<S, W>; 2] {
         let (simd, step) = (self.simd, self.step);
         let material = self.course.material;
         let travelled = (self.rest_at(3) + end) - (self.rest_at(0) + start);
@@ -269,7 +271,7 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
             stiffness = stiffness + strength;
         }
         let rate = stiffness.sqrt() + Reals::splat(simd, material.omega + 2.0 * material.damping);
-        ((passed + rate * step.h) * SMOOTHNESS).smaller(Reals::splat(simd, 1.0))
+        [((passed + rate * step.h) * SMOOTHNESS).smaller(Reals::splat(simd, 1.0)), passed]
     }
 
     /// Takes the step with all vertices of the group, such that the estimated errors are below `wanted` [scene unit] if
@@ -328,7 +330,8 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
         let none = Reals::splat(simd, 0.0);
         let left_out = none.larger_or_nan(bend.length_squared().sqrt() - noise);
         let end = respond(flow[2], &weights.nodes[3].force, &forces);
-        let mut effect = left_out * self.roughness(x, end) * 0.1;
+        let [roughness, passed] = self.roughness(x, end);
+        let mut effect = left_out * roughness * 0.1;
         if self.step.weights.is_sampled_aside {
             // depends only on what acts on each vertex, not on spheres that are near other vertices or near none
             let Material { omega, damping, .. } = self.course.material;
@@ -358,6 +361,7 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
             bend,
             error: unsettled + bent,
             bent,
+            passed,
         }
     }
 

@@ -7,6 +7,7 @@ use pulp::{Simd, WithSimd};
 
 use super::{
     course::Course,
+    kinks,
     lanes::{LANES, Mask, Reals, Vector},
     step::{Collocated, Group, Pull, SHORTER, Step, has_kink},
 };
@@ -40,6 +41,8 @@ pub struct Outcomes {
     inside: Vec<f64>,
     /// 1 for vertices for which this step is not accurate enough or that may cross a rim, otherwise 0.
     pub attention: Vec<f64>,
+    /// 1 for vertices that may have passed a kink of the force with a noticeable effect, otherwise 0.
+    pub kinked: Vec<f64>,
     /// The groups with at least one vertex that needs attention.
     pub groups: Vec<Range<usize>>,
     /// The largest estimated errors of the other vertices, by lanes [scene unit].
@@ -60,7 +63,7 @@ pub const RESULTS: usize = 7;
 impl Outcomes {
     fn resize(&mut self, count: usize, spheres: usize) {
         (self.count, self.spheres) = (count, spheres);
-        let Outcomes { results, error, inside, attention, groups, largest, near, .. } = self;
+        let Outcomes { results, error, inside, attention, kinked, groups, largest, near, .. } = self;
         groups.clear();
         (*largest, *near) = ([0.0; LANES], 0);
         inside.resize(inside.len().max(count * spheres), 0.0);
@@ -70,6 +73,7 @@ impl Outcomes {
         results.resize(count);
         error.resize(count, 0.0);
         attention.resize(count, 0.0);
+        kinked.resize(count, 0.0);
     }
 
     /// Finds the spheres that contain vertex `i` at the start, one bit each; only for a weight with a kink.
@@ -86,6 +90,17 @@ impl Outcomes {
     /// The strength of sphere `j` on vertex `i` at the start, 0 outside [1/s²]; only for a weight with a kink.
     pub fn strength(&self, j: usize, i: usize) -> f64 {
         self.inside[j * self.count + i]
+    }
+
+    /// Adds to the estimated error of vertex `i`, in a group that is kept; it needs attention if that exceeds `wanted`
+    /// [scene unit].
+    pub fn add_error(&mut self, i: usize, error: f64, wanted: f64) {
+        self.error[i] += error;
+        if !(self.error[i] <= wanted) {
+            self.attention[i] = 1.0;
+        } else if self.attention[i] == 0.0 {
+            self.largest[0] = self.largest[0].max(self.error[i]);
+        }
     }
 
     /// The largest estimated error of the vertices that need no attention [scene unit].
@@ -114,6 +129,8 @@ pub struct Together<'a> {
     pub uncounted: u64,
     /// Whether to count the vertices for which a step of twice the length would not be accurate enough.
     pub count_near: bool,
+    /// Which vertices may have passed a kink of the force with a noticeable effect.
+    pub kinks: kinks::Limit,
     /// Buffer, reused.
     pub pulls: &'a mut Vec<Pull>,
     /// Results for the vertices that need attention.
@@ -172,7 +189,7 @@ impl Together<'_> {
         };
         let group = Group::<S, W, SAMPLES>::new(simd, course, step, rest, local, &[]);
         let ends_at_rest = [group.rest_at(0), group.rest_at(3)];
-        let Near { rims: near, passing } = self.find_pulls(simd, first, ends_at_rest[0] + x, travel);
+        let Near { rims: near, passing, distance } = self.find_pulls(simd, first, ends_at_rest[0] + x, travel);
 
         let zero = Vector::splat(simd, DVec3::ZERO);
         let end = if self.pulls.is_empty() {
@@ -189,6 +206,7 @@ impl Together<'_> {
                 bend: zero,
                 error: Reals::splat(simd, 0.0),
                 bent: Reals::splat(simd, 0.0),
+                passed: Reals::splat(simd, 0.0),
             }
         } else {
             let group = Group::<S, W, SAMPLES>::new(simd, course, step, rest, local, &*self.pulls);
@@ -219,9 +237,11 @@ impl Together<'_> {
         }
         let settled = attention.select(Reals::splat(simd, 0.0), end.error);
         Reals::load(simd, &outcomes.largest, 0).larger(settled).store(&mut outcomes.largest, 0);
-        if attention.any() {
+        let kinked = self.kinks.exceeded(simd, end.passed, distance);
+        if attention.or(kinked).any() {
             end.error.store(&mut outcomes.error, first);
             attention.select(Reals::splat(simd, 1.0), Reals::splat(simd, 0.0)).store(&mut outcomes.attention, first);
+            kinked.select(Reals::splat(simd, 1.0), Reals::splat(simd, 0.0)).store(&mut outcomes.kinked, first);
             let results = &mut outcomes.results.all_mut()[block].0;
             x.into_block(&mut results[START[0]], lane);
             u.into_block(&mut results[START[1]], lane);
@@ -249,7 +269,7 @@ impl Together<'_> {
         let Together { course, step, .. } = *self;
         let zero = Reals::splat(simd, 0.0);
         let (mut near, mut passing) = (Mask::none(simd), Mask::none(simd));
-        let mut pulled = zero;
+        let (mut pulled, mut nearest) = (zero, Reals::splat(simd, f64::INFINITY));
         let count = self.outcomes.count;
         self.pulls.clear();
         for (j, sphere) in course.spheres.iter().enumerate() {
@@ -280,6 +300,7 @@ impl Together<'_> {
                 passing = passing.or(reach.at_most(rim).negated().and(reached));
                 pulled = pulled + reached.select(Reals::splat(simd, 1.0), zero);
             }
+            nearest = nearest.smaller(distance * sphere.inverse_radius);
             self.pulls.push(pull);
         }
         if !self.pulls.is_empty() {
@@ -289,7 +310,7 @@ impl Together<'_> {
             let lanes = Reals::<S, W>::COUNT.min(self.active_set.vertices.len() - first);
             self.uncounted += PULL * of_lanes[..lanes].iter().sum::<f64>() as u64;
         }
-        Near { rims: near, passing }
+        Near { rims: near, passing, distance: nearest }
     }
 }
 
@@ -299,6 +320,8 @@ struct Near<S: Simd, const W: usize> {
     rims: Mask<S, W>,
     /// Vertices that may be inside a sphere between the nodes of the step but at none of them.
     passing: Mask<S, W>,
+    /// The least distance from a centre at the start [radii of the sphere].
+    distance: Reals<S, W>,
 }
 
 /// The vertices that may cross a rim between two positions, at the ends of a step. The squared distance to a centre
