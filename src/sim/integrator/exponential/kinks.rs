@@ -25,6 +25,8 @@ const SQUARE: f64 = 3.7e-3;
 const FOURTH: f64 = 4.25e-4;
 /// … and for the fourth power of t where t is positive, t being the time from the kink over the length of the step.
 const HALF_FOURTH: f64 = 2.13e-4;
+/// Factor from the bound on the error to the usual error: passages at the worst time of a step are rare.
+const USUAL: f64 = 0.5;
 /// Errors smaller than this part of the acceptable one need not be computed.
 const NEGLIGIBLE: f64 = 0.5;
 /// Decides for which vertices [`error`] may matter, by little arithmetic.
@@ -41,7 +43,7 @@ impl Limit {
     pub fn new(course: &Course<'_>, step: &Step, wanted: f64) -> Limit {
         let of_sphere = |sphere: &Sphere| sphere.strength.abs() * sphere.radius;
         let strongest = course.spheres.iter().map(of_sphere).fold(0.0, f64::max);
-        let ratio = strongest * step.weights.gain() / (NEGLIGIBLE * wanted);
+        let ratio = strongest * USUAL * step.weights.gain() / (NEGLIGIBLE * wanted);
         let weight = course.weight();
         let bound = match weight {
             Weight::Linear => 0.25 * (SQUARE * ratio).sqrt(),
@@ -65,7 +67,7 @@ impl Limit {
     }
 }
 
-/// A bound on the error of the displacement caused by kinks [scene unit], for a vertex that takes a step from `start` under
+/// Estimate of the error of the displacement caused by kinks [scene unit], at least half of it, for a vertex that takes a step from `start` under
 /// `forces` at the nodes; `acts` tells which spheres act on it.
 pub fn error(
     course: &Course<'_>,
@@ -92,7 +94,7 @@ pub fn error(
             sum += left_out(course.weight(), sphere.radius, sphere.strength, &apart);
         }
     }
-    sum * step.weights.gain()
+    USUAL * sum * step.weights.gain()
 }
 
 /// A bound on the mean force that a step leaves out at the kinks of a sphere [scene unit/s²], for a vertex that sees its
