@@ -31,6 +31,8 @@ const MAX_NEWTON: usize = 6;
 const LAST_STEP: f64 = 1e-4;
 /// Index of the sample at [`ASIDE`].
 const ASIDE_LOOK: usize = 5;
+/// (θ − ½) q at [`ASIDE`], see `Batch::within`.
+const SKEW_ASIDE: f64 = (ASIDE - 0.5) * BEND_ASIDE;
 /// The number of each lane.
 const NUMBERS: [f64; LANES] = {
     let mut numbers = [0.0; LANES];
@@ -318,7 +320,7 @@ impl<S: Simd> Batch<'_, S> {
             if !pending.any() {
                 break;
             }
-            part.start = self.within(scratch, &part, time);
+            part.start = self.within(scratch, &part, rest, time);
             (part.is_whole, part.from, part.share) = (false, from, one - from);
             crossed = sphere;
             ends.parts = pending.select(ends.parts + one, ends.parts);
@@ -402,9 +404,39 @@ impl<S: Simd> Batch<'_, S> {
         c
     }
 
-    /// The state at `time`, as a fraction of a part.
+    /// Difference of the force at [`ASIDE`] of a part from the quartic through those at the nodes and in the middle
+    /// [scene unit/s²].
     #[inline(always)]
-    fn within(&self, scratch: &Scratch, part: &Part<S>, time: Reals<S, 1>) -> [Vector<S, 1>; 2] {
+    fn skew(&self, scratch: &mut Scratch, part: &Part<S>, rest: Vector<S, 1>) -> Vector<S, 1> {
+        let (simd, polynomials, forces) = (self.simd, self.polynomials, &part.forces);
+        let [x, u] = part.start;
+        let response = self.series.over(simd, part.share * ASIDE);
+        let scale = response.t * response.t;
+        let weights = weigh::<S, 4>(&response.displacements(), &polynomials.samples[ASIDE_LOOK - 1], scale);
+        for &j in &scratch.pulls {
+            let centre = self.centre(&scratch.paths[j], part.from + part.share * ASIDE);
+            centre.into_block(&mut scratch.centres[j][ASIDE_LOOK], 0);
+        }
+        let position = rest + response.displaced(simd, x, u) + sum::<S, 4>(&weights, forces);
+        let found = self.force(scratch, ASIDE_LOOK, position);
+        let w = polynomials.aside;
+        let cubic = (forces[0] * w[0] + forces[1] * w[1]) + (forces[2] * w[2] + forces[3] * w[3]);
+        found - cubic - part.bend * BEND_ASIDE
+    }
+
+    /// The state at `time`, as a fraction of a part.
+    ///
+    /// At the end of a step the residual of the cubic has hardly an effect, within the step it has. With
+    /// q = 80 θ(θ − 1)(θ² − θ + 1/5), which vanishes at the nodes and is 1 in the middle, it is a q + b (θ − ½) q and
+    /// higher terms: a is the bend, b follows from the skew.
+    #[inline(always)]
+    fn within(
+        &self,
+        scratch: &mut Scratch,
+        part: &Part<S>,
+        rest: Vector<S, 1>,
+        time: Reals<S, 1>,
+    ) -> [Vector<S, 1>; 2] {
         let simd = self.simd;
         let [x, u] = part.start;
         let response = self.series.over(simd, part.share * time);
@@ -425,12 +457,22 @@ impl<S: Simd> Batch<'_, S> {
         let t = response.t;
         let of_displacement = weigh::<S, 4>(&displacements, self.polynomials.whole, t * t);
         let of_velocity = weigh::<S, 4>(&velocities, self.polynomials.whole, t);
-        // the bend: 80 θ(θ − 1)(θ² − θ + 1/5) vanishes at the nodes and is 1 in the middle; here with its k!
-        let bend =
+        // the responses to q and to (θ − ½) q; the k-th power comes with its k!
+        let fifth = powers[3] * time;
+        let q_x = (powers[3] * response.j[6] * 24.0 - displacements[3] * 12.0)
+            + (displacements[2] * 2.4 - displacements[1] * 0.2);
+        let q_u =
             (powers[3] * response.j[5] * 24.0 - velocities[3] * 12.0) + (velocities[2] * 2.4 - velocities[1] * 0.2);
+        let skewed = (fifth * response.j[6] * 120.0 - powers[3] * response.j[5] * 60.0)
+            + (velocities[3] * 13.2 - velocities[2] * 1.6)
+            + velocities[1] * 0.1;
+        let skew = self.skew(scratch, part, rest);
         [
-            flow[0] + sum::<S, 4>(&of_displacement, &part.forces),
-            flow[1] + sum::<S, 4>(&of_velocity, &part.forces) + part.bend * (bend * t * 80.0),
+            flow[0] + sum::<S, 4>(&of_displacement, &part.forces) + part.bend * (q_x * (t * t) * 80.0),
+            flow[1]
+                + sum::<S, 4>(&of_velocity, &part.forces)
+                + part.bend * (q_u * t * 80.0)
+                + skew * (skewed * t * (80.0 / SKEW_ASIDE)),
         ]
     }
 
@@ -654,18 +696,7 @@ impl<S: Simd> Batch<'_, S> {
         let expected = pulled * ((scales * scales) * (scales * scales)) * scales * h * usual(self.course, 1.0);
         let needs_more = one.below(scales).or(wanted.below(effect * 4.0).and(wanted.below(expected)));
         if needs_more.and(pending).any() {
-            let response = self.series.over(simd, part.share * ASIDE);
-            let scale = response.t * response.t;
-            let weights = weigh::<S, 4>(&response.displacements(), &polynomials.samples[ASIDE_LOOK - 1], scale);
-            for &j in &scratch.pulls {
-                let centre = self.centre(&scratch.paths[j], part.from + part.share * ASIDE);
-                centre.into_block(&mut scratch.centres[j][ASIDE_LOOK], 0);
-            }
-            let position = rest + response.displaced(simd, x, u) + sum::<S, 4>(&weights, &forces);
-            let found = self.force(scratch, ASIDE_LOOK, position);
-            let w = polynomials.aside;
-            let cubic = (forces[0] * w[0] + forces[1] * w[1]) + (forces[2] * w[2] + forces[3] * w[3]);
-            let skew = (found - cubic - part.bend * BEND_ASIDE).length_squared().sqrt() - noise;
+            let skew = self.skew(scratch, part, rest).length_squared().sqrt() - noise;
             let skew = zero.larger_or_nan(skew);
             let all = left_out(simd, self.course.material, h, stiffness, [bent, skew]);
             effect = needs_more.select(all * gain, effect);
