@@ -29,6 +29,7 @@ const HALF_FOURTH: f64 = 2.13e-4;
 const USUAL: f64 = 0.5;
 /// Errors smaller than this part of the acceptable one need not be computed.
 const NEGLIGIBLE: f64 = 0.5;
+
 /// Decides for which vertices [`error`] may matter, by little arithmetic.
 #[derive(Clone, Copy, Debug)]
 pub struct Limit {
@@ -47,7 +48,7 @@ impl Limit {
         let weight = course.weight();
         let bound = match weight {
             Weight::Linear => 0.25 * (SQUARE * ratio).sqrt(),
-            Weight::Wendland => (20.0 * FOURTH * ratio).powf(-0.25),
+            Weight::Wendland => 1.0 / (20.0 * FOURTH * ratio).sqrt().sqrt(),
         };
         Limit { weight, bound }
     }
@@ -67,8 +68,8 @@ impl Limit {
     }
 }
 
-/// Estimate of the error of the displacement caused by kinks [scene unit], at least half of it, for a vertex that takes a step from `start` under
-/// `forces` at the nodes; `acts` tells which spheres act on it.
+/// Estimate of the error of the displacement caused by kinks [scene unit], at least half of it, for a vertex that takes a
+/// step from a state under `forces` at the nodes; `acts` tells which spheres act on it.
 pub fn error(
     course: &Course<'_>,
     step: &Step,
