@@ -203,15 +203,11 @@ fn samples(united: &Union, body: usize) -> Vec<Sample> {
             }
         }
     }
-    let is_outside = centres_outside(united, body);
-    for (&t, is_outside) in removed.iter().zip(is_outside) {
-        if !is_outside {
-            let [a, b, c] = mesh.corners(t);
-            samples.push(near((a + b + c) / 3.0, topology.triangles[t as usize][0]));
-        }
+    for &t in removed {
+        let [a, b, c] = mesh.corners(t);
+        samples.push(near((a + b + c) / 3.0, topology.triangles[t as usize][0]));
     }
-    // between consecutive cuts of an edge, and between cuts and ends; every other part is outside the other body
-    let is_simple = !united.may_cross_itself.contains(&true);
+    // between consecutive cuts of an edge, and between cuts and ends
     let mut cuts: Vec<([u32; 2], f64)> = (united.new_vertices.iter())
         .filter_map(|vertex| match vertex.origin {
             Origin::Edge { body: of, edge, at, .. } if of as usize == body => Some((edge, at)),
@@ -221,31 +217,11 @@ fn samples(united: &Union, body: usize) -> Vec<Sample> {
     cuts.sort_unstable_by(|x, y| x.0.cmp(&y.0).then(x.1.total_cmp(&y.1)));
     for cuts in cuts.chunk_by(|x, y| x.0 == y.0) {
         let [a, b] = cuts[0].0.map(|v| mesh.positions[v as usize]);
-        let (mut from, mut is_inside) = (0.0, is_lost[cuts[0].0[0] as usize]);
+        let mut from = 0.0;
         for to in cuts.iter().map(|cut| cut.1).chain([1.0]) {
-            if is_inside || !is_simple {
-                samples.push(near(a + (b - a) * ((from + to) / 2.0), cuts[0].0[usize::from(from + to > 1.0)]));
-            }
-            (from, is_inside) = (to, !is_inside);
+            samples.push(near(a + (b - a) * ((from + to) / 2.0), cuts[0].0[usize::from(from + to > 1.0)]));
+            from = to;
         }
     }
     samples
-}
-
-/// Whether the centre of each removed triangle of a body is clearly in a part of it that remains on the union, and so
-/// outside the other body.
-fn centres_outside(united: &Union, body: usize) -> Vec<bool> {
-    let (mesh, removed) = (&united.bodies[body], &united.removed[body]);
-    let mut is_outside = vec![false; removed.len()];
-    for triangle in &united.new_triangles {
-        let [of, t] = triangle.part_of;
-        let Some(index) = removed.binary_search(&t).ok().filter(|_| of as usize == body) else { continue };
-        let [a, b, c] = mesh.corners(t);
-        let (centre, normal) = ((a + b + c) / 3.0, (b - a).cross(c - a));
-        let part = triangle.corners.map(|v| united.position(v) - centre);
-        let bound = 1e-6 * normal.length_squared();
-        let is_left = |from: DVec3, to: DVec3| from.cross(to).dot(normal) > bound;
-        is_outside[index] |= (0..3).all(|k| is_left(part[k], part[(k + 1) % 3]));
-    }
-    is_outside
 }

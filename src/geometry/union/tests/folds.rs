@@ -100,7 +100,7 @@ fn measures_of_separated_bodies_are_those_of_their_union() {
     assert!(separated >= 20, "{separated} separated");
 }
 
-/// Samples that are left out because they are outside the other body do not change the depth.
+/// A search for the depth that begins where that of a neighbour ended misses no deeper point.
 #[test]
 fn no_vertex_or_centre_of_a_triangle_is_deeper_than_the_gap() {
     let mut random = shapes::Random::new(5);
