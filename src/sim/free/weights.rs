@@ -53,7 +53,7 @@ pub fn ballistic(h: f64) -> [Dense; 4] {
 }
 
 fn scaled(unit: Dense, h: f64) -> Dense {
-    Dense { xu: unit.xu * h, x: unit.x.map(|w| w * h * h), u: unit.u.map(|w| w * h), bend: unit.bend * h, ..unit }
+    Dense { xu: unit.xu * h, x: unit.x.map(|w| w * h * h), u: unit.u.map(|w| w * h), ..unit }
 }
 
 /// `[n][i]`: dense output at node i + 1, for the polynomial through the forces at the first n + 1 nodes.

@@ -14,7 +14,7 @@ use super::{
     series::{LONGEST, Series, weigh},
     step::{LEFT_OUT, MAX_SWEEPS, SMOOTHNESS, Step, UNSETTLED, has_kink, left_out, usual},
     together::{Outcomes, RESULTS},
-    weights::{ASIDE, BEND_ASIDE, Polynomials, quartic_through},
+    weights::{ASIDE, BEND_ASIDE, Polynomials, SKEW_ASIDE, quartic_through},
     work_of,
 };
 use crate::{
@@ -31,8 +31,6 @@ const MAX_NEWTON: usize = 6;
 const LAST_STEP: f64 = 1e-4;
 /// Index of the sample at [`ASIDE`].
 const ASIDE_LOOK: usize = 5;
-/// (θ − ½) q at [`ASIDE`], see `Batch::within`.
-const SKEW_ASIDE: f64 = (ASIDE - 0.5) * BEND_ASIDE;
 /// The number of each lane.
 const NUMBERS: [f64; LANES] = {
     let mut numbers = [0.0; LANES];
@@ -424,11 +422,7 @@ impl<S: Simd> Batch<'_, S> {
         found - cubic - part.bend * BEND_ASIDE
     }
 
-    /// The state at `time`, as a fraction of a part.
-    ///
-    /// At the end of a step the residual of the cubic has hardly an effect, within the step it has. With
-    /// q = 80 θ(θ − 1)(θ² − θ + 1/5), which vanishes at the nodes and is 1 in the middle, it is a q + b (θ − ½) q and
-    /// higher terms: a is the bend, b follows from the skew.
+    /// The state at `time`, as a fraction of a part, with the response to the [`Residual`](super::weights::Residual).
     #[inline(always)]
     fn within(
         &self,

@@ -58,6 +58,11 @@ impl Series {
         Series { h, omega_squared: omega * omega, damping, stiffness, highest }
     }
 
+    /// The displacement at the end of the step by the force (s/h)⁴ [s²].
+    pub fn fourth(&self) -> f64 {
+        24.0 * self.h * self.h * self.highest[1].iter().rev().sum::<f64>()
+    }
+
     /// The response over `theta` h.
     #[inline(always)]
     pub fn over<S: Simd>(&self, simd: S, theta: Reals<S, 1>) -> Response<S> {

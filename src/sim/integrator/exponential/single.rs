@@ -9,8 +9,8 @@ use super::{
     kinks,
     lanes::{LANES, Reals, Vector},
     rim::{self, Motion, Rim, Unresolved},
-    step::{Collocated, Group, Outcome, Pull, SHORTER, Step, Trajectories, Vertex, is_sampled_aside},
-    weights::{Dense, KnownWeights, Stage, Weights},
+    step::{Collocated, Group, Moment, Outcome, Pull, SHORTER, Step, Trajectories, Vertex, is_sampled_aside},
+    weights::{ASIDE, Dense, KnownWeights, Residual, Stage, Weights},
     work_of,
 };
 use crate::{
@@ -53,6 +53,7 @@ pub struct Scratch {
     left: Vec<(f64, f64)>,
     pulls: Vec<Pull>,
     inside: Vec<u64>,
+    aside: Moment,
 }
 
 impl Scratch {
@@ -106,7 +107,7 @@ impl Single<'_> {
         scratch: &mut Scratch,
     ) -> State {
         let course = self.course;
-        let Scratch { part, halved, prepared, left, pulls, inside: spheres } = scratch;
+        let Scratch { part, halved, prepared, left, pulls, inside: spheres, aside } = scratch;
         let has_kink = inside.is_some();
         spheres.clear();
         spheres.extend_from_slice(inside.unwrap_or_default());
@@ -145,8 +146,7 @@ impl Single<'_> {
                 if t >= end {
                     state = outcome.end;
                 } else if t > start {
-                    state =
-                        Dense::new(course.oscillator(), h, (t - start) / h).state(state, &outcome.forces, outcome.bend);
+                    state = self.within(step, (&vertex, spheres), state, &outcome, ((t - start) / h, aside));
                 }
                 spheres[sphere / 64] ^= 1 << (sphere % 64);
                 if t < end {
@@ -222,6 +222,36 @@ impl Single<'_> {
         self.error = self.error.max(error);
         self.excess = self.excess.max(excess);
         state
+    }
+
+    /// The state at `theta` of a step, for a vertex inside the spheres `inside`; `aside` is a buffer.
+    fn within(
+        &self,
+        step: &Step,
+        (vertex, inside): (&Vertex, &[u64]),
+        state: State,
+        Outcome { forces, bend, .. }: &Outcome,
+        (theta, aside): (f64, &mut Moment),
+    ) -> State {
+        let course = self.course;
+        let State { mut x, mut u } = Dense::new(course.oscillator(), step.h, theta).state(state, forces);
+        if inside.iter().all(|&word| word == 0) {
+            return State { x, u }; // the force is constant
+        }
+        self.whole.sample_at(course, self.common, step.start + ASIDE * step.h, aside);
+        let displaced = Dense::new(course.oscillator(), step.h, ASIDE).state(state, forces).x;
+        let position = vertex.rest_at(course, &aside.pushed) + displaced;
+        let mut found = vertex.local;
+        for (j, sphere) in course.spheres.iter().enumerate().filter(|&(j, _)| is_inside(inside, j)) {
+            let to_centre = aside.centres[j] - position;
+            found += (sphere.strength * (1.0 - to_centre.length() * sphere.inverse_radius)) * to_centre; // (3.3)
+        }
+        let Weights { polynomial_aside: [w0, w1, w2, w3], bend_aside, .. } = step.weights;
+        let cubic = (w0 * forces[0] + w1 * forces[1]) + (w2 * forces[2] + w3 * forces[3]);
+        let Residual { bend_x, bend_u, skew_u } = Residual::new(course.oscillator(), step.h, theta);
+        x += bend_x * *bend;
+        u += bend_u * *bend + skew_u * (found - cubic - bend_aside * *bend);
+        State { x, u }
     }
 
     /// The acceptable error of a step of length `h` [s] that is the `steps`-th [scene unit].

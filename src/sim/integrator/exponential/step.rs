@@ -617,12 +617,16 @@ impl Step {
 
     fn sample_within(&mut self, course: &Course<'_>, whole: &Step, common: &Common, look: usize) {
         let t = time_of(look, self.start, self.h);
-        let moment = &mut self.moments[look];
-        if whole.smooth {
-            whole.interpolate((t - whole.start) / whole.h, moment);
-            return;
+        whole.sample_at(course, common, t, &mut self.moments[look]);
+    }
+
+    /// Sets a moment to time `t` [s] of this step, which is that over the whole interval.
+    pub fn sample_at(&self, course: &Course<'_>, common: &Common, t: f64, moment: &mut Moment) {
+        if self.smooth {
+            self.interpolate((t - self.start) / self.h, moment);
+        } else {
+            moment.sample(Trajectories { course, whole: self, common }, t);
         }
-        moment.sample(Trajectories { course, whole, common }, t);
     }
 
     /// Sphere positions and push responses at `theta` of this step, interpolated by the quartics through its five
@@ -804,7 +808,7 @@ impl<'a> Trajectories<'a> {
             u: dense.ux * p.x + dense.uu * p.u + constant.1 * strength,
         };
         Common {
-            carried: dense.state(common.carried, &forces, DVec3::ZERO),
+            carried: dense.state(common.carried, &forces),
             pushed: common.pushed.iter().zip(course.weighted).map(|(p, push)| respond(p, push.strength)).collect(),
         }
     }

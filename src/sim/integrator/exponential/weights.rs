@@ -4,6 +4,7 @@ use std::sync::LazyLock;
 
 use glam::DVec3;
 
+use super::series::Series;
 use crate::{
     model::oscillator::{Oscillator, Propagator},
     sim::{
@@ -262,8 +263,6 @@ pub struct Dense {
     pub x: [f64; 4],
     /// Weight of each node's force in the velocity [s].
     pub u: [f64; 4],
-    /// Weight in the velocity of a bend of the force, which is 0 at the nodes and 1 in the middle [s].
-    pub bend: f64,
 }
 
 impl Dense {
@@ -272,21 +271,59 @@ impl Dense {
         let p = oscillator.propagator(theta * h);
         let basis = &LAGRANGE[4];
         let (x, u) = (responses(basis, theta, &p.x), responses(basis, theta, &p.u));
-        // θ(θ − 1)(θ² − θ + 1/5) vanishes at the nodes and is 1/80 in the middle; U_4 = 4 X_3/h
-        let powers = [p.u[1], p.u[2], p.u[3], 4.0 * p.x[3] / (theta * h)];
-        let [a, b, c, d] = std::array::from_fn(|k| [-0.2, 1.2, -2.0, 1.0][k] * powers[k]);
-        let bend = 80.0 * theta * (a + theta * (b + theta * (c + theta * d)));
-        Dense { xx: p.xx, xu: p.xu, ux: p.ux, uu: p.uu, x, u, bend }
+        Dense { xx: p.xx, xu: p.xu, ux: p.ux, uu: p.uu, x, u }
     }
 
-    /// The state at that instant, given the forces at the nodes and the bend of the force.
-    pub fn state(&self, State { x, u }: State, forces: &[DVec3; 4], bend: DVec3) -> State {
+    /// The state at that instant, given the forces at the nodes.
+    pub fn state(&self, State { x, u }: State, forces: &[DVec3; 4]) -> State {
         let response = |w: &[f64; 4]| (w[0] * forces[0] + w[1] * forces[1]) + (w[2] * forces[2] + w[3] * forces[3]);
-        State {
-            x: self.xx * x + self.xu * u + response(&self.x),
-            u: self.ux * x + self.uu * u + (response(&self.u) + self.bend * bend),
-        }
+        State { x: self.xx * x + self.xu * u + response(&self.x), u: self.ux * x + self.uu * u + response(&self.u) }
     }
+}
+
+/// Response to the residual of the cubic, which has hardly an effect at the end of a step, but one within it.
+///
+/// With q = 80 θ(θ − 1)(θ² − θ + 1/5), which vanishes at the nodes and is 1 in the middle, the residual is
+/// a q + b (θ − ½) q and higher terms: a is the bend, b follows from the residual of the quartic at [`ASIDE`], the skew.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Residual {
+    /// Weight of the bend in the displacement [s²] …
+    pub bend_x: f64,
+    /// … and in the velocity [s].
+    pub bend_u: f64,
+    /// Weight of the skew in the velocity [s].
+    pub skew_u: f64,
+}
+
+/// (θ − ½) q at [`ASIDE`], see [`Residual`].
+pub const SKEW_ASIDE: f64 = (ASIDE - 0.5) * BEND_ASIDE;
+
+impl Residual {
+    /// The response at time `theta` h of a step of length `h` [s]; `theta` > 0.
+    pub fn new(oscillator: Oscillator, h: f64, theta: f64) -> Residual {
+        let t = theta * h;
+        let p = oscillator.propagator(t);
+        let fourth = fourth_response(oscillator, t, &p);
+        // U_k = k X_{k−1}/t
+        let (x, u) = ([p.x[1], p.x[2], p.x[3], fourth], [p.u[1], p.u[2], p.u[3], 4.0 * p.x[3] / t, 5.0 * fourth / t]);
+        let q = |[a, b, c, d]: [f64; 4]| theta * (-0.2 * a + theta * (1.2 * b + theta * (-2.0 * c + theta * d)));
+        let [a, b, c, d, e] = u;
+        let skew = theta * (0.1 * a + theta * (-0.8 * b + theta * (2.2 * c + theta * (-2.5 * d + theta * e))));
+        Residual { bend_x: 80.0 * q(x), bend_u: 80.0 * q([a, b, c, d]), skew_u: 80.0 / SKEW_ASIDE * skew }
+    }
+}
+
+/// X_4 of an oscillator at `t` [s²]: the response to the force (s/t)⁴, see [`Propagator`].
+fn fourth_response(Oscillator { omega, damping }: Oscillator, t: f64, p: &Propagator) -> f64 {
+    if (omega + 2.0 * damping) * t <= 1.0 {
+        return Series::new(Oscillator { omega, damping }, t).fourth();
+    }
+    if omega * t > 0.3 {
+        // x″ = 1 − 2κ x′ − ω² x, with x′ = U_4 = 4 X_3/t and x″ = 12 X_2/t²
+        return (1.0 - 12.0 * p.x[2] / (t * t) - 8.0 * damping * p.x[3] / t) / (omega * omega);
+    }
+    // integrated four times, with the fifth integral of x, which hardly counts, as t/7 times the fourth
+    (t / 5.0 - 4.0 * p.x[3] / t) / (2.0 * damping + omega * omega * t / 7.0)
 }
 
 /// `QUARTIC[i]` holds the coefficients of the polynomial that is 1 at sample i and 0 at the other four.
@@ -364,6 +401,22 @@ mod tests {
                     assert!((value - f64::from(i == j)).abs() < 1e-14, "{n} {i} {j}: {value}");
                 }
             }
+        }
+    }
+
+    /// Compared with the midpoint rule, for slow, fast and damped oscillators.
+    #[test]
+    fn the_response_to_the_fourth_power_is_its_integral() {
+        const PARTS: usize = 2000;
+        for (omega, damping, bound) in [(0.0, 0.0, 1e-5), (12.0, 1.5, 1e-5), (90.0, 3.0, 1e-4), (1.0, 80.0, 1e-3)] {
+            let (oscillator, t) = (Oscillator { omega, damping }, 0.05);
+            let part = |part: usize| {
+                let theta = (part as f64 + 0.5) / PARTS as f64;
+                oscillator.propagator(t * (1.0 - theta)).xu * theta.powi(4) * t / PARTS as f64
+            };
+            let expected = (0..PARTS).map(part).sum::<f64>();
+            let found = fourth_response(oscillator, t, &oscillator.propagator(t));
+            assert!((found - expected).abs() <= bound * expected.abs(), "{omega} {damping}: {found:e} {expected:e}");
         }
     }
 
