@@ -12,12 +12,7 @@ use std::{
     sync::Arc,
 };
 
-use parquet::{
-    arrow::ArrowWriter,
-    basic::{Compression, ZstdLevel},
-    errors::ParquetError,
-    file::properties::WriterProperties,
-};
+use parquet::{arrow::ArrowWriter, basic::Compression, errors::ParquetError, file::properties::WriterProperties};
 
 use crate::sdk::arrow::{
     array::{ArrayRef, Float64Builder, Int64Builder, ListBuilder, RecordBatch, StringBuilder, UInt64Builder},
@@ -327,10 +322,9 @@ impl<W: Write + Send> ParquetTable<W> {
     /// The table cannot be written.
     pub fn new(columns: &[Column], to: W) -> io::Result<ParquetTable<W>> {
         let schema = Arc::new(Schema::new(columns.iter().map(Column::field).collect::<Vec<_>>()));
-        let level = ZstdLevel::try_new(3).map_err(failed)?;
         let properties = WriterProperties::builder()
             .set_created_by(CREATED_BY.to_owned())
-            .set_compression(Compression::ZSTD(level))
+            .set_compression(Compression::LZ4_RAW)
             .build();
         let builder = |column: &Column| match column.kind {
             Kind::Float => Builder::Float(Float64Builder::new()),
