@@ -1018,6 +1018,44 @@ mod tests {
     use super::*;
     use crate::sim::deformation::Deformation;
 
+    /// Pairs of bodies far from each other, in a random order in the scene: they are stepped in space order, and each
+    /// moves bit for bit like the pair alone.
+    #[test]
+    fn many_bodies_are_stepped_in_space_order() {
+        let pair = |k: u32| {
+            let (x, y) = (8 * (k % 25), 8 * (k / 25));
+            let path = format!("center = [{x}.9, {y}, 0], amplitude = [0.5, 0, 0], frequency = 0.25, phase = {k}");
+            [(0, format!("fixed = [{x}, {y}, 0]")), (1, format!("sine = {{ {path} }}"))].map(|(i, motion)| {
+                // odd multiples of any number are a permutation of the residues of a power of two
+                let place = (2 * k + i).wrapping_mul(2_654_435_761) >> 16;
+                (place, k, format!("[[body]]\nname = \"b{k}-{i}\"\nradius = 1.0\nmotion = {{ {motion} }}\n"))
+            })
+        };
+        let world = |bodies: &[(u32, u32, String)]| {
+            let bodies: String = bodies.iter().map(|(.., text)| text.as_str()).collect();
+            World::new(Scene::parse(&format!("duration = 1.0\n{bodies}"), "pairs.toml").unwrap()).unwrap()
+        };
+        let mut bodies: Vec<_> = (0..600).flat_map(pair).collect();
+        bodies.sort();
+        let mut all = world(&bodies);
+        let steps = all.stride.frames * 8;
+        (0..steps).for_each(|_| assert!(all.step().failure.is_none()));
+
+        let awake = all.actives.awake();
+        assert_eq!(awake.len(), 1200);
+        let pair_of = |active: &Active| bodies[active.body as usize].1;
+        let together = awake.windows(2).filter(|two| pair_of(&two[0]) == pair_of(&two[1])).count();
+        assert!(together > 400, "{together} of 600 pairs");
+        for k in [0, 77, 333, 599] {
+            let mut alone = world(&pair(k));
+            (0..steps).for_each(|_| _ = alone.step());
+            for body in alone.bodies() {
+                let same = all.bodies().find(|other| other.name() == body.name()).unwrap();
+                assert!(body.positions().eq(same.positions()), "{}", body.name());
+            }
+        }
+    }
+
     /// The error of single precision: a run whose state is rounded to f32 after every step, compared with the f64 run.
     #[test]
     fn single_precision_is_not_enough() {
