@@ -68,7 +68,7 @@ fn a_body_intersects_itself_only_among_suspects() {
 fn nothing_is_known_of_a_body_that_does_not_enclose_its_centre_once() {
     let sphere = shapes::sphere(12, 24);
     let mut bowl = sphere.clone();
-    bowl.positions.iter_mut().filter(|at| at.x > 0.0).for_each(|at| at.x = -0.9 * at.x);
+    bowl.positions.iter_mut().filter(|at| at.x > 0.0).for_each(|at| at.x *= -0.9);
     for shape in [sphere.inverted(), bowl] {
         let topology = Topology::new(shape.positions.len(), &shape.triangles).unwrap();
         assert_eq!(suspects(&Body::new(&topology, &shape.positions).unwrap(), 1e-9), None);
