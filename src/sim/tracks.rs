@@ -213,7 +213,7 @@ impl Tracks {
         PairTracks { a: self.track(a), b: self.track(b), radii }
     }
 
-    /// A body's motion at the step's [`SAMPLES`]. Nothing acts on the vertices of a body because it does not move.
+    /// A body's motion at the step's [`SAMPLES`]. The vertices of a body that stands still share no acceleration.
     #[inline]
     pub fn samples(&self, body: usize) -> Samples {
         let still = || Samples { positions: [self.motion_bounds[body].centre; 5], uniform: [DVec3::ZERO; 5] };
