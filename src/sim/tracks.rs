@@ -3,7 +3,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{events::PairTracks, nodes::SAMPLES, span::Span, stride::Stride, terms, track::Track};
+use super::{events::PairTracks, nodes::SAMPLES, span::Span, stride::Stride, terms, terms::Steady, track::Track};
 use crate::scene::{
     Body, Material, Motion, Path, Scene,
     path::{Bounds, Turns},
@@ -77,7 +77,7 @@ pub struct Mover {
     pub is_idle: bool,
     /// Whether derivatives of the motion jump somewhere.
     has_breaks: bool,
-    /// Whether the body oscillates more than once in a stride, which steps do not resolve.
+    /// Whether steps do not resolve the motion, and the response to it is known in closed form: [`Steady`].
     pub is_unresolved: bool,
     /// The body's motion over the stride.
     samples: Samples,
@@ -111,13 +111,13 @@ impl Tracks {
                 let turns = path.turns(&SAMPLES.map(|theta| theta * stride.length));
                 let bounds = Bounds { speed: 0.0, acceleration: 0.0 };
                 let samples = Samples { positions: [path.position(0.0); 5], uniform: [DVec3::ZERO; 5] };
-                let is_unresolved =
-                    matches!(path, Path::Sine { frequency, .. } if frequency.abs() * stride.length > 1.0);
+                let material = scene.bodies[body as usize].material;
+                let is_unresolved = Steady::of(&material, path.into(), stride.length).is_some();
                 movers.push(Mover {
                     body,
                     is_watched: false,
                     turns,
-                    material: scene.bodies[body as usize].material,
+                    material,
                     extent: path.extent(),
                     stands_still: false,
                     is_idle: false,
