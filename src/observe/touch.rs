@@ -6,7 +6,10 @@
 //! between steps, whose error is of fourth order in the step. This is also the order of `rk4`; with the other schemes,
 //! the times have the lower order of the scheme.
 
-use std::{collections::BTreeMap, sync::atomic::AtomicBool};
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, atomic::AtomicBool},
+};
 
 use glam::DVec3;
 
@@ -175,7 +178,11 @@ impl Touches {
                 return; // no further step will be searched
             }
             let bodies = [pair.a, pair.b];
-            let before = self.pairs.get(&bodies).copied();
+            let mut before = self.pairs.get(&bodies).copied();
+            if bodies.iter().any(|&body| self.has_torn(body, now)) {
+                // it consists of vertices of the former mesh
+                before.iter_mut().for_each(|before| before.crossing = None);
+            }
             let mut known = before.unwrap_or_default();
             if own.is_some() {
                 pairs.insert(bodies, known);
@@ -274,6 +281,12 @@ impl Touches {
             now.local_positions(now.rest_of(&schema.bodies[body]), local);
             local.iter().map(|position| position + now.centre).collect()
         });
+    }
+
+    /// Whether a body has another mesh than before the step.
+    fn has_torn(&self, body: usize, now: &Frame) -> bool {
+        let mesh = |frame: &Frame| frame.bodies.get(body).and_then(|body| body.mesh.as_ref().map(Arc::as_ptr));
+        mesh(&self.before) != mesh(now)
     }
 
     /// Whether two bodies are so far apart that no vertex needs testing.

@@ -13,6 +13,7 @@ mod integrators;
 mod models;
 mod octahedra;
 mod physics;
+mod random;
 mod recording;
 mod reference;
 mod replay;

@@ -133,6 +133,7 @@ impl Job {
     pub fn bodies_at(&self, scene: &Scene, [start, time]: [f64; 2], arch: Arch, work: &Tally<'_>) -> Option<Vec<Body>> {
         let mut parts = self.parts.clone(); // as before the step, except for the bodies on paths and the phases
         for (&body, copy) in self.all.iter().zip(&mut parts.bodies) {
+            copy.fill_states();
             if let Some(path) = scene.bodies[body as usize].path() {
                 let motion = path.at(start);
                 (copy.centre, copy.velocity) = (motion.position, motion.velocity);
@@ -185,9 +186,7 @@ impl Job {
             field.pushes.extend(pushes.map(|&push| free::Push { body: index as u32, ..push }));
             field.forces.extend(scene.bodies[body as usize].force.iter().map(|force| (index as u32, force.clone())));
             copy.copy_from(&member.body);
-            let count = copy.shape.rest().len();
-            copy.x.resize(count, DVec3::ZERO);
-            copy.u.resize(count, DVec3::ZERO);
+            copy.fill_states();
         }
         field.breaks.sort_by(f64::total_cmp);
         let local_pair = |&(pair, _): &(u32, bool)| {

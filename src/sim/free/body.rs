@@ -149,6 +149,14 @@ impl Body {
         self.u.clone_from(u);
     }
 
+    /// Gives every vertex a displacement and a velocity, as a step requires: the lists of an undeformed body may be
+    /// empty.
+    pub(in crate::sim) fn fill_states(&mut self) {
+        let count = self.shape.rest.len();
+        self.x.resize(count, DVec3::ZERO);
+        self.u.resize(count, DVec3::ZERO);
+    }
+
     /// Moves a free body to `from` [scene unit] and sets it in motion with `velocity` [scene unit/s] and angular
     /// velocity `spin` [rad/s].
     pub fn throw(&mut self, from: DVec3, velocity: DVec3, spin: DVec3) {
