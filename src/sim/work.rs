@@ -158,42 +158,21 @@ pub struct Tally<'a> {
     done: Cell<u64>,
     reported: Cell<u64>,
     is_over: Cell<bool>,
-    is_aside: bool,
 }
 
 impl Tally<'static> {
     /// Work without a limit.
     pub fn unlimited() -> Tally<'static> {
-        Tally {
-            work: None,
-            turn: None,
-            done: Cell::new(0),
-            reported: Cell::new(0),
-            is_over: Cell::new(false),
-            is_aside: false,
-        }
+        Tally { work: None, turn: None, done: Cell::new(0), reported: Cell::new(0), is_over: Cell::new(false) }
     }
 }
 
 impl<'a> Tally<'a> {
-    /// A tally that the caller adds to the total itself. It is over on an interrupt, or when it alone exceeds the limit
-    /// of a step.
-    pub(super) fn aside(work: Option<&'a Work>) -> Tally<'a> {
-        let mut aside = Tally::unlimited();
-        (aside.work, aside.is_aside) = (work, true);
-        aside
-    }
-
-    /// The step's work that this tally counts towards.
-    pub(super) fn common(&self) -> Option<&'a Work> {
-        self.work
-    }
-
     /// A tally of a step: of the body in turn `turn`, or of the work before bodies are stepped.
     pub(super) fn new(work: &'a Work, turn: Option<usize>) -> Tally<'a> {
         let is_too_much = turn.is_some_and(|turn| turn > work.last_turn.load(Ordering::Relaxed));
         let is_over = Cell::new(is_too_much || work.is_interrupted());
-        Tally { work: Some(work), turn, done: Cell::new(0), reported: Cell::new(0), is_over, is_aside: false }
+        Tally { work: Some(work), turn, done: Cell::new(0), reported: Cell::new(0), is_over }
     }
 
     /// Counts work that is about to be done. Returns whether to do it; if false, the step is abandoned.
@@ -223,10 +202,6 @@ impl<'a> Tally<'a> {
         let Some(work) = self.work else { return };
         let done = self.done.get();
         let new = done - self.reported.replace(done);
-        if self.is_aside {
-            self.is_over.set(done > work.limit || work.is_interrupted());
-            return;
-        }
         let total = work.total.fetch_add(new, Ordering::Relaxed).saturating_add(new);
         let is_too_much = match self.turn {
             None => total > work.limit,

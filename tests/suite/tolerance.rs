@@ -203,3 +203,56 @@ fn a_missed_tolerance_is_reported() {
     assert!(report.error >= missed.error - missed.allowed, "{missed:?} {}", report.error);
     assert_eq!(first_step(STIFF, 0.02, 1e-6).shortfall, None);
 }
+
+/// Compares a run with one of shorter steps and a tighter tolerance. Returns the largest error over what the tolerance
+/// allows at that time, and the largest over the sum of the estimates so far.
+fn compare(text: &str, tolerance: f64) -> (f64, f64) {
+    const FINER: u64 = 16;
+    let scene = Scene { tolerance, ..Scene::parse(text, "tolerance.toml").expect("a valid scene") };
+    let fine = Scene { dt: scene.dt / FINER as f64, tolerance: tolerance * 1e-2, ..scene.clone() };
+    let steps = scene.steps();
+    let (mut world, mut fine) = (World::new(scene).expect("enough memory"), World::new(fine).expect("enough memory"));
+    let (mut by_time, mut by_estimate, mut estimate) = (0.0, 0.0, 0.0);
+    for _ in 0..steps {
+        estimate += world.step().error;
+        (0..FINER).for_each(|_| assert_eq!(fine.step().failure, None));
+        let bodies = world.bodies().zip(fine.bodies());
+        let errors = bodies.flat_map(|(found, expected)| {
+            let radius = found.scene().radius;
+            found.positions().zip(expected.positions()).map(move |(a, b)| a.distance(b) / radius)
+        });
+        let error = errors.fold(0.0, f64::max);
+        by_time = f64::max(by_time, error / f64::max(tolerance * world.time(), 1e-10));
+        by_estimate = f64::max(by_estimate, error / f64::max(estimate, 1e-11));
+    }
+    (by_time, by_estimate)
+}
+
+const BALL: &str = "radius = 1.0\nshape = { sphere = { stacks = 6, slices = 8 } }";
+
+/// A contact that begins late in a step, contacts that begin one after the other, and the rim of a sphere that passes
+/// through a much larger body: what happens between the samples of a step is part of its error.
+#[test]
+fn contacts_and_rims_within_a_step_are_part_of_the_estimated_error() {
+    let late = format!(
+        "dt = 0.02\nduration = 0.24\ngravity = [0, 0, -9]\n[[plane]]\nnormal = [0, 0, 1]\noffset = -1.19882818\n\
+         stiffness = 20000.0\n[[body]]\nname = \"a\"\n{BALL}\nmotion = {{ free = {{ from = [0, 0, 0] }} }}\n"
+    );
+    let bounce = format!(
+        "duration = 1.0\ngravity = [0, 0, -9.81]\n[material]\nomega = 12.0\n[[plane]]\nnormal = [0, 0, 1]\n\
+         stiffness = 4000.0\nfriction = 0.3\n[[body]]\nname = \"a\"\n{BALL}\n\
+         motion = {{ free = {{ from = [0, 0, 1.2325419509796958], velocity = [0, 0, -1.5244139297535244] }} }}\n"
+    );
+    let unequal = "dt = 0.02\nduration = 1.2\n[material]\nomega = 16.0\ndamping = 1.0\n[influence]\ncore_at = 0.0\n\
+         alpha = 110.0\nbeta = 60.0\n[[body]]\nname = \"big\"\nradius = 10.0\nmass = 1000.0\n\
+         shape = { sphere = { stacks = 6, slices = 8 } }\nmotion = { free = { from = [0, 0, 0] } }\n[[body]]\n\
+         name = \"small\"\nradius = 1.0\nmass = 1.0\nshape = { sphere = { stacks = 6, slices = 8 } }\n\
+         motion = { free = { from = [11.8, 0.3, 0], velocity = [-4.0, 0, 0] } }\n";
+    for (name, text) in [("late", late.as_str()), ("bounce", &bounce), ("unequal", unequal)] {
+        for tolerance in [1e-4, 1e-6, 1e-8] {
+            let (by_time, by_estimate) = compare(text, tolerance);
+            assert!(by_time <= 1.0, "{name}: {by_time} times a tolerance of {tolerance:e}");
+            assert!(by_estimate <= 1.0, "{name}: {by_estimate} times the sum of estimates at {tolerance:e}");
+        }
+    }
+}

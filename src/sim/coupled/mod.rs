@@ -73,8 +73,6 @@ const STEADY_EVERY: u64 = 16;
 const ORDINARY: u64 = 200;
 /// Additional ordinary work per vertex in contact with a plane [units].
 const ORDINARY_HELD: u64 = 2000;
-/// Ordinary work per vertex in large islands, whose bodies are advanced separately and several times [units].
-const ORDINARY_APART: u64 = 4000;
 
 /// The bodies of a coupled scene.
 pub(super) struct Coupled {
@@ -453,10 +451,7 @@ impl Coupled {
                 for job in &self.jobs {
                     let count = job.parts.bodies.iter().map(|body| body.x.len() as u64).sum::<u64>();
                     vertices += count;
-                    ordinary += match job.group.bodies.len() > free::MAX_TOGETHER {
-                        true => ORDINARY_APART * count,
-                        false => ORDINARY * count + ORDINARY_HELD * job.report.held,
-                    };
+                    ordinary += ORDINARY * count + ORDINARY_HELD * job.report.held;
                 }
                 work.end(all, ordinary, vertices);
                 Ok(())

@@ -85,8 +85,6 @@ pub enum Motion {
     Free(Rotation),
     /// A path moves it, see [`super::Paths`].
     Prescribed,
-    /// Forces move it, but it is advanced elsewhere; [`super::Paths`] gives its track.
-    Tracked,
 }
 
 /// A body and its state. A vertex is at c + Q l + x and moves at c′ + Ω_Q×Q l + u.

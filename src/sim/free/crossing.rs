@@ -60,31 +60,49 @@ static BASIS: LazyLock<Basis> = LazyLock::new(|| {
     std::array::from_fn(|i| std::array::from_fn(|k| a[i][8 + k]))
 });
 
-/// A vector over a step, with time from 0 to 1: the polynomial through its values and rates at the nodes.
+/// `[k][i]`: coefficient of θᵏ of datum i of (values at the nodes but the first, rates at the nodes), for a quantity that
+/// starts at zero.
+static POWERS: LazyLock<[[f64; 7]; 8]> = LazyLock::new(|| {
+    const CHOOSE: [f64; 8] = [1.0, 7.0, 21.0, 35.0, 35.0, 21.0, 7.0, 1.0];
+    // the k-th difference of the Bernstein coefficients times the binomial coefficient
+    let mut rows = [[0.0; 7]; 8];
+    let mut differences = *BASIS;
+    for (k, row) in rows.iter_mut().enumerate() {
+        row.copy_from_slice(&differences[0].map(|value| CHOOSE[k] * value)[1..]);
+        for i in 0..7 - k {
+            for datum in 0..8 {
+                differences[i][datum] = differences[i + 1][datum] - differences[i][datum];
+            }
+        }
+    }
+    rows
+});
+
+/// A vector over a step that starts at zero, with time from 0 to 1: the polynomial through its values and rates at the
+/// nodes. Exact to rounding relative to its largest value.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Curve([DVec3; 8]);
+pub(super) struct Curve([DVec3; 7]);
 
 impl Curve {
-    /// Interpolates values and rates at the nodes; rates are per step length.
-    pub fn new(values: &[DVec3; 4], rates: &[DVec3; 4]) -> Curve {
-        let mut b = BASIS.map(|row| {
-            let of = |w: &[f64], v: &[DVec3; 4]| (w[0] * v[0] + w[1] * v[1]) + (w[2] * v[2] + w[3] * v[3]);
-            of(&row[..4], values) + of(&row[4..], rates)
-        });
-        (b[0], b[7]) = (values[0], values[3]); // equal except for rounding
-        Curve(b)
+    /// Interpolates values at the nodes after the first and rates at all nodes; rates are per step length.
+    pub fn new(values: &[DVec3; 3], rates: &[DVec3; 4]) -> Curve {
+        let rows = &*POWERS;
+        Curve(std::array::from_fn(|k| {
+            let row = &rows[k + 1];
+            let of_values = row[0] * values[0] + row[1] * values[1] + row[2] * values[2];
+            of_values + ((row[3] * rates[0] + row[4] * rates[1]) + (row[5] * rates[2] + row[6] * rates[3]))
+        }))
     }
 
     /// The value at `theta` and its rate, per step length.
     pub fn at(&self, theta: f64) -> (DVec3, DVec3) {
-        let mut row = self.0;
-        for count in (2..8).rev() {
-            for k in 0..count {
-                row[k] += theta * (row[k + 1] - row[k]);
-            }
+        let (mut value, mut rate) = (DVec3::ZERO, DVec3::ZERO);
+        for coefficient in self.0.iter().rev() {
+            rate = rate * theta + value;
+            value = value * theta + *coefficient;
         }
-        let slope = row[1] - row[0];
-        (row[0] + theta * slope, 7.0 * slope)
+        // the coefficients are those from θ on
+        (value * theta, rate * theta + value)
     }
 }
 

@@ -111,12 +111,6 @@ pub trait Paths: Sync {
     /// The motion of `body` at `t` [s]; with `before`, the left limit if something jumps there.
     fn at(&self, body: usize, t: f64, before: bool) -> Driven;
 
-    /// Displacement [scene unit] and velocity [scene unit/s] of a free body's centre due to reactions since the tracks
-    /// began, if reactions are computed elsewhere.
-    fn reaction(&self, _body: usize, _t: f64) -> Option<(DVec3, DVec3)> {
-        None
-    }
-
     /// Jump of the velocities u of the body's vertices at `t` [s], where the velocity of its path jumps [scene unit/s].
     fn kick(&self, _body: usize, _t: f64) -> DVec3 {
         DVec3::ZERO

@@ -7,10 +7,12 @@ use super::{
     body::Body,
     crossing::{self, Course as Polynomial, Crossings},
     field::{Field, Pair, Push},
-    kernels::{self, Pull},
-    step::{Course, Held, Own, Piece, Place, Reaction, Span},
+    kernels::{self, Detect, Pull},
+    split::{hold, is_stiff, passages, softened},
+    step::{Course, Held, MIDDLE, Place, Reaction, Span, combine},
+    weights::cubic,
 };
-use crate::model::{influence::Weight, shape_matching::Plane};
+use crate::model::{PairLaw, influence::Weight, phase::Phase, shape_matching::Plane};
 
 /// A sphere that acts on a body.
 #[derive(Clone, Copy, Debug)]
@@ -21,10 +23,23 @@ pub struct Sphere {
     pub radius: f64,
     /// Strength at each sample [1/s²].
     pub strength: [f64; 5],
+    /// Factor on the strength of the pair's law, for the sizes of the bodies [–].
+    pub scale: f64,
+    /// Sum of the radii of the bodies [scene unit].
+    pub radii: f64,
+    pub law: PairLaw,
+    pub phase: Phase,
     /// Position and velocity of its centre at each sample.
     pub places: [Place; 5],
     /// Motion relative to the sphere in the step that the choice of active vertices allows for [scene unit].
     pub band: f64,
+}
+
+impl Sphere {
+    /// Strength at a distance of the centres [1/s²].
+    pub fn strength_at(&self, distance: f64) -> f64 {
+        self.scale * self.law.strength(self.phase, distance / self.radii)
+    }
 }
 
 /// Everything that acts on a body.
@@ -51,8 +66,8 @@ pub struct View<'a> {
 #[derive(Clone, Copy)]
 pub(super) enum Contact<'a> {
     Sphere(&'a Sphere),
-    Plane(u32, &'a Plane),
-    Push(u32, &'a Push),
+    Plane(&'a Plane),
+    Push(&'a Push),
 }
 
 /// The state of a vertex at a sample, relative to the centre.
@@ -83,9 +98,28 @@ impl Contact<'_> {
                 let distance = d.length();
                 ((sphere.radius - distance) * (sphere.radius + distance), -2.0 * d.dot(v))
             }
-            Contact::Plane(_, plane) => (plane.depth(place.centre + s), -plane.normal.dot(place.velocity + rate)),
-            Contact::Push(_, push) => (-push.direction.dot(unit(a)), -push.direction.dot(turning.cross(unit(a)))),
+            Contact::Plane(plane) => (plane.depth(place.centre + s), -plane.normal.dot(place.velocity + rate)),
+            Contact::Push(push) => (-push.direction.dot(unit(a)), -push.direction.dot(turning.cross(unit(a)))),
         }
+    }
+
+    /// Whether the contact acts at the start of a step of length `h` [s], from the state of a vertex at its nodes, and
+    /// when it begins and ceases to. Wendland's weight has no kink at the rim, so that sphere acts throughout.
+    pub(super) fn passage(&self, weight: Weight, h: f64, seen: &[Seen; 4]) -> (bool, Crossings) {
+        let depth = |look: usize| self.depth(look, &seen[look]);
+        let depths = [depth(0), depth(1), depth(2), depth(3)];
+        let (values, rates) = (depths.map(|d| d.0), depths.map(|d| h * d.1));
+        if weight == Weight::Wendland && matches!(self, Contact::Sphere(_)) {
+            return (values.iter().any(|&value| value > 0.0), Crossings::default());
+        }
+        let starts_inside = values[0] > 0.0 || (values[0] == 0.0 && rates[0] > 0.0);
+        let fastest = rates.iter().fold(0.0, |m: f64, r| m.max(r.abs()));
+        let nearest = values.iter().fold(f64::INFINITY, |m, v| m.min(v.abs()));
+        let alike = values.iter().all(|&v| (v > 0.0) == (values[0] > 0.0));
+        if alike && nearest > fastest {
+            return (starts_inside, Crossings::default());
+        }
+        (starts_inside, Polynomial::new(&values, &rates).crossings())
     }
 
     /// Acceleration, continued smoothly to where the contact does not act [scene unit/s²].
@@ -95,18 +129,23 @@ impl Contact<'_> {
         match self {
             Contact::Sphere(sphere) => {
                 let d = (sphere.places[look].centre - place.centre) - s;
-                let z = d.length() / sphere.radius;
-                let y = 1.0 - z;
-                let w = match weight {
-                    Weight::Linear => y, // (3.3)
-                    Weight::Wendland => (y * y) * (y * y) * (4.0 * z + 1.0),
-                };
-                d * (sphere.strength[look] * w)
+                influence(d, weight, sphere.radius, sphere.strength[look])
             }
-            Contact::Plane(_, plane) => plane.acceleration(plane.depth(place.centre + s), place.velocity + rate),
-            Contact::Push(_, push) => push.direction * (-push.strength * push.direction.dot(unit(a))),
+            Contact::Plane(plane) => plane.acceleration(plane.depth(place.centre + s), place.velocity + rate),
+            Contact::Push(push) => push.direction * (-push.strength * push.direction.dot(unit(a))),
         }
     }
+}
+
+/// The acceleration of a vertex at `-d` from the centre of a sphere; the linear weight continues beyond the rim.
+#[inline(always)]
+pub(super) fn influence(d: DVec3, weight: Weight, radius: f64, strength: f64) -> DVec3 {
+    let z = d.length() / radius;
+    let w = match weight {
+        Weight::Linear => 1.0 - z, // (3.3)
+        Weight::Wendland => weight.at(z),
+    };
+    d * (strength * w)
 }
 
 /// a/|a|; zero at the mass centre, where a vertex faces nothing.
@@ -142,7 +181,8 @@ impl Acting {
                 let radius = field.reach * source.radius;
                 // the spheres stay the same within a step: keep their bands
                 let band = self.spheres.get(count).map_or(0.0, |sphere| sphere.band);
-                let sphere = Sphere { source: other, radius, strength, places: *its, band };
+                let (law, phase) = (pair.law, pair.phase);
+                let sphere = Sphere { source: other, radius, strength, scale, radii, law, phase, places: *its, band };
                 match self.spheres.get_mut(count) {
                     Some(known) => *known = sphere,
                     None => self.spheres.push(sphere),
@@ -156,57 +196,39 @@ impl Acting {
         self.pushes.extend(field.pushes.iter().filter(acts));
     }
 
-    /// Evaluates the forces on the vertices at the nodes from `view.first` on: a part without kinks in the step, and
-    /// pieces that begin or end in it.
-    pub fn evaluate(&self, view: &View<'_>, course: &mut Course) {
-        let View { body, field, span, places, first, arch } = *view;
-        course.pieces.clear();
-        course.reactions.clear();
-        std::mem::swap(&mut course.held, &mut course.held_before);
-        course.held.clear();
-        course.pushed.clear();
-        course.stiffness = self.spheres.iter().map(|sphere| sphere.strength[0].abs()).sum();
+    /// Finds the vertices on which a contact begins or ceases to act within the step, and those on which a plane or a
+    /// push acts throughout. Returns whether other vertices are advanced alone than before.
+    pub fn find_splits(&self, view: &View<'_>, course: &mut Course) -> bool {
+        let View { field, span, places, arch, .. } = *view;
+        let mut crossing = std::mem::take(&mut course.crossing);
+        crossing.clear();
+        let n = course.active.len();
         let extent = (0..4).map(|look| course.frames[look].extent).fold(0.0, f64::max);
         let speed = (0..4).map(|look| {
             let frame = &course.frames[look];
             frame.speed + frame.frame_spin.length() * frame.extent
         });
         let speed = speed.fold(0.0, f64::max);
-        let mut crossing = std::mem::take(&mut course.crossing);
-        let mut fresh = true;
-        for sphere in &self.spheres {
-            let apart: [DVec3; 4] = std::array::from_fn(|look| sphere.places[look].centre - places[look].centre);
-            let nearest = apart.iter().map(|apart| apart.length()).fold(f64::INFINITY, f64::min);
-            let passing = (0..4).map(|look| (sphere.places[look].velocity - places[look].velocity).length());
-            let band = 0.5 * span.h * (speed + passing.fold(0.0, f64::max));
-            if nearest > sphere.radius + extent + band || course.active.len() == 0 {
-                continue;
-            }
-            crossing.clear();
-            let power = (!body.is_free()).then(|| std::array::from_fn(|node| places[node].velocity));
-            let passing = std::array::from_fn(|node| sphere.places[node].velocity - places[node].velocity);
+        if field.weight == Weight::Linear && n > 0 {
             let turning = std::array::from_fn(|node| course.frames[node].frame_spin);
-            let (weight, h) = (field.weight, span.h);
-            let (active, crossing) = (&mut course.active, &mut crossing);
-            let basis = crossing::basis();
-            let pull =
-                Pull { active, sphere, weight, apart, passing, turning, h, band, crossing, power, first, fresh, basis };
-            let pulled = pull.find(arch);
-            fresh = false;
-            let mut reaction = Reaction { source: sphere.source, force: [DVec3::ZERO; 5], power: [0.0; 4] };
-            for node in 0..4 {
-                reaction.force[node] = -pulled.force[node];
-                reaction.power[node] = -pulled.power[node];
+            for sphere in &self.spheres {
+                let apart: [DVec3; 4] = std::array::from_fn(|look| sphere.places[look].centre - places[look].centre);
+                let passing: [DVec3; 4] =
+                    std::array::from_fn(|node| sphere.places[node].velocity - places[node].velocity);
+                let nearest = apart.iter().map(|apart| apart.length()).fold(f64::INFINITY, f64::min);
+                let band = 0.5 * span.h * (speed + passing.iter().map(|v| v.length()).fold(0.0, f64::max));
+                if nearest > sphere.radius + extent + band {
+                    continue;
+                }
+                let (active, radius, h) = (&mut course.active, sphere.radius, span.h);
+                let (listed, basis) = (&mut crossing, crossing::basis());
+                Detect { active, radius, apart, passing, turning, h, band, crossing: listed, basis }.find(arch);
             }
-            for &i in &*crossing {
-                view.touch(Contact::Sphere(sphere), false, course, i as usize, Some(&mut reaction));
-            }
-            course.reactions.push(reaction);
         }
-        course.crossing = crossing;
-        if fresh {
-            course.active.clear_forces(first..4);
-        }
+        std::mem::swap(&mut course.held, &mut course.held_before);
+        course.held.clear();
+        let seen =
+            |course: &Course, i: usize| -> [Seen; 4] { std::array::from_fn(|look| see(course, places, look, i)) };
         for (number, plane) in (0..).zip(&field.planes) {
             let depth = |look: usize| plane.depth(places[look].centre);
             let deepest = (0..4).map(depth).fold(f64::NEG_INFINITY, f64::max);
@@ -215,21 +237,124 @@ impl Acting {
             if deepest + extent + band < 0.0 {
                 continue;
             }
-            for i in 0..course.active.len() {
+            for i in 0..n {
                 let depth = |look: usize| plane.depth(places[look].centre + course.active.s(look, i));
                 let depths = [depth(0), depth(1), depth(2), depth(3)];
                 if depths.iter().all(|&d| d < -band) {
                     continue;
                 }
-                let inside = depths.iter().all(|&d| d > band);
-                view.touch(Contact::Plane(number, plane), inside, course, i, None);
+                let contact = Contact::Plane(plane);
+                let (acts, crossings) = match depths.iter().all(|&d| d > band) {
+                    true => (true, Crossings::default()),
+                    false => contact.passage(field.weight, span.h, &seen(course, i)),
+                };
+                if !crossings.as_slice().is_empty() {
+                    crossing.push(i as u32);
+                } else if acts {
+                    course.held.push(Held { contact: number, vertex: i as u32, g: [DVec3::ZERO; 4] });
+                }
             }
         }
+        course.pushed.clear();
         for (number, push) in (0..).zip(&self.pushes) {
-            for i in 0..course.active.len() {
-                view.touch(Contact::Push(number, push), false, course, i, None);
+            for i in 0..n {
+                let contact = Contact::Push(push);
+                let (acts, crossings) = contact.passage(field.weight, span.h, &seen(course, i));
+                if !crossings.as_slice().is_empty() {
+                    crossing.push(i as u32);
+                } else if acts {
+                    course.pushed.push(Held { contact: number, vertex: i as u32, g: [DVec3::ZERO; 4] });
+                }
             }
         }
+        crossing.sort_unstable();
+        crossing.dedup();
+        let [mut old, mut splits, mut spare] =
+            [&mut course.splits, &mut course.splits_before, &mut course.spare_splits].map(std::mem::take);
+        let (mut before, mut changed) = (old.drain(..).peekable(), false);
+        for &vertex in &crossing {
+            let Some(passages) = passages(vertex as usize, course, self, view) else { continue };
+            while let Some(gone) = before.next_if(|split| split.vertex < vertex) {
+                course.active.set_split(gone.vertex as usize, false);
+                spare.push(gone);
+                changed = true;
+            }
+            let mut split = before.next_if(|split| split.vertex == vertex).unwrap_or_else(|| {
+                course.active.set_split(vertex as usize, true);
+                changed = true;
+                spare.pop().unwrap_or_default().restart(vertex)
+            });
+            split.pass(passages);
+            splits.push(split);
+        }
+        for gone in before {
+            course.active.set_split(gone.vertex as usize, false);
+            spare.push(gone);
+            changed = true;
+        }
+        (course.splits, course.splits_before, course.spare_splits) = (splits, old, spare);
+        let Course { held, pushed, active, .. } = course;
+        held.retain(|held| !active.is_split(held.vertex as usize));
+        pushed.retain(|held| !active.is_split(held.vertex as usize));
+        course.crossing = crossing;
+        changed
+    }
+
+    /// Evaluates the forces on the vertices at the nodes from `view.first` on, except those that are advanced alone.
+    pub fn evaluate(&self, view: &View<'_>, course: &mut Course) {
+        let View { body, field, places, first, arch, .. } = *view;
+        course.reactions.clear();
+        let extent = (0..4).map(|look| course.frames[look].extent).fold(0.0, f64::max);
+        let mut fresh = true;
+        for sphere in &self.spheres {
+            let apart: [DVec3; 4] = std::array::from_fn(|look| sphere.places[look].centre - places[look].centre);
+            let nearest = apart.iter().map(|apart| apart.length()).fold(f64::INFINITY, f64::min);
+            if nearest > sphere.radius + extent || course.active.len() == 0 {
+                continue;
+            }
+            let power = (!body.is_free()).then(|| std::array::from_fn(|node| places[node].velocity));
+            let pull = Pull { active: &mut course.active, sphere, weight: field.weight, apart, power, first, fresh };
+            let pulled = pull.find(arch);
+            fresh = false;
+            let mut reaction = Reaction { source: sphere.source, force: [DVec3::ZERO; 5], power: [0.0; 4] };
+            for node in 0..4 {
+                reaction.force[node] = -pulled.force[node];
+                reaction.power[node] = -pulled.power[node];
+            }
+            course.reactions.push(reaction);
+        }
+        if fresh {
+            course.active.clear_forces(first..4);
+        }
+        let responses = course.responses();
+        let mut held = std::mem::take(&mut course.held);
+        for Held { contact: number, vertex, g } in &mut held {
+            let plane = &field.planes[*number as usize];
+            let seen: [Seen; 4] = std::array::from_fn(|look| see(course, places, look, *vertex as usize));
+            *g = std::array::from_fn(|look| Contact::Plane(plane).acceleration(field.weight, look, &seen[look]));
+            let key = (*number, *vertex);
+            let known = course.held_before.binary_search_by_key(&key, |held| (held.contact, held.vertex));
+            if let Ok(known) = known
+                && is_stiff(plane, &seen, &responses)
+            {
+                *g = hold(plane, &course.held_before[known].g, g, &seen, &responses);
+            }
+            for look in first..4 {
+                course.active.accelerate(look, *vertex as usize, g[look]);
+            }
+        }
+        course.held = held;
+        let mut pushed = std::mem::take(&mut course.pushed);
+        for Held { contact: number, vertex, g } in &mut pushed {
+            let contact = Contact::Push(&self.pushes[*number as usize]);
+            *g = std::array::from_fn(|look| {
+                contact.acceleration(field.weight, look, &see(course, places, look, *vertex as usize))
+            });
+            for look in first..4 {
+                course.active.accelerate(look, *vertex as usize, g[look]);
+            }
+        }
+        course.pushed = pushed;
         for look in first..4 {
             course.gather(arch, body, look);
         }
@@ -237,7 +362,8 @@ impl Acting {
 
     /// Evaluates the forces that act at a single sample.
     pub fn evaluate_at(&self, look: usize, view: &View<'_>, course: &mut Course) {
-        let View { body, field, places, arch, .. } = *view;
+        let View { body, field, span, places, arch, .. } = *view;
+        let weights = cubic(span.midpoint);
         course.active.clear_forces(look..look + 1);
         let extent = course.frames[look].extent;
         for sphere in &self.spheres {
@@ -255,22 +381,32 @@ impl Acting {
                 }
             }
         }
-        let planes = (0..).zip(&field.planes).map(|(number, plane)| Contact::Plane(number, plane));
-        let pushes = (0..).zip(&self.pushes).map(|(number, push)| Contact::Push(number, push));
-        for contact in planes.chain(pushes) {
-            if let Contact::Plane(_, plane) = contact
+        let planes = (0..).zip(field.planes.iter().map(Contact::Plane));
+        let pushes = (0..).zip(self.pushes.iter().map(Contact::Push));
+        for (number, contact) in planes.chain(pushes) {
+            if let Contact::Plane(plane) = contact
                 && plane.depth(places[look].centre) + extent < 0.0
             {
                 continue;
             }
             for i in 0..course.active.len() {
+                if course.active.is_split(i) {
+                    continue;
+                }
                 let seen = see(course, places, look, i);
                 if contact.depth(look, &seen).0 > 0.0 {
-                    let g = contact.acceleration(field.weight, look, &seen);
+                    let mut g = contact.acceleration(field.weight, look, &seen);
+                    if let (MIDDLE, Contact::Plane(plane)) = (look, contact) {
+                        let key = (number, i as u32);
+                        let known = course.held.binary_search_by_key(&key, |held| (held.contact, held.vertex));
+                        if let Ok(known) = known {
+                            let expected = combine(&weights, course.held[known].g);
+                            g = expected + softened(plane, &seen, g - expected, span.h);
+                        }
+                    }
                     course.active.accelerate(look, i, g);
-                    if let (0, Contact::Plane(contact, _)) = (look, contact) {
-                        let (vertex, crossings) = (i as u32, Crossings::default());
-                        course.held.push(Held { contact, vertex, g: [g; 4], starts_inside: true, crossings });
+                    if let (0, Contact::Plane(_)) = (look, contact) {
+                        course.held.push(Held { contact: number, vertex: i as u32, g: [g; 4] });
                     }
                 }
             }
@@ -279,157 +415,12 @@ impl Acting {
     }
 }
 
-impl View<'_> {
-    /// Adds the force of a contact on a vertex over the step, with a kink wherever it begins or ends, unless the vertex
-    /// is known to be `inside` throughout.
-    fn touch(
-        &self,
-        contact: Contact<'_>,
-        inside: bool,
-        course: &mut Course,
-        i: usize,
-        reaction: Option<&mut Reaction>,
-    ) {
-        let View { body, field, span, places, first, .. } = *self;
-        let see = |look: usize| see(course, places, look, i);
-        let seen = [see(0), see(1), see(2), see(3)];
-        let (mut starts_inside, mut polynomial) = (true, None);
-        if !inside {
-            let depth = |look: usize| contact.depth(look, &seen[look]);
-            let depths = [depth(0), depth(1), depth(2), depth(3)];
-            let (values, rates) = (depths.map(|d| d.0), depths.map(|d| span.h * d.1));
-            starts_inside = values[0] > 0.0 || (values[0] == 0.0 && rates[0] > 0.0);
-            let fastest = rates.iter().fold(0.0, |m: f64, r| m.max(r.abs()));
-            let nearest = values.iter().fold(f64::INFINITY, |m, v| m.min(v.abs()));
-            let alike = values.iter().all(|&v| (v > 0.0) == (values[0] > 0.0));
-            if !(alike && nearest > fastest) {
-                polynomial = Some(Polynomial::new(&values, &rates));
-            }
-        }
-        let toggles = polynomial.map(|p| p.crossings()).unwrap_or_default();
-        let crossings = toggles.as_slice();
-        if !starts_inside && crossings.is_empty() {
-            return;
-        }
-        let mass = course.active.mass(i);
-        let pull = |look: usize| contact.acceleration(field.weight, look, &seen[look]);
-        let mut g = [pull(0), pull(1), pull(2), pull(3)];
-        let held = |contact: u32, g| Held { contact, vertex: i as u32, g, starts_inside, crossings: toggles };
-        if let Contact::Push(number, _) = contact {
-            course.pushed.push(held(number, g));
-        }
-        if let Contact::Plane(number, plane) = contact {
-            let key = (number, i as u32);
-            let known = course.held_before.binary_search_by_key(&key, |held| (held.contact, held.vertex));
-            if let Ok(known) = known {
-                let responses = course.responses(body.oscillator, span.h, starts_inside, crossings);
-                g = hold(plane, &course.held_before[known].g, &g, &seen, &responses);
-            }
-            course.held.push(held(number, g));
-        }
-        let mut source = None;
-        if let Some(reaction) = reaction {
-            source = Some(reaction.source);
-            if starts_inside {
-                for look in 0..4 {
-                    reaction.force[look] -= mass * g[look];
-                    if !body.is_free() {
-                        reaction.power[look] -= (mass * g[look]).dot(seen[look].place.velocity + seen[look].rate);
-                    }
-                }
-            }
-        }
-        if starts_inside {
-            for look in first..4 {
-                course.active.accelerate(look, i, g[look]);
-            }
-        }
-        let mut sign = if starts_inside { -1.0 } else { 1.0 };
-        for &from in crossings {
-            let share = mass / body.mass();
-            let torque =
-                std::array::from_fn(|look| (span.arm(places[look].centre) + seen[look].s).cross(mass * g[look]));
-            let turn = std::array::from_fn(|look| {
-                if body.turns() { course.turn_of(look, seen[look].a.cross(mass * g[look])) } else { DVec3::ZERO }
-            });
-            course.pieces.push(Piece {
-                from,
-                sign,
-                acceleration: g.map(|g| share * g),
-                torque,
-                own: Some(Own { vertex: i as u32, source, g, turn }),
-            });
-            sign = -sign;
-        }
-    }
-}
-
 /// The state of an active vertex at a sample.
 #[inline(always)]
-fn see(course: &Course, places: &[Place; 5], look: usize, i: usize) -> Seen {
+pub(super) fn see(course: &Course, places: &[Place; 5], look: usize, i: usize) -> Seen {
     let (frame, active) = (&course.frames[look], &course.active);
     let s = active.s(look, i);
     let a = s - active.x(look, i);
     let rate = frame.frame_spin.cross(a) + active.u(look, i);
     Seen { a, s, rate, place: places[look], turning: frame.frame_spin }
-}
-
-/// The force of a plane on a vertex at the nodes depends on the displacement that it causes. Returns the result of one
-/// Newton step from the guess `before`, which led to `found`: for a stiff plane or sharp friction, plain iteration
-/// diverges. A force acts mostly on its own vertex; its effect on others is left to the sweeps.
-fn hold(
-    plane: &Plane,
-    before: &[DVec3; 4],
-    found: &[DVec3; 4],
-    seen: &[Seen; 4],
-    responses: &[[(f64, f64); 3]; 3],
-) -> [DVec3; 4] {
-    // (1 − J W) change = found − before, at the nodes after the first
-    let mut a = [[0.0; 10]; 9];
-    for i in 0..3 {
-        let at = &seen[i + 1];
-        let (by_position, by_velocity) =
-            plane.derivatives(plane.depth(at.place.centre + at.s), at.place.velocity + at.rate);
-        let residual = found[i + 1] - before[i + 1];
-        for j in 0..3 {
-            let (x, u) = responses[i][j];
-            let block = by_position * x + by_velocity * u;
-            for column in 0..3 {
-                for row in 0..3 {
-                    let one = if i == j && row == column { 1.0 } else { 0.0 };
-                    a[3 * i + row][3 * j + column] = one - block.col(column)[row];
-                }
-            }
-        }
-        for row in 0..3 {
-            a[3 * i + row][9] = residual[row];
-        }
-    }
-    let change = solve(a);
-    std::array::from_fn(|node| match node {
-        0 => found[0],
-        node => before[node] + DVec3::from_slice(&change[3 * node - 3..3 * node]),
-    })
-}
-
-/// Solves nine linear equations, with the right-hand side in the last column (Gaussian elimination with pivoting).
-fn solve(mut a: [[f64; 10]; 9]) -> [f64; 9] {
-    for p in 0..9 {
-        let pivot = (p..9).max_by(|&i, &j| a[i][p].abs().total_cmp(&a[j][p].abs())).unwrap_or(p);
-        a.swap(p, pivot);
-        let row = a[p];
-        let scale = 1.0 / row[p];
-        for other in &mut a[p + 1..] {
-            let factor = other[p] * scale;
-            for column in p + 1..10 {
-                other[column] -= factor * row[column];
-            }
-        }
-    }
-    let mut solution = [0.0; 9];
-    for p in (0..9).rev() {
-        let known: f64 = (p + 1..9).map(|column| a[p][column] * solution[column]).sum();
-        solution[p] = (a[p][9] - known) / a[p][p];
-    }
-    solution
 }

@@ -3,6 +3,7 @@
 use glam::DVec3;
 use pulp::Arch;
 use rayon::prelude::*;
+use smallvec::SmallVec;
 
 use super::{
     super::work::Tally,
@@ -13,10 +14,11 @@ use super::{
     force::{Acting, View},
     ledger::{Done, Ledger},
     observed::Snapshot,
-    relaxation::{Part, Relaxation},
-    step::{Course, MIDDLE, Piece, Place, Span, larger},
+    split::{Around, By, Motion, Piece},
+    step::{Course, MIDDLE, Place, Span, larger},
+    weights::MIDPOINTS,
 };
-use crate::model::{oscillator::Oscillator, phase::Phase};
+use crate::model::phase::Phase;
 
 /// Largest number of sweeps of a step before a shorter one is tried.
 const MAX_SWEEPS: u32 = 24;
@@ -39,14 +41,12 @@ const HOPED: f64 = 1.15;
 const STANDING: f64 = 1e-12;
 /// Largest ratio by which the expected step length grows from one step to the next.
 const MAX_GROWTH: f64 = 4.0;
+/// The reported sum of estimates is meant to bound the error: it allows for errors that grow after their step, and for
+/// residuals that are larger between the midpoints.
+const GROWTH: f64 = 2.0;
 /// In islands with more bodies than this, steps do not end where a gradual change of strength begins or ends: it is
 /// smooth enough for the error estimate, and the steps of all bodies would become shorter.
 const MAX_WAITING: usize = 8;
-/// Largest error over tolerance of a step that is repeated with slightly different neighbours, before a shorter one is
-/// tried.
-const MAX_ERROR_REPEATED: f64 = 3.0;
-/// In larger islands each body takes its own steps: otherwise every event would end the steps of all bodies.
-pub(in crate::sim) const MAX_TOGETHER: usize = 100;
 /// Work of the force of a plane on a vertex, a solution of nine equations [units].
 const HOLD: u64 = 200;
 /// Largest rotation of a body's frame in a step [rad].
@@ -86,7 +86,7 @@ pub struct Report {
     pub sweeps: u64,
     /// Largest number of contacts of vertices with planes in a sweep; not counted where bodies take their own steps.
     pub held: u64,
-    /// Sum over the steps of the largest estimated error [radii].
+    /// Sum over the steps of the largest estimated error [radii], times [`GROWTH`].
     pub error: f64,
     /// Energy added to the bodies, by cause.
     pub ledger: Ledger,
@@ -159,10 +159,6 @@ pub struct Island {
     pub(super) paces: Vec<f64>,
     /// Motion of each body so far.
     pub(super) ways: Vec<Way>,
-    /// Constraints on the steps of an island that is a part of a larger one.
-    pub(super) part: Option<Part>,
-    /// With more bodies than this, each takes its own steps.
-    pub(super) max_together: usize,
     scratch: Scratch,
 }
 
@@ -188,13 +184,13 @@ pub(in crate::sim) struct Scratch {
     pub(super) courses: Vec<Course>,
     acting: Vec<Acting>,
     pub(super) places: Vec<[Place; 5]>,
+    motions: Vec<Motion>,
     /// The reaction on each body's sphere at a sample.
     reactions: Vec<DVec3>,
     /// The pairs that each body belongs to.
     pub(super) pairs_of: Vec<Vec<u32>>,
     changes: Vec<u32>,
     pub(super) arch: Arch,
-    pub(super) relaxation: Relaxation,
     /// Left over from islands with more bodies.
     spare: Spare,
 }
@@ -204,6 +200,19 @@ struct Spare {
     courses: Vec<Course>,
     acting: Vec<Acting>,
     pairs_of: Vec<Vec<u32>>,
+}
+
+impl Scratch {
+    /// Finds the motions of bodies, for vertices that are advanced alone. Returns whether there are any.
+    fn find_motions(&mut self, span: &Span) -> bool {
+        let Scratch { courses, places, motions, .. } = self;
+        motions.clear();
+        let any = courses.iter().any(|course| !course.splits.is_empty());
+        if any {
+            motions.extend(courses.iter().zip(places).map(|(course, places)| course.motion(span, places)));
+        }
+        any
+    }
 }
 
 /// Resizes a list to `count` elements. Surplus elements go to `spare` and come from there, so that they keep their
@@ -235,6 +244,16 @@ pub(super) struct Crossing {
     level: f64,
     /// The phase that begins, if any.
     to: Option<Phase>,
+}
+
+/// A step that was solved.
+#[derive(Clone, Copy, Debug)]
+struct Attempt {
+    /// Its end [s].
+    end: f64,
+    outcome: Outcome,
+    /// Why it ends there, if it had to end.
+    crossing: Option<Crossing>,
 }
 
 /// The error estimate of a step.
@@ -270,19 +289,7 @@ impl Island {
         ways.clear();
         ways.extend(bodies.iter().map(way));
         let scratch = Scratch::default();
-        Island {
-            bodies,
-            pairs,
-            field,
-            tolerance,
-            time,
-            pace,
-            paces,
-            ways,
-            part: None,
-            max_together: MAX_TOGETHER,
-            scratch,
-        }
+        Island { bodies, pairs, field, tolerance, time, pace, paces, ways, scratch }
     }
 
     /// Takes the island apart.
@@ -294,11 +301,6 @@ impl Island {
     /// Number of bodies up to the last that has vertices; those after it only act on others.
     pub(super) fn stepped(&self) -> usize {
         self.bodies.iter().rposition(|body| !body.shape.rest.is_empty()).map_or(0, |last| last + 1)
-    }
-
-    /// Number of pairs, the first ones, whose phase changes are found here. Changes of the others are found elsewhere.
-    fn found(&self) -> usize {
-        self.part.as_ref().map_or(self.pairs.len(), |part| part.found)
     }
 
     /// The bodies.
@@ -366,9 +368,6 @@ impl Island {
                 scratch.pairs_of[body].push(index);
             }
         }
-        if self.part.is_none() && count > self.max_together {
-            return self.advance_apart(scratch, end, paths, work, report);
-        }
         let mut steps = 0;
         while self.time < end {
             if self.is_at_break() {
@@ -376,70 +375,45 @@ impl Island {
                 self.jump(paths, report);
             }
             self.leave_phases(scratch, paths, report)?;
-            let scheduled = self.part.as_ref().map_or(f64::INFINITY, |part| part.next_stop(self.time));
-            let stop = f64::min(end, self.field.next_break(self.time)).min(scheduled);
+            let stop = f64::min(end, self.field.next_break(self.time));
             let left = stop - self.time;
             let parts = (left / (HOPED * self.pace)).ceil().max(1.0);
             let mut next = if parts > 1.0 { self.time + left / parts } else { stop };
-            let known = self.part.as_ref().and_then(|part| part.known_end(self.time));
-            let mut is_known = known.is_some();
-            if let Some(known) = known {
-                next = known.min(stop);
-            }
-            let outcome = loop {
-                let h = next - self.time;
-                steps += 1;
-                let outcome = self.step(scratch, next, paths, work, report);
+            let attempt = loop {
+                let attempt = self.attempt(scratch, next, paths, work, report);
                 if work.is_over() {
                     return Err(self.stopped());
                 }
-                let factor = match &outcome {
-                    Some(outcome) if outcome.error <= if is_known { MAX_ERROR_REPEATED } else { 1.0 } => {
-                        break *outcome;
+                steps += 1;
+                let (h, factor) = match attempt {
+                    Some(attempt) if attempt.outcome.error <= 1.0 => break attempt,
+                    Some(Attempt { end, outcome, .. }) => {
+                        (end - self.time, (0.85 * libm::pow(outcome.error, -0.2)).clamp(0.1, 0.7))
                     }
-                    Some(outcome) => (0.85 * libm::pow(outcome.error, -0.2)).clamp(0.1, 0.7),
-                    None => 0.4,
+                    None => (next - self.time, 0.4),
                 };
                 report.rejected += 1;
-                is_known = false;
-                self.part.iter_mut().for_each(Part::forget_ends);
                 if h < shortest || steps >= MAX_STEPS {
-                    let body = outcome.map_or(0, |outcome| outcome.body);
+                    let body = attempt.map_or(0, |attempt| attempt.outcome.body);
                     return Err(Failure::Unresolved { body, time: self.time, step: h });
                 }
                 self.pace = factor * h;
                 next = self.time + factor * h;
             };
-            let h = next - self.time;
-            let factor = 0.85 * libm::pow(outcome.error.max(1e-9), -0.2);
-            // a step that was cut short does not limit the next one
-            self.pace = if factor > MAX_GROWTH { self.pace.max(MAX_GROWTH * h) } else { factor * h };
-            report.steps += 1;
-            report.body_steps += count as u64;
-            report.error += outcome.estimate;
-
-            let crossing = self.first_crossing(scratch, h);
-            let start = self.time;
-            if let Some(crossing) = crossing {
-                next = self.end_at(scratch, next, crossing, paths, work, report);
-                if work.is_over() {
-                    return Err(self.stopped());
-                }
-                if next > self.time {
-                    self.commit(scratch, next, report);
-                    self.pass_gradually(scratch, start, report)?;
-                }
-                if let Some(to) = crossing.to {
-                    self.change(crossing.pair, to, scratch, report)?;
-                }
-            } else {
+            let Attempt { end: next, outcome, crossing } = attempt;
+            let (start, h) = (self.time, next - self.time);
+            if h > 0.0 {
+                let factor = 0.85 * libm::pow(outcome.error.max(1e-9), -0.2);
+                // a step that was cut short does not limit the next one
+                self.pace = if factor > MAX_GROWTH { self.pace.max(MAX_GROWTH * h) } else { factor * h };
+                report.steps += 1;
+                report.body_steps += count as u64;
+                report.error += GROWTH * outcome.estimate;
                 self.commit(scratch, next, report);
                 self.pass_gradually(scratch, start, report)?;
-                if let Some(part) = &mut self.part
-                    && (next < stop || stop == end)
-                {
-                    part.ends.push(next);
-                }
+            }
+            if let Some((pair, to)) = crossing.and_then(|crossing| Some((crossing.pair, crossing.to?))) {
+                self.change(pair, to, scratch, report)?;
             }
         }
         self.paces.fill(self.pace);
@@ -456,8 +430,6 @@ impl Island {
     ) -> Result<(), Failure> {
         if self.is_at_break() {
             self.jump(paths, report);
-            self.leave_phases(scratch, paths, report)?;
-        } else if self.part.is_some() {
             self.leave_phases(scratch, paths, report)?;
         }
         Ok(())
@@ -510,9 +482,6 @@ impl Island {
         let (bodies, pairs, field, h) = (&self.bodies, &self.pairs, &self.field, next - self.time);
         report.ledger +=
             Done { bodies, pairs, field, courses, places, start: self.time, h, arch: scratch.arch }.ledger();
-        if let Some(part) = &mut self.part {
-            part.record.add(&scratch.courses[0], &scratch.places[0], (self.time, next), |source| Some(source - 1));
-        }
         for (i, body) in self.bodies.iter_mut().enumerate() {
             let (places, way) = (&scratch.places[i], &mut self.ways[i]);
             let Some(course) = scratch.courses.get_mut(i) else {
@@ -534,45 +503,59 @@ impl Island {
         Failure::Stopped { body, time: self.time, step: self.pace }
     }
 
-    /// Tries a step to `next` without committing it; `None` if it does not converge.
-    pub(super) fn step(
+    /// Tries a step to `next`, or to the first instant before at which a step has to end, without committing it; `None`
+    /// if it does not converge.
+    fn attempt(
         &self,
         scratch: &mut Scratch,
         next: f64,
         paths: &dyn Paths,
         work: &Tally<'_>,
         report: &mut Report,
-    ) -> Option<Outcome> {
-        let span = self.span(next);
+    ) -> Option<Attempt> {
+        let mut left = self.solve(scratch, &self.span(next), paths, work, report)?;
+        let mut end = next;
+        let crossing = self.first_crossing(scratch, next - self.time);
+        if let Some(crossing) = crossing {
+            (end, left) = self.end_at(scratch, next, crossing, paths, work, report)?;
+        }
+        let outcome = match end > self.time {
+            true => self.judge(scratch, &self.span(end), paths, left),
+            false => Outcome { error: 0.0, body: 0, estimate: 0.0 },
+        };
+        Some(Attempt { end, crossing, outcome })
+    }
+
+    /// Solves the equations of a step. Returns what is left to correct, over what counts as converged; `None` if the
+    /// iteration does not converge or the limit of work is reached.
+    fn solve(
+        &self,
+        scratch: &mut Scratch,
+        span: &Span,
+        paths: &dyn Paths,
+        work: &Tally<'_>,
+        report: &mut Report,
+    ) -> Option<f64> {
         // repeat with more active vertices if inactive ones may have come into reach
         let mut wide = 1.0;
-        while self.converge(scratch, &span, wide, paths, work, report)? {
+        loop {
+            let left = self.converge(scratch, span, wide, paths, work, report)?;
             let Scratch { courses, acting, places, .. } = &*scratch;
             let all = self.bodies.iter().zip(courses).zip(acting.iter().zip(places));
             let mut all =
                 all.map(|((body, course), (acting, places))| course.strays(body, &self.field, acting, places));
             if !all.any(|strays| strays) {
-                return Some(self.judge(scratch, &span));
+                return Some(left);
             }
             wide *= 8.0;
         }
-        None
-    }
-
-    /// Evaluates the forces on all bodies at the start of a step to `next`.
-    pub(super) fn evaluate_start(&self, scratch: &mut Scratch, next: f64, paths: &dyn Paths, work: &Tally<'_>) {
-        let span = self.span(next);
-        let vertices = self.select(scratch, &span, 1.0, paths);
-        work.spend((vertices + 16 * scratch.courses.len() + self.pairs.len()) as u64);
-        self.evaluate_at(scratch, &span, 0);
     }
 
     /// The step to `next`.
     fn span(&self, next: f64) -> Span {
         let free = self.bodies.iter().filter(|body| body.is_free());
         let (sum, count) = free.fold((DVec3::ZERO, 0.0), |(sum, n), body| (sum + body.centre, n + 1.0));
-        let origin = self.part.is_none().then(|| sum / f64::max(count, 1.0));
-        Span::new(self.time, next, origin)
+        Span::new(self.time, next, sum / f64::max(count, 1.0))
     }
 
     /// Begins a step, and finds the vertices that something may reach in it, for bands `wide` times the expected ones.
@@ -600,8 +583,7 @@ impl Island {
         vertices
     }
 
-    /// Solves the equations of a step, with active vertices for bands `wide` times the expected ones. Returns false if
-    /// the limit of work is reached, `None` if the iteration does not converge.
+    /// Like [`Island::solve`], with active vertices for bands `wide` times the expected ones.
     fn converge(
         &self,
         scratch: &mut Scratch,
@@ -610,14 +592,14 @@ impl Island {
         paths: &dyn Paths,
         work: &Tally<'_>,
         report: &mut Report,
-    ) -> Option<bool> {
+    ) -> Option<f64> {
         let arch = scratch.arch;
         let vertices = self.select(scratch, span, wide, paths);
         let parallel = vertices >= PARALLEL_VERTICES;
         // a sweep: at four nodes, every active vertex, the sums of every body, and every pair
         let sweep_work = 4 * (vertices + 16 * scratch.courses.len() + self.pairs.len()) as u64;
         if !work.spend(sweep_work) {
-            return Some(false);
+            return None;
         }
         // the first estimate, from node to node
         for node in 0..3 {
@@ -627,15 +609,14 @@ impl Island {
                 course.predict(arch, body, span, node + 1, places);
             }
         }
-        let rough = self.part.as_ref().map_or(1.0, |part| part.rough);
-        let wanted = |body: &Body| rough * settled(self.tolerance, body.radius, span.h);
+        let wanted = |body: &Body| settled(self.tolerance, body.radius, span.h);
         let mut before = f64::INFINITY;
         let mut growing = 0;
         for sweep in 0..MAX_SWEEPS {
             if !work.spend(sweep_work) {
-                return Some(false);
+                return None;
             }
-            self.evaluate(scratch, span, usize::from(sweep > 0), parallel);
+            self.evaluate(scratch, span, sweep == 0, paths, parallel);
             report.sweeps += 1;
             let held = scratch.courses.iter().map(|course| course.held.len() as u64).sum();
             report.held = report.held.max(held);
@@ -666,7 +647,7 @@ impl Island {
             // the remaining corrections are the rest of a geometric series
             let left = if rate < 0.9 { change * rate / (1.0 - rate) } else { change };
             if sweep > 0 && left <= 1.0 {
-                return Some(true);
+                return Some(left);
             }
             if sweep > 0 {
                 change = larger(change, correct(1..3));
@@ -680,41 +661,85 @@ impl Island {
         None
     }
 
-    /// Evaluates the forces on all bodies at the nodes from `first` on, for their currently estimated positions.
-    fn evaluate(&self, scratch: &mut Scratch, span: &Span, first: usize, parallel: bool) {
-        let Scratch { courses, acting, places, pairs_of, arch, .. } = scratch;
-        let evaluate = |(i, (course, acting)): (usize, (&mut Course, &mut Acting))| {
+    /// Evaluates the forces on all bodies at the nodes, for their currently estimated positions.
+    fn evaluate(&self, scratch: &mut Scratch, span: &Span, is_first: bool, paths: &dyn Paths, parallel: bool) {
+        let arch = scratch.arch;
+        let Scratch { courses, acting, places, pairs_of, .. } = &mut *scratch;
+        let view =
+            |i: usize, first| View { body: &self.bodies[i], field: &self.field, span, places: &places[i], first, arch };
+        let find = |(i, (course, acting)): (usize, (&mut Course, &mut Acting))| {
             let pairs = pairs_of[i].iter().map(|&pair| &self.pairs[pair as usize]);
             acting.find(i, &self.bodies, pairs, &self.field, span, places);
-            let places = &places[i];
-            let view = View { body: &self.bodies[i], field: &self.field, span, places, first, arch: *arch };
-            acting.evaluate(&view, course);
+            acting.find_splits(&view(i, 0), course)
+        };
+        let any_changed = if parallel {
+            let all = courses.par_iter_mut().zip(acting.par_iter_mut()).enumerate();
+            all.map(find).reduce(|| false, |a, b| a | b)
+        } else {
+            courses.iter_mut().zip(acting.iter_mut()).enumerate().map(find).fold(false, |a, b| a | b)
+        };
+        // the forces at the start stay the same, unless other vertices are advanced alone
+        let first = usize::from(!is_first && !any_changed);
+        let evaluate = |(i, (course, acting)): (usize, (&mut Course, &mut Acting))| {
+            acting.evaluate(&view(i, first), course);
         };
         if parallel {
             courses.par_iter_mut().zip(acting.par_iter_mut()).enumerate().for_each(evaluate);
         } else {
             courses.iter_mut().zip(acting.iter_mut()).enumerate().for_each(evaluate);
         }
-        // reactions equal actions
-        for i in 0..courses.len() {
-            for index in 0..courses[i].pieces.len() {
-                let Piece { from, sign, ref own, .. } = courses[i].pieces[index];
-                let Some((own, source)) = own.as_ref().and_then(|own| Some((own, own.source? as usize))) else {
-                    continue;
-                };
-                let body = &self.bodies[source];
-                if body.is_free() {
-                    let mass = courses[i].active.mass(own.vertex as usize);
-                    let force = own.g.map(|g| -mass * g);
-                    let place = &places[source];
-                    let torque = std::array::from_fn(|node| span.arm(place[node].centre).cross(force[node]));
-                    let acceleration = force.map(|force| force / body.mass());
-                    courses[source].pieces.push(Piece { from, sign, acceleration, torque, own: None });
-                }
-            }
-        }
+        self.solve_splits(scratch, span, is_first, paths, parallel);
         for look in first..4 {
             self.drive(scratch, span, look);
+        }
+    }
+
+    /// Advances the vertices on which contacts begin or cease to act.
+    fn solve_splits(&self, scratch: &mut Scratch, span: &Span, is_first: bool, paths: &dyn Paths, parallel: bool) {
+        if !scratch.find_motions(span) {
+            scratch.courses.iter_mut().for_each(|course| course.pieces.clear());
+            return;
+        }
+        let Scratch { courses, acting, places, motions, .. } = &mut *scratch;
+        let settled = settled(self.tolerance, 1.0, span.h);
+        let around = Around { bodies: &self.bodies, field: &self.field, span, paths, motions, places, settled };
+        let solve = |(i, (course, acting)): (usize, (&mut Course, &Acting))| {
+            let mut splits = std::mem::take(&mut course.splits);
+            splits.iter_mut().for_each(|split| split.solve(i, course, acting, &around, is_first));
+            course.splits = splits;
+        };
+        if parallel {
+            courses.par_iter_mut().zip(acting.par_iter()).enumerate().for_each(solve);
+        } else {
+            courses.iter_mut().zip(acting.iter()).enumerate().for_each(solve);
+        }
+        for course in courses.iter_mut() {
+            let Course { pieces, splits, .. } = course;
+            pieces.clear();
+            let legs = splits.iter().flat_map(|split| split.legs());
+            pieces.extend(legs.filter(|leg| !leg.touches.is_empty()).map(|leg| leg.piece));
+        }
+        // reactions equal actions
+        for i in 0..courses.len() {
+            let splits = std::mem::take(&mut courses[i].splits);
+            for split in &splits {
+                let mass = courses[i].active.mass(split.vertex as usize);
+                for leg in split.legs() {
+                    for touch in &leg.touches {
+                        let By::Sphere(source) = touch.by else { continue };
+                        let body = &self.bodies[source as usize];
+                        if body.is_free() {
+                            let force = touch.g.map(|g| -mass * g);
+                            let torque = std::array::from_fn(|n| span.arm(touch.source[n].centre).cross(force[n]));
+                            let acceleration = force.map(|force| force / body.mass());
+                            let turn = [DVec3::ZERO; 4];
+                            let piece = Piece::new([leg.from, leg.to], span.h, acceleration, torque, turn);
+                            courses[source as usize].pieces.push(piece);
+                        }
+                    }
+                }
+            }
+            courses[i].splits = splits;
         }
     }
 
@@ -746,38 +771,56 @@ impl Island {
         }
     }
 
-    /// Estimates the error of a step from the residual in its middle.
-    fn judge(&self, scratch: &mut Scratch, span: &Span) -> Outcome {
-        let Scratch { courses, places, arch, .. } = scratch;
-        let arch = *arch;
-        for ((body, course), places) in self.bodies.iter().zip(courses).zip(places) {
-            course.follow(arch, body, span, MIDDLE..MIDDLE + 1, places);
+    /// Estimates the error of a step from its residuals at the midpoints and from what is left to correct.
+    fn judge(&self, scratch: &mut Scratch, span: &Span, paths: &dyn Paths, left: f64) -> Outcome {
+        let arch = scratch.arch;
+        let mut span = span.clone();
+        for k in 0..MIDPOINTS.len() {
+            span.sample_midpoint(k);
+            let Scratch { courses, places, .. } = &mut *scratch;
+            for (i, body) in self.bodies.iter().enumerate() {
+                match courses.get_mut(i) {
+                    Some(course) => {
+                        course.sample_midpoint(i, body, &span, k, paths, &mut places[i]);
+                        course.follow(arch, body, &span, MIDDLE..MIDDLE + 1, &mut places[i]);
+                    }
+                    None => {
+                        let Driven { position, velocity, .. } = paths.at(i, span.time(MIDDLE), false);
+                        places[i][MIDDLE] = Place { centre: position, velocity };
+                    }
+                }
+            }
+            self.evaluate_at(scratch, &span, MIDDLE);
+            scratch.courses.iter_mut().for_each(|course| course.add_residuals(arch, &span, k));
         }
-        self.evaluate_at(scratch, span, MIDDLE);
+        if scratch.find_motions(&span) {
+            let Scratch { courses, acting, places, motions, .. } = &mut *scratch;
+            let (bodies, field) = (&self.bodies[..], &self.field);
+            let around = Around { bodies, field, span: &span, paths, motions, places, settled: 0.0 };
+            for (i, acting) in acting.iter().enumerate() {
+                let splits = std::mem::take(&mut courses[i].splits);
+                for split in &splits {
+                    let mass = courses[i].active.mass(split.vertex as usize);
+                    let mut owners: SmallVec<[(u32, (f64, f64)); 8]> = SmallVec::new();
+                    let error =
+                        split.error(i, &courses[i], acting, &around, |owner, error| owners.push((owner, error)));
+                    courses[i].errors.add_split(error, mass / bodies[i].mass());
+                    for (owner, error) in owners {
+                        let owner = owner as usize;
+                        if bodies[owner].is_free() {
+                            courses[owner].errors.add_reaction(error, mass / bodies[owner].mass());
+                        }
+                    }
+                }
+                courses[i].splits = splits;
+            }
+        }
         let mut worst = Outcome { error: 0.0, body: 0, estimate: 0.0 };
-        for (i, (body, course)) in self.bodies.iter().zip(&mut scratch.courses).enumerate() {
-            let h = span.h;
-            let bends = course.bends(arch, body);
-            let Oscillator { omega, damping } = body.oscillator;
-            // Lobatto quadrature integrates the quartic part of the residual exactly, so that part does not affect a
-            // slow oscillator. The part that counts is of higher order in the ratio of the step to the time scales
-            // involved.
-            let planes = self.field.planes.iter().map(|plane| plane.stiffness).sum::<f64>();
-            let rate = (course.stiffness + planes).sqrt() + omega + 2.0 * damping;
-            let rough = f64::min(1.0, 0.5 * rate * h);
-            let left = rough * rough;
-            // effect of a force error on the displacement: in the step, or later, after the oscillator has turned the
-            // velocity into a displacement; a centre keeps its velocity, so count one second
-            let swing = 1.0 / omega.max(2.0 * damping).max(1.0);
-            let constant = f64::min(0.5 * h * h, 2.0 / (omega * omega));
-            let vertex = 0.2 * (constant + h * swing) * left * bends.force;
-            // the time scales of a program's force are not known
-            let is_given = self.field.forces.iter().any(|(forced, _)| *forced as usize == i);
-            let centre = 0.1 * h * (1.0 + 0.5 * h) * if is_given { 1.0 } else { left } * bends.acceleration;
-            let turn = 0.1 * h * left * bends.spin * body.shape.extent;
-            let estimate = (vertex + centre + turn) / body.radius;
+        for (i, (body, course)) in self.bodies.iter().zip(&scratch.courses).enumerate() {
+            let found = course.error(arch, body, &self.field) / body.radius;
+            let estimate = found + left * settled(self.tolerance, 1.0, span.h);
             let turned = course.frames[3].turned.length();
-            let error = estimate / (self.tolerance * h);
+            let error = estimate / (self.tolerance * span.h);
             let error = if turned > MAX_TURN { error.max(2.0) } else { error };
             if !(error <= worst.error) {
                 worst = Outcome { error, body: i, estimate };
@@ -827,7 +870,7 @@ impl Island {
     ) -> Result<(), Failure> {
         let h = self.time - start;
         let first = report.changes.len();
-        for index in 0..self.found() {
+        for index in 0..self.pairs.len() {
             let pair = self.pairs[index];
             let radii = self.bodies[pair.a as usize].radius + self.bodies[pair.b as usize].radius;
             let Some(level) = pair.law.gradual_level(pair.phase) else { continue };
@@ -861,7 +904,7 @@ impl Island {
     /// The first instant of the step just tried at which a step has to end.
     pub(super) fn first_crossing(&self, scratch: &Scratch, h: f64) -> Option<Crossing> {
         let mut first: Option<Crossing> = None;
-        for (index, pair) in self.pairs.iter().enumerate().take(self.found()) {
+        for (index, pair) in self.pairs.iter().enumerate() {
             for (level, falling, to) in self.levels(pair) {
                 let Some(polynomial) = self.course_of(scratch, pair, level, h) else { continue };
                 let mut positive = polynomial.starts_positive();
@@ -879,7 +922,8 @@ impl Island {
         first
     }
 
-    /// Repeats the step so that it ends where the pair reaches the level. Returns this time [s].
+    /// Repeats the step so that it ends where the pair reaches the level. Returns this time [s], which may be the start of
+    /// the step, and what is left to correct; `None` if the iteration does not converge.
     fn end_at(
         &self,
         scratch: &mut Scratch,
@@ -888,30 +932,31 @@ impl Island {
         paths: &dyn Paths,
         work: &Tally<'_>,
         report: &mut Report,
-    ) -> f64 {
+    ) -> Option<(f64, f64)> {
         let Crossing { theta, pair, level, .. } = crossing;
         const MAX_TRIES: u32 = 5;
         let (a, b) = (self.pairs[pair].a as usize, self.pairs[pair].b as usize);
         let rim = level * (self.bodies[a].radius + self.bodies[b].radius);
         let mut end = self.time + theta * (next - self.time);
+        let mut left = 0.0;
         for _ in 0..MAX_TRIES {
             if end <= self.time {
-                return self.time;
+                return Some((self.time, 0.0));
             }
-            if self.step(scratch, end, paths, work, report).is_none() {
-                break;
-            }
+            left = self.solve(scratch, &self.span(end), paths, work, report)?;
             let (a, b) = (scratch.places[a][3], scratch.places[b][3]);
             let apart = a.centre - b.centre;
             let distance = apart.length();
             let rate = apart.dot(a.velocity - b.velocity) / distance;
             let off = (distance - rim) / rate;
             if !((distance - rim).abs() > 0.1 * STANDING * rim && off.abs() < next - self.time && end - off != end) {
-                break;
+                return Some((end, left));
             }
             end -= off;
         }
-        end
+        // the last correction is below what can be distinguished, or the motion is too wild for Newton's method
+        left = if end > self.time { self.solve(scratch, &self.span(end), paths, work, report)? } else { left };
+        Some((end.max(self.time), left))
     }
 
     /// Changes the phases of pairs that are beyond a threshold of their phase, or on it and moving across it.
@@ -929,10 +974,7 @@ impl Island {
                 Place { centre: driven.position, velocity: driven.velocity }
             };
         }
-        while let Some((index, to)) = self.part.as_mut().and_then(|part| part.next_change(self.time)) {
-            self.change(index, to, scratch, report)?;
-        }
-        for index in 0..self.found() {
+        for index in 0..self.pairs.len() {
             let pair = self.pairs[index];
             let (a, b) = (scratch.places[pair.a as usize][3], scratch.places[pair.b as usize][3]);
             let radii = self.bodies[pair.a as usize].radius + self.bodies[pair.b as usize].radius;

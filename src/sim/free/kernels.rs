@@ -411,6 +411,10 @@ pub struct Block {
     /// Accelerations at the samples, without pieces that begin or end in the step and without accelerations that all
     /// vertices share [scene unit/s²].
     pub f: [Lanes; 5],
+    /// Estimated errors of x and u at the end of the step [scene unit], [scene unit/s].
+    pub errors: [Lanes; 2],
+    /// Not zero for vertices that are advanced alone, see `split`.
+    pub split: Lane,
     /// Without this padding a block has 4 KiB, and equal fields of all blocks compete for a few lines of the cache.
     _apart: Lane,
 }
@@ -468,10 +472,22 @@ impl Active {
     /// Sets the mass, the rest position and the state at the start of vertex `i`; the mass is zero in unused lanes.
     pub fn begin(&mut self, i: usize, mass: f64, rest: DVec3, x: DVec3, u: DVec3) {
         let (block, lane) = (&mut self.blocks[i / WIDTH], i % WIDTH);
+        block.split[lane] = 0.0;
         block.masses[lane] = mass;
         set(&mut block.rest, lane, rest);
         set(&mut block.x[0], lane, x);
         set(&mut block.u[0], lane, u);
+    }
+
+    /// Whether vertex `i` is advanced alone.
+    #[inline(always)]
+    pub fn is_split(&self, i: usize) -> bool {
+        self.blocks[i / WIDTH].split[i % WIDTH] != 0.0
+    }
+
+    /// Sets whether vertex `i` is advanced alone.
+    pub fn set_split(&mut self, i: usize, is_split: bool) {
+        self.blocks[i / WIDTH].split[i % WIDTH] = f64::from(u8::from(is_split));
     }
 
     /// Adds to the displacement and the velocity of vertex `i` at a sample.
@@ -495,6 +511,13 @@ impl Active {
     pub fn clear_forces(&mut self, looks: std::ops::Range<usize>) {
         for block in &mut self.blocks {
             block.f[looks.clone()].fill([[0.0; WIDTH]; 3]);
+        }
+    }
+
+    /// Sets all errors to zero.
+    pub fn clear_errors(&mut self) {
+        for block in &mut self.blocks {
+            block.errors = [[[0.0; WIDTH]; 3]; 2];
         }
     }
 }
@@ -623,12 +646,10 @@ impl Kernel for PlaceAll<'_> {
     }
 }
 
-/// Adds the force of a sphere on the active vertices that are inside it throughout the step, and finds those that may
-/// cross its rim.
-pub struct Pull<'a> {
+/// Finds active vertices that may cross the rim of a sphere in the step.
+pub struct Detect<'a> {
     pub active: &'a mut Active,
-    pub sphere: &'a Sphere,
-    pub weight: Weight,
+    pub radius: f64,
     /// The sphere's centre relative to the body's, at the nodes.
     pub apart: [DVec3; 4],
     /// The sphere's velocity relative to the body's, at the nodes.
@@ -639,15 +660,101 @@ pub struct Pull<'a> {
     pub h: f64,
     /// Vertices farther from the rim than this at all nodes do not cross it within the step [scene unit].
     pub band: f64,
-    /// Active vertices that may cross the rim are listed here, and their forces left out.
+    /// They are listed here.
     pub crossing: &'a mut Vec<u32>,
+    pub basis: &'a Basis,
+}
+
+impl Kernel for Detect<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd, const W: usize>(self, simd: S) {
+        let Detect { active, radius, apart, passing, turning, h, band, crossing, basis } = self;
+        let rim = Reals::splat(simd, radius * radius);
+        let (inner, outer) = ((radius - band).max(0.0), radius + band);
+        let (inner, outer) = (Reals::splat(simd, inner * inner), Reals::splat(simd, outer * outer));
+        let (none, zero) = (Reals::<S, W>::splat(simd, 0.0), zero::<S, W>(simd));
+        let apart = [
+            Vector::<S, W>::splat(simd, apart[0]),
+            Vector::splat(simd, apart[1]),
+            Vector::splat(simd, apart[2]),
+            Vector::splat(simd, apart[3]),
+        ];
+        let one = Reals::splat(simd, 1.0);
+        // rounding errors must not decide
+        let (above, below) = (rim * 1e-14, rim * -1e-14);
+        let Active { vertices, blocks } = active;
+        for (first, block) in (0..).step_by(WIDTH).zip(blocks) {
+            let mut d = [zero; 4];
+            let mut square = [none; 4];
+            for node in 0..4 {
+                d[node] = apart[node] - load(simd, &block.s[node]);
+                square[node] = d[node].length_squared();
+            }
+            let min = square[0].smaller(square[1]).smaller(square[2].smaller(square[3]));
+            let max = square[0].larger_or_nan(square[1]).larger_or_nan(square[2].larger_or_nan(square[3]));
+            let mut crosses = outer.below(min).or(max.below(inner)).negated();
+            if !crosses.any() {
+                continue;
+            }
+            // nor do vertices cross it that are farther from it at all nodes than the largest of their rates takes them
+            let (mut fastest, mut nearest) = (none, Reals::splat(simd, f64::INFINITY));
+            let [mut values, mut rates] = [[none; 4]; 2];
+            for node in 0..4 {
+                let a = load(simd, &block.s[node]) - load(simd, &block.x[node]);
+                let rate = cross(Vector::splat(simd, turning[node]), a) + load(simd, &block.u[node]);
+                let v = Vector::splat(simd, passing[node]) - rate;
+                let along = d[node].x * v.x + d[node].y * v.y + d[node].z * v.z;
+                (values[node], rates[node]) = (rim - square[node], along * (-2.0 * h));
+                fastest = fastest.larger_or_nan(rates[node].abs());
+                nearest = nearest.smaller(values[node].abs());
+            }
+            let passes = fastest.below(nearest).negated();
+            let mixed = max.below(rim).or(rim.below(min)).negated();
+            crosses = crosses.and(passes.or(mixed));
+            if !crosses.any() {
+                continue;
+            }
+            // nor vertices whose polynomial has coefficients of one sign
+            let (mut low, mut high) = (values[0].smaller(values[3]), values[0].larger_or_nan(values[3]));
+            for row in &basis[1..7] {
+                let b = (values[0] * row[0] + values[1] * row[1])
+                    + (values[2] * row[2] + values[3] * row[3])
+                    + ((rates[0] * row[4] + rates[1] * row[5]) + (rates[2] * row[6] + rates[3] * row[7]));
+                (low, high) = (low.smaller(b), high.larger_or_nan(b));
+            }
+            crosses = crosses.and(above.below(low).or(high.below(below)).negated());
+            if crosses.any() {
+                let mut flags = [0.0; WIDTH];
+                crosses.select(one, none).store(&mut flags, 0);
+                let count = vertices.len();
+                let flagged = (first..count.min(first + WIDTH)).filter(|&i| flags[i - first] != 0.0);
+                crossing.extend(flagged.map(|i| i as u32));
+            }
+        }
+    }
+}
+
+impl Detect<'_> {
+    pub fn find(self, arch: Arch) {
+        arch.dispatch(InLanes(self));
+    }
+}
+
+/// Adds the force of a sphere on the active vertices inside it, except those that are advanced alone.
+pub struct Pull<'a> {
+    pub active: &'a mut Active,
+    pub sphere: &'a Sphere,
+    pub weight: Weight,
+    /// The sphere's centre relative to the body's, at the nodes.
+    pub apart: [DVec3; 4],
     /// Velocity of the body's centre at the nodes, if the power is wanted.
     pub power: Option<[DVec3; 4]>,
     /// The first node at which accelerations are wanted.
     pub first: usize,
     /// Whether to replace the accelerations instead of adding to them.
     pub fresh: bool,
-    pub basis: &'a Basis,
 }
 
 /// Σ m f of the vertices in a sphere at the nodes, and Σ m f·r′.
@@ -662,89 +769,17 @@ impl Kernel for Pull<'_> {
 
     #[inline(always)]
     fn run<S: Simd, const W: usize>(self, simd: S) -> Pulled {
-        let Pull {
-            active,
-            sphere,
-            weight,
-            apart,
-            passing,
-            turning,
-            h,
-            band,
-            crossing,
-            power: moving,
-            first: first_node,
-            fresh,
-            basis,
-        } = self;
-        let rim = Reals::splat(simd, sphere.radius * sphere.radius);
-        let (inner, outer) = ((sphere.radius - band).max(0.0), sphere.radius + band);
-        let (inner, outer) = (Reals::splat(simd, inner * inner), Reals::splat(simd, outer * outer));
+        let Pull { active, sphere, weight, apart, power: moving, first: first_node, fresh } = self;
         let (none, no_force) = (Reals::<S, W>::splat(simd, 0.0), zero::<S, W>(simd));
-        let apart = [
-            Vector::<S, W>::splat(simd, apart[0]),
-            Vector::splat(simd, apart[1]),
-            Vector::splat(simd, apart[2]),
-            Vector::splat(simd, apart[3]),
-        ];
-        let mut force = [no_force; 4];
-        let mut power = [none; 4];
+        let (mut force, mut power) = ([no_force; 4], [none; 4]);
         let one = Reals::splat(simd, 1.0);
-        // rounding errors must not decide
-        let (above, below) = (rim * 1e-14, rim * -1e-14);
-        let Active { vertices, blocks } = active;
-        for (first, block) in (0..).step_by(WIDTH).zip(blocks) {
-            let mut d = [no_force; 4];
-            let mut square = [none; 4];
-            for node in 0..4 {
-                d[node] = apart[node] - load(simd, &block.s[node]);
-                square[node] = d[node].length_squared();
-            }
-            let min = square[0].smaller(square[1]).smaller(square[2].smaller(square[3]));
-            let max = square[0].larger_or_nan(square[1]).larger_or_nan(square[2].larger_or_nan(square[3]));
-            let out = outer.below(min);
-            let mut inside = max.below(inner);
-            let mut crosses = out.or(inside).negated();
-            if crosses.any() {
-                // nor do vertices cross it that are farther from it at all nodes than the largest of their rates takes
-                // them
-                let (mut fastest, mut nearest) = (none, Reals::splat(simd, f64::INFINITY));
-                let [mut values, mut rates] = [[none; 4]; 2];
-                for node in 0..4 {
-                    let a = load(simd, &block.s[node]) - load(simd, &block.x[node]);
-                    let rate = cross(Vector::splat(simd, turning[node]), a) + load(simd, &block.u[node]);
-                    let v = Vector::splat(simd, passing[node]) - rate;
-                    let along = d[node].x * v.x + d[node].y * v.y + d[node].z * v.z;
-                    (values[node], rates[node]) = (rim - square[node], along * (-2.0 * h));
-                    fastest = fastest.larger_or_nan(rates[node].abs());
-                    nearest = nearest.smaller(values[node].abs());
-                }
-                let passes = fastest.below(nearest).negated();
-                let mixed = max.below(rim).or(rim.below(min)).negated();
-                crosses = crosses.and(passes.or(mixed));
-                inside = inside.or(crosses.negated().and(max.below(rim)));
-                if crosses.any() {
-                    // nor vertices whose polynomial has coefficients of one sign
-                    let (mut low, mut high) = (values[0].smaller(values[3]), values[0].larger_or_nan(values[3]));
-                    for row in &basis[1..7] {
-                        let b = (values[0] * row[0] + values[1] * row[1])
-                            + (values[2] * row[2] + values[3] * row[3])
-                            + ((rates[0] * row[4] + rates[1] * row[5]) + (rates[2] * row[6] + rates[3] * row[7]));
-                        (low, high) = (low.smaller(b), high.larger_or_nan(b));
-                    }
-                    let within = above.below(low);
-                    inside = inside.or(crosses.and(within));
-                    crosses = crosses.and(within.or(high.below(below)).negated());
-                }
-            }
-            if crosses.any() {
-                let mut flags = [0.0; WIDTH];
-                crosses.select(one, none).store(&mut flags, 0);
-                let count = vertices.len();
-                let flagged = (first..count.min(first + WIDTH)).filter(|&i| flags[i - first] != 0.0);
-                crossing.extend(flagged.map(|i| i as u32));
-            }
-            if !inside.any() {
+        let rim = Reals::splat(simd, sphere.radius * sphere.radius);
+        for block in &mut active.blocks {
+            let together = Reals::load(simd, &block.split, 0).below(one);
+            let start = Vector::splat(simd, apart[0]) - load(simd, &block.s[0]);
+            // whoever does not cross the rim is inside throughout
+            let mut inside = together.and(start.length_squared().below(rim));
+            if weight == Weight::Linear && !inside.any() {
                 if fresh {
                     block.f[first_node..4].fill([[0.0; WIDTH]; 3]);
                 }
@@ -752,13 +787,17 @@ impl Kernel for Pull<'_> {
             }
             let m = Reals::load(simd, &block.masses, 0);
             for node in 0..4 {
-                let z = square[node].sqrt() * (1.0 / sphere.radius);
+                let d = Vector::splat(simd, apart[node]) - load(simd, &block.s[node]);
+                let z = d.length_squared().sqrt() * (1.0 / sphere.radius);
                 let y = one - z;
                 let w = match weight {
                     Weight::Linear => y,
-                    Weight::Wendland => (y * y) * (y * y) * (z * 4.0 + one),
+                    Weight::Wendland => {
+                        inside = together.and(z.below(one));
+                        (y * y) * (y * y) * (z * 4.0 + one)
+                    }
                 };
-                let g = inside.select_vector(d[node] * (w * sphere.strength[node]), no_force);
+                let g = inside.select_vector(d * (w * sphere.strength[node]), no_force);
                 if node >= first_node {
                     let f = &mut block.f[node];
                     store(if fresh { g } else { load(simd, f) + g }, f);
@@ -811,7 +850,7 @@ impl Kernel for PullAt<'_> {
         for block in &mut active.blocks {
             let d = apart - load(simd, &block.s[look]);
             let square = d.length_squared();
-            let inside = square.below(rim);
+            let inside = square.below(rim).and(Reals::load(simd, &block.split, 0).below(one));
             if !inside.any() {
                 continue;
             }
@@ -930,35 +969,63 @@ impl Kernel for Potential<'_> {
     }
 }
 
-/// The largest square of the residual f₄ − Σ wᵢ fᵢ + common + by_rest l in the middle of the step.
-pub fn bend(arch: Arch, active: &Active, weights: [f64; 4], common: DVec3, by_rest: DMat3) -> f64 {
-    arch.dispatch(InLanes(Bend { active, weights, common, by_rest }))
+/// Adds the effect of the residual f₄ − Σ wᵢ fᵢ + common + by_rest l at a midpoint to the errors of active vertices.
+pub struct AddResidual<'a> {
+    pub active: &'a mut Active,
+    pub weights: [f64; 4],
+    pub common: DVec3,
+    pub by_rest: DMat3,
+    /// Effect on x and u at the end of the step.
+    pub effect: (f64, f64),
 }
 
-struct Bend<'a> {
-    active: &'a Active,
-    weights: [f64; 4],
-    common: DVec3,
-    by_rest: DMat3,
-}
-
-impl Kernel for Bend<'_> {
-    type Output = f64;
+impl Kernel for AddResidual<'_> {
+    type Output = ();
 
     #[inline(always)]
-    fn run<S: Simd, const W: usize>(self, simd: S) -> f64 {
-        let Bend { active, weights: w, common, by_rest } = self;
+    fn run<S: Simd, const W: usize>(self, simd: S) {
+        let AddResidual { active, weights: w, common, by_rest, effect } = self;
         let (common, by_rest) = (Vector::<S, W>::splat(simd, common), columns::<S, W>(simd, by_rest));
-        let none = Reals::splat(simd, 0.0);
-        let mut max = none;
-        for block in &active.blocks {
+        for block in &mut active.blocks {
             let f = forces::<S, W>(simd, block);
-            let middle = load(simd, &block.f[4]);
+            let found = load(simd, &block.f[4]);
             let shared = common + times(&by_rest, load(simd, &block.rest));
-            let square = (middle - combine(&w, &f) + shared).length_squared();
-            max = max.larger_or_nan(real(simd, block).select(square, none));
+            let residual = found - combine(&w, &f) + shared;
+            let [x, u] = &mut block.errors;
+            store(load(simd, x) + residual * effect.0, x);
+            store(load(simd, u) + residual * effect.1, u);
         }
-        largest(max)
+    }
+}
+
+impl AddResidual<'_> {
+    pub fn find(self, arch: Arch) {
+        arch.dispatch(InLanes(self))
+    }
+}
+
+/// The largest error of x and of u of an active vertex, squared.
+pub fn largest_errors(arch: Arch, active: &Active) -> [f64; 2] {
+    arch.dispatch(InLanes(LargestErrors(active)))
+}
+
+struct LargestErrors<'a>(&'a Active);
+
+impl Kernel for LargestErrors<'_> {
+    type Output = [f64; 2];
+
+    #[inline(always)]
+    fn run<S: Simd, const W: usize>(self, simd: S) -> [f64; 2] {
+        let none = Reals::<S, W>::splat(simd, 0.0);
+        let mut max = [none; 2];
+        for block in &self.0.blocks {
+            let real = real::<S, W>(simd, block);
+            for k in 0..2 {
+                let square = load::<S, W>(simd, &block.errors[k]).length_squared();
+                max[k] = max[k].larger_or_nan(real.select(square, none));
+            }
+        }
+        max.map(largest)
     }
 }
 

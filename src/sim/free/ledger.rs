@@ -14,10 +14,10 @@ use super::{
     body::Body,
     field::{Field, Pair},
     kernels,
-    step::{Course, Held, Place},
-    weights::Late,
+    split::{By, Touch},
+    step::{Course, Place},
 };
-use crate::model::shape_matching::cross_matrix;
+use crate::model::shape_matching::{Plane, cross_matrix};
 
 /// Energy added to free bodies by each cause; negative if removed [mass · scene unit²/s²].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -93,10 +93,19 @@ impl Done<'_> {
         self.h / 12.0 * ((power[0] + power[3]) + 5.0 * (power[1] + power[2]))
     }
 
-    /// ∫ P dt from `from`, a fraction of the step, to its end.
-    fn from(self, from: f64, power: [f64; 4]) -> f64 {
-        let Late { u, .. } = Late::ballistic(self.h, from, 1.0);
-        (u[0] * power[0] + u[1] * power[1]) + (u[2] * power[2] + u[3] * power[3])
+    /// Σ ∫ m P dt over the contacts of vertices that are advanced alone; `power` is P at the nodes of a leg.
+    fn over_touches(self, index: usize, power: impl Fn(&Touch) -> Option<[f64; 4]>) -> f64 {
+        let course = &self.courses[index];
+        let mut work = 0.0;
+        for split in &course.splits {
+            let mass = course.active.mass(split.vertex as usize);
+            for leg in split.legs() {
+                for power in leg.touches.iter().filter_map(&power) {
+                    work += mass * (leg.to - leg.from) * self.over(power);
+                }
+            }
+        }
+        work
     }
 
     /// Velocity r′ of an active vertex at a node [scene unit/s].
@@ -123,40 +132,36 @@ impl Done<'_> {
         }))
     }
 
-    /// Work of a contact, between the rims at which it begins and ends.
-    fn contact(self, held: &Held, power: [f64; 4]) -> f64 {
-        let mut work = if held.starts_inside { self.over(power) } else { 0.0 };
-        let mut sign = if held.starts_inside { -1.0 } else { 1.0 };
-        for &from in held.crossings.as_slice() {
-            work += sign * self.from(from, power);
-            sign = -sign;
-        }
-        work
-    }
-
     fn friction(self, index: usize) -> f64 {
         let (active, planes) = (&self.courses[index].active, &self.field.planes);
+        let along = |plane: &Plane, g: DVec3| g - plane.normal.dot(g) * plane.normal;
         let rough = self.courses[index].held.iter().filter(|held| planes[held.contact as usize].friction != 0.0);
         let work = rough.map(|held| {
-            let (n, vertex) = (planes[held.contact as usize].normal, held.vertex as usize);
-            let power = std::array::from_fn(|node| {
-                let g = held.g[node];
-                active.mass(vertex) * (g - n.dot(g) * n).dot(self.velocity(index, node, vertex))
-            });
-            self.contact(held, power)
+            let (plane, vertex) = (&planes[held.contact as usize], held.vertex as usize);
+            let power = |node: usize| along(plane, held.g[node]).dot(self.velocity(index, node, vertex));
+            active.mass(vertex) * self.over(std::array::from_fn(power))
         });
-        work.sum()
+        let split = self.over_touches(index, |touch| match touch.by {
+            By::Plane(plane) => {
+                let plane = &planes[plane as usize];
+                Some(std::array::from_fn(|node| along(plane, touch.g[node]).dot(touch.velocity[node])))
+            }
+            _ => None,
+        });
+        work.sum::<f64>() + split
     }
 
     fn pushes(self, index: usize) -> f64 {
         let active = &self.courses[index].active;
         let work = self.courses[index].pushed.iter().map(|held| {
             let vertex = held.vertex as usize;
-            let power =
-                std::array::from_fn(|node| active.mass(vertex) * held.g[node].dot(self.velocity(index, node, vertex)));
-            self.contact(held, power)
+            let power = |node: usize| held.g[node].dot(self.velocity(index, node, vertex));
+            active.mass(vertex) * self.over(std::array::from_fn(power))
         });
-        work.sum()
+        let split = self.over_touches(index, |touch| {
+            matches!(touch.by, By::Push(_)).then(|| std::array::from_fn(|node| touch.g[node].dot(touch.velocity[node])))
+        });
+        work.sum::<f64>() + split
     }
 
     /// Work of forces set by a program.
@@ -185,21 +190,13 @@ impl Done<'_> {
                 }
             }));
         }
-        for piece in &course.pieces {
-            let Some(own) = &piece.own else { continue };
-            let Some(source) = own.source.filter(|&source| counts(source)) else { continue };
-            let vertex = own.vertex as usize;
-            let mass = course.active.mass(vertex);
-            let power = std::array::from_fn(|node| {
-                if body.is_free() {
-                    mass * own.g[node].dot(self.places[source as usize][node].velocity)
-                } else {
-                    -mass * own.g[node].dot(self.velocity(index, node, vertex))
-                }
-            });
-            work += piece.sign * self.from(piece.from, power);
-        }
-        work
+        work + self.over_touches(index, |touch| match touch.by {
+            By::Sphere(source) if counts(source) => Some(std::array::from_fn(|node| match body.is_free() {
+                true => touch.g[node].dot(touch.source[node].velocity),
+                false => -touch.g[node].dot(touch.velocity[node]),
+            })),
+            _ => None,
+        })
     }
 
     fn core(self, pair: &Pair) -> f64 {

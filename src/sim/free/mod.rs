@@ -5,8 +5,8 @@
 //! | a body: vertices with masses around a rest shape that follows them | [`body`] |
 //! | external influences: pairs, planes, pushes, gravity | [`field`] |
 //! | the solver: adaptive steps that end where a pair changes phase | [`island`] |
-//! | one step: exponential collocation of vertices, centres and frames together | `step`, `force` |
-//! | large islands, in which every body takes its own steps | `relaxation` |
+//! | one step: exponential collocation of vertices, centres and frames together; its error | `step`, `force` |
+//! | vertices on which a contact begins or ends within a step | `split` |
 //! | loops over vertices, in SIMD lanes | `kernels` |
 //! | vertices that nothing reaches in a step | `passive` |
 //! | zero crossings within a step: rims and thresholds | [`crossing`] |
@@ -50,7 +50,7 @@ mod kernels;
 pub mod ledger;
 pub mod observed;
 mod passive;
-mod relaxation;
+mod split;
 mod step;
 pub mod weights;
 
@@ -59,7 +59,7 @@ pub use body::{Body, Motion, Shape};
 pub use conserved::Conserved;
 pub use field::{Driven, Field, NoPaths, Pair, Paths, Push};
 pub use island::{Change, Failure, Island, Report, Way};
-pub(super) use island::{MAX_TOGETHER, Parts, Scratch};
+pub(super) use island::{Parts, Scratch};
 pub use ledger::Ledger;
 pub use observed::{Forces, Snapshot};
 

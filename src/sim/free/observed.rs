@@ -179,8 +179,10 @@ impl<'a> Snapshot<'a> {
         let mut sum = DVec3::ZERO;
         if strength != 0.0 {
             let places = [Place { centre: other.centre, velocity: other.velocity }; 5];
-            let sphere =
-                Sphere { source, radius: self.field.reach * other.radius, strength: [strength; 5], places, band: 0.0 };
+            let (radius, scale) = (self.field.reach * other.radius, self.field.scale(own.radius, other.radius));
+            let (radii, law, phase) = (own.radius + other.radius, pair.law, pair.phase);
+            let strength = [strength; 5];
+            let sphere = Sphere { source, radius, strength, scale, radii, law, phase, places, band: 0.0 };
             self.touched(index, Contact::Sphere(&sphere), |i, g| {
                 sum += own.shape.masses[i] * g;
                 each(i, g);
@@ -197,13 +199,13 @@ impl<'a> Snapshot<'a> {
             own.resize(n);
             own.set(i, own.get(i) + g);
         };
-        for (number, plane) in (0..).zip(&field.planes) {
-            self.touched(index, Contact::Plane(number, plane), |i, g| add(Cause::Plane, i, g));
+        for plane in &field.planes {
+            self.touched(index, Contact::Plane(plane), |i, g| add(Cause::Plane, i, g));
         }
         let acts = |start: f64, end: f64| start <= self.time && self.time < end;
-        for (number, push) in (0..).zip(&field.pushes) {
+        for push in &field.pushes {
             if push.body as usize == index && acts(push.start, push.end) {
-                self.touched(index, Contact::Push(number, push), |i, g| add(Cause::Push, i, g));
+                self.touched(index, Contact::Push(push), |i, g| add(Cause::Push, i, g));
             }
         }
         let body = self.bodies[index];
@@ -217,7 +219,7 @@ impl<'a> Snapshot<'a> {
     fn touched(&self, index: usize, contact: Contact<'_>, mut each: impl FnMut(usize, DVec3)) {
         let body = self.bodies[index];
         let place = Place { centre: body.centre, velocity: body.velocity };
-        if let Contact::Plane(_, plane) = contact
+        if let Contact::Plane(plane) = contact
             && plane.depth(body.centre) + body.shape.extent + body.x.iter().map(|x| x.length()).fold(0.0, f64::max)
                 < 0.0
         {

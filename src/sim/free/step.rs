@@ -5,9 +5,11 @@
 //! oscillator, this is exponential collocation (Hochbruck & Ostermann 2005): the spring is not approximated. All these
 //! quantities depend on each other and are corrected until they converge.
 //!
-//! If a vertex crosses the rim of a sphere or a plane within the step, the force has a kink. It is split into smooth
-//! forces that begin or end at that instant, and the cubic through each is integrated exactly over its part of the
-//! step.
+//! If a vertex crosses the rim of a sphere or a plane within the step, the force on it has a kink: `split` advances this
+//! vertex alone, over parts of the step on which its force is smooth, and the body takes what the force does to it.
+//!
+//! The error of a step is estimated from the residuals, forces less their cubics, at three midpoints between the nodes.
+//! They determine the terms of degree four to six, whose effect on the end is integrated.
 //!
 //! Angular momentum is a state variable, with the torque as its rate, and determines the angular velocity of a frame.
 //! Where reactions equal actions at every node, momentum and angular momentum are conserved to rounding, whatever the
@@ -22,12 +24,13 @@ use super::{
         nodes::{NODES, SAMPLES},
     },
     body::{Body, Sums},
-    crossing::Crossings,
+    crossing::Curve,
     field::{Driven, Field, Paths},
     force::{Acting, View},
-    kernels::{self, Active, Finish, Gathered, Move, Moved, Reach, Start, WIDTH},
+    kernels::{self, Active, AddResidual, Finish, Gathered, Move, Moved, Reach, Start, WIDTH},
     passive::{Linear, Maxima, Moments, Scaled},
-    weights::{Late, Onset, ballistic, cubic, early, early_ballistic, looks},
+    split::{By, Motion, Piece, Split},
+    weights::{BALLISTIC, MIDPOINTS, ballistic, cubic, early, early_ballistic, looks, residual},
 };
 use crate::model::{
     oscillator::Oscillator,
@@ -93,34 +96,6 @@ pub struct Frame {
     pub drive: DMat3,
 }
 
-/// A force that begins to act at an instant of the step, or, with sign −1, ends.
-#[derive(Clone, Copy, Debug)]
-pub struct Piece {
-    /// Time at which it begins, as a fraction of the step.
-    pub from: f64,
-    /// 1 if the force begins, −1 if it ends.
-    pub sign: f64,
-    /// Contribution to the acceleration of the centre, at the nodes [scene unit/s²].
-    pub acceleration: [DVec3; 4],
-    /// Contribution to the torque about [`Span::origin`], at the nodes.
-    pub torque: [DVec3; 4],
-    /// The vertex on which it acts; `None` for a reaction.
-    pub own: Option<Own>,
-}
-
-/// The effect of a [`Piece`] on the vertex on which it acts.
-#[derive(Clone, Copy, Debug)]
-pub struct Own {
-    /// Index of the vertex among the active ones.
-    pub vertex: u32,
-    /// The body whose sphere exerts the force, if a sphere does.
-    pub source: Option<u32>,
-    /// Acceleration of the vertex at the nodes [scene unit/s²].
-    pub g: [DVec3; 4],
-    /// Contribution to Ω_Q′, at the nodes [rad/s²].
-    pub turn: [DVec3; 4],
-}
-
 /// The reaction on a sphere by the vertices that it acts on, without the pieces that begin or end in the step.
 #[derive(Clone, Copy, Debug)]
 pub struct Reaction {
@@ -132,19 +107,15 @@ pub struct Reaction {
     pub power: [f64; 4],
 }
 
-/// The force of a plane or a push on a vertex.
+/// The force of a plane or a push on a vertex on which it acts throughout the step.
 #[derive(Clone, Copy, Debug)]
 pub struct Held {
     /// Index of the plane or push.
     pub contact: u32,
     /// Index of the vertex among the active ones.
     pub vertex: u32,
-    /// Acceleration of the vertex at the nodes, continued smoothly to where the contact does not act [scene unit/s²].
+    /// Acceleration of the vertex at the nodes [scene unit/s²].
     pub g: [DVec3; 4],
-    /// Whether it acts at the start of the step.
-    pub starts_inside: bool,
-    /// When it begins and ends.
-    pub crossings: Crossings,
 }
 
 /// The motion of a body during a step.
@@ -168,6 +139,16 @@ pub struct Course {
     /// The states of all vertices at the start.
     start: Start,
     maxima: Maxima,
+    pub errors: Errors,
+    residual: [(f64, f64); 3],
+    residual_ballistic: [(f64, f64); 3],
+    /// The vertices that are advanced alone, ascending.
+    pub splits: Vec<Split>,
+    /// Empty: the allocation of the next list.
+    pub splits_before: Vec<Split>,
+    /// Those of earlier steps, for their allocations.
+    pub spare_splits: Vec<Split>,
+    /// What acts on the body by its own and other bodies' such vertices.
     pub pieces: Vec<Piece>,
     pub reactions: Vec<Reaction>,
     weights: [Dense; 4],
@@ -175,23 +156,21 @@ pub struct Course {
     /// Oscillator and step length of `weights` and `early`.
     known: (Oscillator, f64),
     /// Effect of the pieces, by sample after the start.
-    late: [LateSum; 4],
-    /// Vertices that pieces act on, with the effect on them alone at each sample after the start.
+    pub late: [LateSum; 4],
+    /// The vertices that are advanced alone, with the effect of their contacts at each sample after the start.
     own: Vec<(u32, [(DVec3, DVec3); 4])>,
     own_before: Vec<(u32, [(DVec3, DVec3); 4])>,
-    /// Displacement and change of velocity of the centre from the start to each sample by reactions computed elsewhere.
-    given: Option<[Place; 5]>,
+    /// Motion of the centre of a free body since the start, at each sample [scene unit].
+    moved: [DVec3; 5],
     /// Motion on the path at each sample.
     driven: [Driven; 5],
-    /// Σ |s| over the spheres that act on the body [1/s²].
-    pub stiffness: f64,
-    /// Plane forces of the last evaluation, sorted by plane and vertex.
+    /// Plane forces on other vertices of the last evaluation, sorted by plane and vertex.
     pub held: Vec<Held>,
     /// Plane forces of the previous evaluation.
     pub held_before: Vec<Held>,
     /// Pushes of the last evaluation.
     pub pushed: Vec<Held>,
-    /// Buffer: vertices that may cross a rim.
+    /// Buffer: vertices on which a contact begins or ceases to act.
     pub crossing: Vec<u32>,
     spheres: Vec<(DVec3, f64)>,
     planes: Vec<(DVec3, f64)>,
@@ -199,16 +178,18 @@ pub struct Course {
 
 /// Effect of all pieces at a sample, see [`Course::late`].
 #[derive(Clone, Copy, Debug)]
-struct LateSum {
+pub struct LateSum {
     centre: DVec3,
     velocity: DVec3,
     momentum: DVec3,
     /// Rotation of the frame beyond the integral of the cubic through its rates at the nodes [rad].
     turned: DVec3,
-    x: DVec3,
-    u: DVec3,
-    x_by_rest: DMat3,
-    u_by_rest: DMat3,
+    /// Displacement and velocity of all vertices …
+    pub x: DVec3,
+    pub u: DVec3,
+    /// … and per rest position.
+    pub x_by_rest: DMat3,
+    pub u_by_rest: DMat3,
 }
 
 impl Default for LateSum {
@@ -237,24 +218,25 @@ pub struct Span {
     pub h: f64,
     /// End of the step [s].
     pub end: f64,
-    /// Reference point of angular momentum [scene unit]. `None`: each body's own centre, because reactions, which act
-    /// there, are computed elsewhere.
-    pub origin: Option<DVec3>,
+    /// Reference point of angular momentum [scene unit].
+    pub origin: DVec3,
+    /// The instant of the sample [`MIDDLE`], as a fraction of the step.
+    pub midpoint: f64,
     /// Weights for the motion of centres.
     pub ballistic: [Dense; 4],
     early: [[Dense; 3]; 3],
 }
 
 impl Span {
-    pub fn new(start: f64, end: f64, origin: Option<DVec3>) -> Span {
+    pub fn new(start: f64, end: f64, origin: DVec3) -> Span {
         let h = end - start;
-        Span { start, h, end, origin, ballistic: ballistic(h), early: early_ballistic(h) }
+        Span { start, h, end, origin, midpoint: 0.5, ballistic: ballistic(h), early: early_ballistic(h) }
     }
 
     /// Vector from the reference point of angular momentum to a body's centre [scene unit].
     #[inline]
     pub fn arm(&self, centre: DVec3) -> DVec3 {
-        self.origin.map_or(DVec3::ZERO, |origin| centre - origin)
+        centre - self.origin
     }
 
     /// The motion of a body on a path at the samples, also stored in `places`.
@@ -269,8 +251,19 @@ impl Span {
         match look {
             0 => self.start,
             3 => self.end,
-            _ => self.start + SAMPLES[look] * self.h,
+            _ => self.start + self.theta(look) * self.h,
         }
+    }
+
+    /// Time of sample `look`, as a fraction of the step.
+    pub fn theta(&self, look: usize) -> f64 {
+        if look == MIDDLE { self.midpoint } else { SAMPLES[look] }
+    }
+
+    /// Moves the sample [`MIDDLE`] to midpoint `k`.
+    pub fn sample_midpoint(&mut self, k: usize) {
+        self.midpoint = MIDPOINTS[k];
+        self.ballistic[MIDDLE - 1] = Dense::new(BALLISTIC, self.h, self.midpoint);
     }
 }
 
@@ -281,7 +274,7 @@ pub fn combine(w: &[f64; 4], v: [DVec3; 4]) -> DVec3 {
 }
 
 #[inline(always)]
-fn combine_matrices(w: &[f64; 4], v: [DMat3; 4]) -> DMat3 {
+pub fn combine_matrices(w: &[f64; 4], v: [DMat3; 4]) -> DMat3 {
     (v[0] * w[0] + v[1] * w[1]) + (v[2] * w[2] + v[3] * w[3])
 }
 
@@ -307,6 +300,7 @@ impl Course {
         let [x, u] = [&self.start.x, &self.start.u].map(|v| kernels::largest_square(arch, v).sqrt());
         self.maxima = Maxima { x, u, rest: body.shape.extent };
         self.pieces.clear();
+        self.spare_splits.append(&mut self.splits);
         self.own.clear();
         self.own_before.clear();
         self.held.clear();
@@ -325,13 +319,6 @@ impl Course {
         }; 5];
         if body.is_free() {
             *places = [Place { centre: body.centre, velocity: body.velocity }; 5];
-            self.given = paths.reaction(index, span.start).map(|(from, velocity)| {
-                std::array::from_fn(|look| {
-                    let t = span.time(look);
-                    let (at, faster) = paths.reaction(index, t).unwrap_or_default();
-                    Place { centre: at - from - (t - span.start) * velocity, velocity: faster - velocity }
-                })
-            });
         } else {
             self.driven = span.driven(index, paths, places);
         }
@@ -506,14 +493,11 @@ impl Course {
             let (w, late) = (&weights[look - 1], self.late[look - 1]);
             if body.is_free() {
                 let b = &ballistic[look - 1];
-                let mut place = Place {
-                    centre: start.centre + (b.xu * start.velocity + (combine(&b.x, acceleration) + late.centre)),
+                self.moved[look] = b.xu * start.velocity + (combine(&b.x, acceleration) + late.centre);
+                let place = Place {
+                    centre: start.centre + self.moved[look],
                     velocity: start.velocity + (combine(&b.u, acceleration) + late.velocity),
                 };
-                if let Some(given) = &self.given {
-                    place.centre += given[look].centre;
-                    place.velocity += given[look].velocity;
-                }
                 change = larger(change, (place.centre - places[look].centre).length());
                 change = larger(change, (place.velocity - places[look].velocity).length());
                 places[look] = place;
@@ -717,127 +701,149 @@ impl Course {
     /// Computes the effects of pieces at these samples.
     fn add_pieces(&mut self, body: &Body, span: &Span, looks: std::ops::Range<usize>) {
         std::mem::swap(&mut self.own, &mut self.own_before);
-        self.late = Default::default();
+        self.late[looks.start - 1..looks.end - 1].fill(LateSum::default());
         self.own.clear();
-        if self.pieces.is_empty() {
+        if self.pieces.is_empty() && self.splits.is_empty() {
             return;
         }
-        let per_mass = 1.0 / body.mass();
-        // accelerations −Ω_Q′×Q l of all vertices: weights in x and u times Ω_Q′, by sample and node
-        let mut turns = [[[DVec3::ZERO; 4]; 2]; 4];
-        for piece in &self.pieces {
-            let onset = Onset::new(piece.from);
-            let mut alone = [(DVec3::ZERO, DVec3::ZERO); 4];
-            let mut nodes: Option<[Late; 3]> = None;
-            for look in looks.clone().map(|look| look - 1).filter(|&look| SAMPLES[look + 1] > piece.from) {
-                let weights = onset.ballistic(span.h, SAMPLES[look + 1]);
-                let late = &mut self.late[look];
-                late.centre += piece.sign * combine(&weights.x, piece.acceleration);
-                late.velocity += piece.sign * combine(&weights.u, piece.acceleration);
-                late.momentum += piece.sign * combine(&weights.u, piece.torque);
-                let Some(own) = &piece.own else { continue };
-                let w = onset.late(body.oscillator, span.h, SAMPLES[look + 1]);
-                let (x, u) = (piece.sign * combine(&w.x, own.g), piece.sign * combine(&w.u, own.g));
-                alone[look] = (x, u);
+        // the angular velocity of the frame by pieces, at the nodes
+        let mut rates = [DVec3::ZERO; 4];
+        for piece in self.pieces.iter().filter(|_| body.turns()) {
+            for (rate, node) in rates.iter_mut().zip(NODES).skip(1) {
+                *rate += piece.effect_at(node).frame_spin;
+            }
+        }
+        for look in looks.clone() {
+            let theta = span.theta(look);
+            let late = &mut self.late[look - 1];
+            for piece in &self.pieces {
+                let effect = piece.effect_at(theta);
+                late.centre += effect.centre;
+                late.velocity += effect.velocity;
+                late.momentum += effect.momentum;
+                late.turned += effect.turned;
+            }
+            late.turned -= combine(&span.ballistic[look - 1].u, rates);
+        }
+        for split in &self.splits {
+            let mut own = [(DVec3::ZERO, DVec3::ZERO); 4];
+            for look in looks.clone() {
+                let deviation = split.at(body, span.h, span.theta(look));
+                own[look - 1] = deviation.own();
                 if !body.is_free() {
                     continue;
                 }
-                let mass = self.active.mass(own.vertex as usize);
-                late.x -= mass * per_mass * x;
-                late.u -= mass * per_mass * u;
-                if body.turns() {
-                    for node in 0..4 {
-                        turns[look][0][node] += (piece.sign * w.x[node]) * own.turn[node];
-                        turns[look][1][node] += (piece.sign * w.u[node]) * own.turn[node];
-                    }
-                    let rates = nodes.get_or_insert_with(|| [1, 2, 3].map(|node| onset.ballistic(span.h, NODES[node])));
-                    let [a, b, c] = rates.map(|late| combine(&late.u, own.turn));
-                    let seen = combine(&span.ballistic[look].u, [DVec3::ZERO, a, b, c]);
-                    late.turned += piece.sign * (combine(&weights.x, own.turn) - seen);
-                }
-            }
-            let Some(own) = &piece.own else { continue };
-            match self.own.iter_mut().find(|(vertex, _)| *vertex == own.vertex) {
-                Some((_, known)) => {
-                    for (known, alone) in known.iter_mut().zip(alone) {
-                        known.0 += alone.0;
-                        known.1 += alone.1;
-                    }
-                }
-                None => self.own.push((own.vertex, alone)),
-            }
-        }
-        if body.turns() {
-            for look in looks {
-                let by_rest = turns[look - 1].map(|turns| {
-                    let of = |node: usize| cross_matrix(turns[node]) * self.frames[node].axes;
-                    (of(0) + of(1)) + (of(2) + of(3))
-                });
+                let (x, u) = own[look - 1];
+                let share = self.active.mass(split.vertex as usize) / body.mass();
                 let late = &mut self.late[look - 1];
-                (late.x_by_rest, late.u_by_rest) = (-by_rest[0], -by_rest[1]);
+                late.x -= share * x;
+                late.u -= share * u;
+                let [x, u] = deviation.by_rest();
+                late.x_by_rest += x;
+                late.u_by_rest += u;
             }
+            self.own.push((split.vertex, own));
         }
     }
 
-    /// `[i][j]`: response at node 1 + i, in x [s²] and in u [s], to an acceleration of a vertex at node 1 + j. The
-    /// acceleration acts from the start if `starts` is set, and toggles at each of `crossings`.
-    pub fn responses(&self, oscillator: Oscillator, h: f64, starts: bool, crossings: &[f64]) -> [[(f64, f64); 3]; 3] {
-        std::array::from_fn(|i| {
-            let stage = &self.weights[i];
-            let mut all: [(f64, f64); 3] =
-                std::array::from_fn(|j| if starts { (stage.x[j + 1], stage.u[j + 1]) } else { (0.0, 0.0) });
-            let mut sign = if starts { -1.0 } else { 1.0 };
-            for &from in crossings {
-                let late = Late::new(oscillator, h, from, SAMPLES[i + 1]);
-                for (j, weight) in all.iter_mut().enumerate() {
-                    weight.0 += sign * late.x[j + 1];
-                    weight.1 += sign * late.u[j + 1];
-                }
-                sign = -sign;
-            }
-            all
-        })
+    /// The motion of the body since the start of the step.
+    pub fn motion(&self, span: &Span, places: &[Place; 5]) -> Motion {
+        let [_, a, b, c, _] = self.moved;
+        let centre = Curve::new(&[a, b, c], &[0, 1, 2, 3].map(|node| span.h * places[node].velocity));
+        let turned = [1, 2, 3].map(|node| {
+            let turn = rotation_by(self.frames[node].turned);
+            let across = cross_matrix(DVec3::new(turn.x, turn.y, turn.z));
+            (across * turn.w + across * across) * 2.0
+        });
+        Motion { centre, turned }
     }
 
-    /// G⁻¹ `moment` at a node, for [`Own::turn`] [rad/s²].
-    pub fn turn_of(&self, node: usize, moment: DVec3) -> DVec3 {
-        solve(resistance(self.frames[node].inner.as_), moment)
+    /// `[i][j]`: response at node 1 + i, in x [s²] and in u [s], to an acceleration of a vertex at node 1 + j.
+    pub fn responses(&self) -> [[(f64, f64); 3]; 3] {
+        std::array::from_fn(|i| std::array::from_fn(|j| (self.weights[i].x[j + 1], self.weights[i].u[j + 1])))
     }
 
-    /// The residuals, in the middle of the step, of the cubics through the nodes. Subtracts pieces from the
-    /// accelerations of the vertices there.
-    pub fn bends(&mut self, arch: Arch, body: &Body) -> Bends {
-        let w = cubic(0.5);
+    /// Moves the sample [`MIDDLE`] to midpoint `k`; the first one begins the estimate of errors.
+    pub fn sample_midpoint(
+        &mut self,
+        index: usize,
+        body: &Body,
+        span: &Span,
+        k: usize,
+        paths: &dyn Paths,
+        places: &mut [Place; 5],
+    ) {
+        if k == 0 {
+            self.errors = Errors::default();
+            self.active.clear_errors();
+            self.residual = residual(body.oscillator, span.h);
+            self.residual_ballistic = residual(BALLISTIC, span.h);
+        }
+        self.weights[MIDDLE - 1] = Dense::new(body.oscillator, span.h, span.midpoint);
+        if !body.is_free() {
+            let t = span.time(MIDDLE);
+            self.driven[MIDDLE] = paths.at(index, t, false);
+            let Driven { position, velocity, .. } = self.driven[MIDDLE];
+            places[MIDDLE] = Place { centre: position, velocity };
+        }
+    }
+
+    /// Adds the effects of the residuals at midpoint `k` to the errors.
+    pub fn add_residuals(&mut self, arch: Arch, span: &Span, k: usize) {
+        let w = cubic(span.midpoint);
         let nodes: [&Frame; 4] = std::array::from_fn(|node| &self.frames[node]);
         let middle = &self.frames[MIDDLE];
-        let active = |piece: &&Piece| piece.from < 0.5;
-        let mut acceleration = middle.acceleration - combine(&w, nodes.map(|f| f.acceleration));
-        let mut common = middle.common - combine(&w, nodes.map(|f| f.common));
-        let mut drive = middle.drive - combine_matrices(&w, nodes.map(|f| f.drive));
-        for piece in self.pieces.iter().filter(active) {
-            acceleration -= piece.sign * combine(&w, piece.acceleration);
-            let Some(own) = &piece.own else { continue };
-            let g = piece.sign * combine(&w, own.g);
-            let vertex = own.vertex as usize;
-            self.active.accelerate(MIDDLE, vertex, -g);
-            if body.is_free() {
-                common += self.active.mass(vertex) / body.mass() * g;
-            }
-            if body.turns() {
-                let turn: [DMat3; 4] =
-                    std::array::from_fn(|node| cross_matrix(own.turn[node]) * self.frames[node].axes);
-                drive += combine_matrices(&w, turn) * piece.sign;
-            }
-        }
+        let acceleration = middle.acceleration - combine(&w, nodes.map(|f| f.acceleration));
+        let torque = middle.torque - combine(&w, nodes.map(|f| f.torque));
+        let common = middle.common - combine(&w, nodes.map(|f| f.common));
+        let drive = middle.drive - combine_matrices(&w, nodes.map(|f| f.drive));
         let mut others = self.coupling[MIDDLE];
         for node in 0..4 {
             others.add_times(-w[node], &self.coupling[node]);
         }
         others.shift += common;
         others.by_rest += drive;
-        let force = larger(others.bound(&self.maxima), kernels::bend(arch, &self.active, w, common, drive).sqrt());
+        let effect = self.residual[k];
+        self.errors.x.add_times(effect.0, &others);
+        self.errors.u.add_times(effect.1, &others);
+        AddResidual { active: &mut self.active, weights: w, common, by_rest: drive, effect }.find(arch);
+        let (centre, velocity) = self.residual_ballistic[k];
+        self.errors.centre += centre * acceleration;
+        self.errors.velocity += velocity * acceleration;
+        self.errors.momentum += velocity * torque;
         let spin = middle.frame_spin - combine(&w, nodes.map(|f| f.frame_spin));
-        Bends { force, acceleration: acceleration.length(), spin: spin.length() }
+        self.errors.turn += velocity * spin;
+    }
+
+    /// The estimated error of the step for this body [scene unit].
+    pub fn error(&self, arch: Arch, body: &Body, field: &Field) -> f64 {
+        let planes = self.held.iter().map(|held| (held.contact, held.vertex));
+        let split = self.splits.iter().flat_map(|split| {
+            let touches = split.legs().iter().flat_map(|leg| &leg.touches);
+            touches.filter_map(|touch| match touch.by {
+                By::Plane(plane) => Some((plane, split.vertex)),
+                _ => None,
+            })
+        });
+        let (mut contact, mut touching) = (0.0, 0.0);
+        for (plane, vertex) in planes.chain(split) {
+            contact = larger(contact, field.planes[plane as usize].stiffness);
+            touching += self.active.mass(vertex as usize);
+        }
+        let touching = f64::min(touching, body.mass());
+        let Errors { x, u, centre, velocity, momentum, turn, split, split_all } = self.errors;
+        let swing = 1.0 / body.oscillator.omega.max(2.0 * body.oscillator.damping).max(1.0);
+        let [far, fast] = kernels::largest_errors(arch, &self.active).map(f64::sqrt);
+        let gain = 1.0 + swing * contact.sqrt();
+        let vertex = gain * larger(far, x.bound(&self.maxima)) + swing * larger(fast, u.bound(&self.maxima));
+        let mut error = larger(vertex, gain * split.0 + swing * split.1) + velocity.length();
+        error += centre.length() * (1.0 + (contact * touching / body.mass()).sqrt());
+        error += split_all;
+        if body.turns() {
+            let spin = solve(resistance(self.frames[3].inner.as_), momentum);
+            error += (turn.length() + spin.length()) * body.shape.extent;
+        }
+        error
     }
 
     /// Commits the end of the step as the body's state, and fits the frame to the vertices without moving them. Returns
@@ -872,15 +878,33 @@ impl Course {
     }
 }
 
-/// Residuals in the middle of a step, see [`Course::bends`].
+/// Estimated errors at the end of a step, as far as all vertices share them.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Bends {
-    /// Largest residual of the force on any vertex [scene unit/s²].
-    pub force: f64,
-    /// Residual of the acceleration of the centre [scene unit/s²].
-    pub acceleration: f64,
-    /// Residual of the frame's angular velocity [rad/s].
-    pub spin: f64,
+pub struct Errors {
+    x: Linear,
+    u: Linear,
+    centre: DVec3,
+    velocity: DVec3,
+    momentum: DVec3,
+    /// Rotation of the frame [rad].
+    turn: DVec3,
+    /// The largest of x and of u of a vertex that is advanced alone.
+    split: (f64, f64),
+    /// Σ m/M of these errors: of the centre, and of its velocity in a second.
+    split_all: f64,
+}
+
+impl Errors {
+    /// Adds the error of a vertex that is advanced alone, with `share` of the body's mass.
+    pub fn add_split(&mut self, (x, u): (f64, f64), share: f64) {
+        self.split = (larger(self.split.0, x), larger(self.split.1, u));
+        self.add_reaction((x, u), share);
+    }
+
+    /// Adds the error of a force on a sphere of the body, with the ratio of the vertex's mass to the body's.
+    pub fn add_reaction(&mut self, (x, u): (f64, f64), share: f64) {
+        self.split_all += share * (x + u);
+    }
 }
 
 /// The larger of two numbers; NaN if either is NaN.

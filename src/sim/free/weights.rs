@@ -41,6 +41,33 @@ pub fn cubic(theta: f64) -> [f64; 4] {
     CUBIC.map(|[a, b, c, d]| a + theta * (b + theta * (c + theta * d)))
 }
 
+/// Instants between the nodes at which the residual of a step is sampled, as fractions of the step.
+pub const MIDPOINTS: [f64; 3] = [0.5 * NODES[1], 0.5, 1.0 - 0.5 * NODES[1]];
+
+/// `[k]`: effect on x [s²] and on u [s] at the end of a step of a residual that is 1 at midpoint k and 0 at the other
+/// midpoints and the nodes, a polynomial of degree six.
+pub fn residual(oscillator: Oscillator, h: f64) -> [(f64, f64); 3] {
+    // Gauss-Legendre quadrature with eight points
+    const GAUSS: [(f64, f64); 4] = [
+        (0.183_434_642_495_649_8, 0.362_683_783_378_362),
+        (0.525_532_409_916_329, 0.313_706_645_877_887_3),
+        (0.796_666_477_413_626_7, 0.222_381_034_453_374_5),
+        (0.960_289_856_497_536_3, 0.101_228_536_290_376_3),
+    ];
+    let mut weights = [(0.0, 0.0); 3];
+    for (at, weight) in GAUSS.into_iter().flat_map(|(at, weight)| [(at, weight), (-at, weight)]) {
+        let theta = 0.5 + 0.5 * at;
+        let [_, xu, _, uu] = oscillator.flow((1.0 - theta) * h);
+        for (k, (x, u)) in weights.iter_mut().enumerate() {
+            let others = (0..3).filter(|&j| j != k).map(|j| MIDPOINTS[j]).chain(NODES);
+            let value: f64 = others.map(|other| (theta - other) / (MIDPOINTS[k] - other)).product();
+            *x += 0.5 * h * weight * value * xu;
+            *u += 0.5 * h * weight * value * uu;
+        }
+    }
+    weights
+}
+
 /// Dense output at each sample after the start of a step of length `h` [s]: at the other three nodes and the middle.
 pub fn looks(oscillator: Oscillator, h: f64) -> [Dense; 4] {
     std::array::from_fn(|look| Dense::new(oscillator, h, SAMPLES[look + 1]))
@@ -75,91 +102,24 @@ pub fn early_ballistic(h: f64) -> [[Dense; 3]; 3] {
     UNIT.map(|known| known.map(|unit| scaled(unit, h)))
 }
 
-/// Effect on the state at a later instant of a force that begins within the step: weights of its values at the four
-/// nodes, which a cubic interpolates.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Late {
-    /// Weights in x [s²].
-    pub x: [f64; 4],
-    /// Weights in u [s].
-    pub u: [f64; 4],
-}
-
-/// A force that begins within the step, in powers of the time since then.
+/// Weights of the values at the four nodes in the first and second integral of the cubic through them, up to an instant.
 #[derive(Clone, Copy, Debug)]
-pub struct Onset {
-    from: f64,
-    /// `[node]`: coefficients of the node's basis cubic, expanded about `from`.
-    powers: [[f64; 4]; 4],
+pub struct CubicIntegrals {
+    pub once: [f64; 4],
+    pub twice: [f64; 4],
 }
 
-impl Onset {
-    /// A force that begins at `from`, a fraction of the step.
-    pub fn new(from: f64) -> Onset {
-        let powers = CUBIC.map(|[a, b, c, d]| {
-            let at = a + from * (b + from * (c + from * d));
-            let slope = b + from * (2.0 * c + from * (3.0 * d));
-            [at, slope, c + from * (3.0 * d), d]
-        });
-        Onset { from, powers }
+impl CubicIntegrals {
+    /// The integrals from 0 to 1.
+    pub fn whole() -> &'static CubicIntegrals {
+        static WHOLE: LazyLock<CubicIntegrals> = LazyLock::new(|| CubicIntegrals::up_to(1.0));
+        &WHOLE
     }
 
-    /// The weights at `theta`, in a step of length `h` [s].
-    pub fn late(&self, oscillator: Oscillator, h: f64, theta: f64) -> Late {
-        let length = theta - self.from;
-        if length <= 0.0 {
-            return Late::default();
-        }
-        let p = oscillator.propagator(length * h);
-        self.of(length, &p.x, &p.u)
-    }
-
-    /// Like [`Onset::late`], without spring and damping.
-    pub fn ballistic(&self, h: f64, theta: f64) -> Late {
-        let length = theta - self.from;
-        if length <= 0.0 {
-            return Late::default();
-        }
-        let t = length * h;
-        let u = [t, t / 2.0, t / 3.0, t / 4.0];
-        let x = [t * t / 2.0, t * t / 6.0, t * t / 12.0, t * t / 20.0];
-        self.of(length, &x, &u)
-    }
-
-    /// Weights from the responses `x` and `u` to powers of the time since the force began.
-    fn of(&self, length: f64, x: &[f64; 4], u: &[f64; 4]) -> Late {
-        let mut late = Late::default();
-        for (node, [at, slope, bend, d]) in self.powers.iter().enumerate() {
-            let of = |p: &[f64; 4]| at * p[0] + length * (slope * p[1] + length * (bend * p[2] + length * (d * p[3])));
-            (late.x[node], late.u[node]) = (of(x), of(u));
-        }
-        late
-    }
-}
-
-impl Late {
-    /// The weights at `theta` of forces that act from `from` on, in a step of length `h` [s].
-    pub fn new(oscillator: Oscillator, h: f64, from: f64, theta: f64) -> Late {
-        Onset::new(from).late(oscillator, h, theta)
-    }
-
-    /// Like [`Late::new`], without spring and damping.
-    pub fn ballistic(h: f64, from: f64, theta: f64) -> Late {
-        Onset::new(from).ballistic(h, theta)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn ballistic_weights_are_those_of_an_oscillator_without_spring() {
-        for (from, theta) in [(0.0, 1.0), (0.3, 0.5), (0.7, 1.0), (0.9, 0.4)] {
-            let (found, expected) = (Late::ballistic(0.02, from, theta), Late::new(BALLISTIC, 0.02, from, theta));
-            for (found, expected) in found.x.iter().chain(&found.u).zip(expected.x.iter().chain(&expected.u)) {
-                assert!((found - expected).abs() < 1e-15, "{from} {theta}: {found:e} {expected:e}");
-            }
-        }
+    /// The integrals from 0 to `z`.
+    pub fn up_to(z: f64) -> CubicIntegrals {
+        let once = CUBIC.map(|[a, b, c, d]| z * (a + z * (b / 2.0 + z * (c / 3.0 + z * (d / 4.0)))));
+        let twice = CUBIC.map(|[a, b, c, d]| z * z * (a / 2.0 + z * (b / 6.0 + z * (c / 12.0 + z * (d / 20.0)))));
+        CubicIntegrals { once, twice }
     }
 }
