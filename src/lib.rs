@@ -31,11 +31,12 @@
 //! | [`observe`] | what an observer sees of any simulation: schema, frames, events | `geometry` | |
 //! | [`sim`] | the world and its step: forces, integrators, events, solver of free bodies | all above | |
 //! | [`models`] | the models of a soft body, and which of them runs a scene | all above | |
+//! | `atomic` | files that are either complete or not there | | `viewer` |
 //! | [`sdk`] | the parts of the Rerun SDK that are used | | `viewer` |
-//! | [`stream`] | frames as Rerun data: entities, blueprint, sinks | `observe`, `geometry`, `text`, `sdk` | `viewer` |
-//! | [`table`] | tables as CSV, JSON and Parquet files | `stream`, `sdk` | `cli` |
+//! | [`stream`] | frames as Rerun data: entities, blueprint, sinks | `observe`, `geometry`, `text`, `atomic`, `sdk` | `viewer` |
+//! | [`table`] | tables as CSV, JSON and Parquet files | `atomic`, `sdk` | `cli` |
 //! | [`recording`] | reading recordings: replay, check, diff | all above | `viewer` |
-//! | [`sweep`] | grids of runs over a scene's parameters, refinement, thresholds, maps | `scene`, `sim`, `observe`, `stream`, `text`, `sdk` | `cli` |
+//! | [`sweep`] | grids of runs over a scene's parameters, refinement, thresholds, maps | `scene`, `sim`, `observe`, `stream`, `text`, `atomic`, `sdk` | `cli` |
 //! | [`bench`] | benchmarks, and an independent reference solution | all above | `cli` |
 //! | [`cli`] | the command line, one file per subcommand | all above | `cli` |
 //!
@@ -93,6 +94,9 @@
 // No input may crash the program.
 #![cfg_attr(not(test), warn(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+#[cfg(feature = "viewer")]
+#[cfg_attr(not(feature = "cli"), allow(dead_code))] // recordings need a part of it
+mod atomic;
 #[cfg(feature = "cli")]
 pub mod bench;
 #[cfg(feature = "cli")]

@@ -6,7 +6,7 @@
 
 use std::{
     collections::HashMap,
-    fs::{self, File},
+    fs::File,
     io::{self, BufWriter, Read as _, Seek as _, SeekFrom, Write},
     path::{Path, PathBuf},
     sync::Arc,
@@ -14,12 +14,14 @@ use std::{
 
 use parquet::{arrow::ArrowWriter, basic::Compression, errors::ParquetError, file::properties::WriterProperties};
 
-use crate::sdk::arrow::{
-    array::{ArrayRef, Float64Builder, Int64Builder, ListBuilder, RecordBatch, StringBuilder, UInt64Builder},
-    datatypes::{DataType, Field, Schema},
-    error::ArrowError,
+use crate::{
+    atomic::AtomicFile,
+    sdk::arrow::{
+        array::{ArrayRef, Float64Builder, Int64Builder, ListBuilder, RecordBatch, StringBuilder, UInt64Builder},
+        datatypes::{DataType, Field, Schema},
+        error::ArrowError,
+    },
 };
-use crate::stream::unfinished;
 
 /// The `created_by` of a Parquet file.
 const CREATED_BY: &str = concat!("meldscope ", env!("CARGO_PKG_VERSION"));
@@ -31,7 +33,6 @@ const LONGEST_HEADER: u64 = 1 << 16;
 const BATCH: usize = 8192;
 /// Approximate size of a row group of a Parquet file [bytes], which is kept in memory until complete.
 const GROUP: usize = 16 << 20;
-const PARTIAL: &str = ".partial";
 
 /// The type of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -139,10 +140,9 @@ impl Format {
 /// A table being written.
 pub struct Table {
     path: PathBuf,
-    partial: PathBuf,
+    file: AtomicFile,
     columns: Vec<Column>,
-    /// `None` once the table is finished.
-    writer: Option<Writer>,
+    writer: Writer,
 }
 
 enum Writer {
@@ -163,24 +163,12 @@ impl Table {
                 "{path}: the extension selects the table's format: use .csv, .json or .parquet"
             )));
         };
-        let mut partial = path.as_os_str().to_owned();
-        partial.push(PARTIAL);
-        let partial = PathBuf::from(partial);
-        for (path, is_whole) in [(path, true), (&partial, false)] {
-            if path.symlink_metadata().is_ok() && !is_table(path, format, &columns, is_whole).unwrap_or(false) {
-                let path = path.display();
-                return Err(TableError::Refused(format!(
-                    "{path} is not a table with these columns and is not replaced: choose another name"
-                )));
-            }
-        }
+        may_replace(path, &columns)?;
         let failed = |error: io::Error| TableError::Refused(format!("cannot write {}: {error}", path.display()));
-        fs::remove_file(&partial).ok(); // left by a run that was killed
-        let file = BufWriter::new(unfinished::create_new(&partial).map_err(failed)?);
-        let mut table = Table { path: path.to_owned(), partial, columns, writer: None };
-        let writer = Writer::new(format, &table.columns, file).map_err(|error| table.failed(&error))?;
-        table.writer = Some(writer);
-        Ok(table)
+        let file = AtomicFile::create(path).map_err(failed)?;
+        let to = BufWriter::new(file.handle().map_err(failed)?);
+        let writer = Writer::new(format, &columns, to).map_err(failed)?;
+        Ok(Table { path: path.to_owned(), file, columns, writer })
     }
 
     /// Adds a row, with one cell per column.
@@ -188,36 +176,36 @@ impl Table {
     /// # Errors
     /// The row cannot be written.
     pub fn row(&mut self, cells: &[Cell<'_>]) -> Result<(), TableError> {
-        let written = match &mut self.writer {
-            Some(writer) => writer.row(&self.columns, cells),
-            None => Ok(()),
-        };
-        written.map_err(|error| self.failed(&error))
+        self.writer.row(&self.columns, cells).map_err(|error| write_failed(&self.path, &error))
     }
 
-    /// Renames the file to its final name; returns its size [bytes].
+    /// Puts the file in place; returns its size [bytes].
     ///
     /// # Errors
     /// The file cannot be written or renamed.
-    pub fn finish(mut self) -> Result<u64, TableError> {
-        let finish = |table: &mut Table| -> io::Result<u64> {
-            table.writer.take().map_or(Ok(()), Writer::finish)?;
-            fs::rename(&table.partial, &table.path)?;
-            Ok(table.path.metadata()?.len())
-        };
-        finish(&mut self).map_err(|error| self.failed(&error))
-    }
-
-    fn failed(&self, error: &dyn std::fmt::Display) -> TableError {
-        TableError::Failed(format!("cannot write {}: {error}", self.path.display()))
+    pub fn finish(self) -> Result<u64, TableError> {
+        let Table { path, file, writer, .. } = self;
+        writer.finish().and_then(|()| file.commit()).map_err(|error| write_failed(&path, &error))
     }
 }
 
-impl Drop for Table {
-    fn drop(&mut self) {
-        fs::remove_file(&self.partial).ok(); // gone if the table was finished
-        unfinished::forget(&self.partial);
+fn write_failed(path: &Path, error: &io::Error) -> TableError {
+    TableError::Failed(format!("cannot write {}: {error}", path.display()))
+}
+
+/// Checks that a table with these columns may be put at `path`.
+///
+/// # Errors
+/// There is something else.
+pub fn may_replace(path: &Path, columns: &[Column]) -> Result<(), TableError> {
+    let is_table = |format| is_table(path, format, columns).unwrap_or(false);
+    if path.symlink_metadata().is_ok() && !Format::of(path).is_some_and(is_table) {
+        let path = path.display();
+        return Err(TableError::Refused(format!(
+            "{path} is not a table with these columns and is not replaced: choose another name"
+        )));
     }
+    Ok(())
 }
 
 impl Writer {
@@ -394,8 +382,8 @@ impl<W: Write + Send> ParquetTable<W> {
     }
 }
 
-/// Whether a file is empty or a table with these columns; for a truncated file, whether it may be one.
-fn is_table(path: &Path, format: Format, columns: &[Column], is_whole: bool) -> io::Result<bool> {
+/// Whether a file is empty or a table with these columns.
+fn is_table(path: &Path, format: Format, columns: &[Column]) -> io::Result<bool> {
     if !path.symlink_metadata()?.is_file() {
         return Ok(false);
     }
@@ -433,14 +421,16 @@ fn is_table(path: &Path, format: Format, columns: &[Column], is_whole: bool) -> 
             file.take(LONGEST_HEADER).read_to_end(&mut tail)?;
             let names = columns.iter().map(|column| column.name.as_bytes());
             head.starts_with(PARQUET)
-                && (!is_whole
-                    || tail.ends_with(PARQUET) && names.chain([&b"meldscope "[..]]).all(|name| contains(&tail, name)))
+                && tail.ends_with(PARQUET)
+                && names.chain([&b"meldscope "[..]]).all(|name| contains(&tail, name))
         }
     })
 }
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 
     use super::*;

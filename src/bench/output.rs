@@ -2,12 +2,12 @@
 //! instead of after minutes.
 
 use std::{
-    fs::{self, File, OpenOptions},
+    fs::{self, OpenOptions},
     io::{self, Write},
     path::{Path, PathBuf},
 };
 
-use crate::stream::unfinished;
+use crate::atomic::AtomicFile;
 
 /// A file that can be written, as far as this can be checked in advance.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -40,22 +40,13 @@ impl Output {
         if path.file_name().is_none() {
             return Err(io::ErrorKind::IsADirectory.into());
         }
-        let output = Output { path, is_replaced: true };
-        File::create_new(output.partial())?; // does not follow links
-        fs::remove_file(output.partial())?;
-        Ok(output)
+        AtomicFile::create(&path)?; // removed at once
+        Ok(Output { path, is_replaced: true })
     }
 
     /// The path of the file.
     pub fn path(&self) -> &Path {
         &self.path
-    }
-
-    /// The temporary path to which it is first written.
-    fn partial(&self) -> PathBuf {
-        let mut name = self.path.file_name().unwrap_or_default().to_owned();
-        name.push(format!(".{}.partial", std::process::id()));
-        self.path.with_file_name(name)
     }
 
     /// Replaces the file's content with `text` atomically: on failure, the file is unchanged.
@@ -66,14 +57,8 @@ impl Output {
         if !self.is_replaced {
             return OpenOptions::new().write(true).open(&self.path)?.write_all(text.as_bytes());
         }
-        let partial = self.partial();
-        let written = unfinished::create_new(&partial)
-            .and_then(|mut file| file.write_all(text.as_bytes()).and_then(|()| file.sync_all()))
-            .and_then(|()| fs::rename(&partial, &self.path));
-        if written.as_ref().is_err_and(|error| error.kind() != io::ErrorKind::AlreadyExists) {
-            fs::remove_file(&partial).ok();
-        }
-        unfinished::forget(&partial);
-        written
+        let mut file = AtomicFile::create(&self.path)?;
+        file.write_all(text.as_bytes())?;
+        file.commit().map(drop)
     }
 }

@@ -44,6 +44,7 @@ use saving::{Saving, Way};
 use verifying::Verifying;
 
 use crate::{
+    atomic,
     observe::{BodyFrame, Experiment as _, Frame, Schema},
     recording::read::Reader,
     scene::Scene,
@@ -57,7 +58,6 @@ use crate::{
         settings::Detail,
         sinks::{Destinations, Serve, Sinks},
         step::{StepRecord, StepWatch},
-        unfinished,
     },
 };
 
@@ -151,15 +151,16 @@ pub struct Report {
 /// # Errors
 /// A description of what failed.
 pub fn measure_costs(folder: &Path) -> Result<Costs, String> {
-    let file = file(folder);
+    let file = file(folder)?;
     let saving = Way::ALL.into_iter().map(|way| saving::measure(way, &file)).collect::<Result<_, _>>()?;
     Ok(Costs { saving, verifying: verifying::measure(&file)? })
 }
 
-fn file(folder: &Path) -> PathBuf {
-    let file = folder.join(format!("meldscope-bench-{}.rrd", std::process::id()));
-    unfinished::add(&file);
-    file
+fn file(folder: &Path) -> Result<PathBuf, String> {
+    let name = atomic::unique_name("meldscope-bench-", ".rrd").map_err(|error| error.to_string())?;
+    let file = folder.join(name);
+    atomic::add(&file);
+    Ok(file)
 }
 
 /// Measures a scene in every way. Temporary files go to `folder` and are removed.
@@ -197,7 +198,7 @@ impl Bench<'_> {
     fn new<'a>(scene: &'a Scene, detail: Detail, folder: &Path) -> Result<Bench<'a>, String> {
         let settings = Settings { detail, ..Settings::of(scene) };
         let schema = scene.schema();
-        let mut bench = Bench { scene, settings, schema, frames: Vec::new(), payload: 0, file: file(folder) };
+        let mut bench = Bench { scene, settings, schema, frames: Vec::new(), payload: 0, file: file(folder)? };
         let (mut world, mut kept) = (bench.world()?, 0);
         for _ in 0..scene.steps() {
             if let Some(failure) = &world.step().failure {

@@ -2,7 +2,7 @@
 
 use std::{
     fs,
-    io::Write as _,
+    io::{self, Write as _},
     path::{Path, PathBuf},
 };
 
@@ -10,13 +10,14 @@ use rayon::prelude::*;
 
 use super::{Failure, print, say, vector};
 use crate::{
+    atomic::{self, AtomicFile},
     recording::{
         ReadError, Recorded,
         existing::{Existing, Kind, REASONS, replace},
-        golden::{self, GoldenDifference, GoldenOutcome},
+        golden::{self, Blessed, GoldenDifference, GoldenOutcome},
     },
     scene::Scene,
-    stream::settings::application,
+    stream::{settings::application, sinks::Complete},
     text::{bytes, counted, thousands},
 };
 
@@ -232,48 +233,78 @@ fn bless(scripts: &[Script], reason: &str) -> Result<(), Failure> {
             if let Some(note) = replace(&script.golden, &new)? {
                 say(&format!("note: {note}"));
             }
-            golden::bless(&script.scene, &script.golden, reason).map(Some)
+            golden::prepare(&script.scene, &script.golden, reason).map(Some)
         })
         .collect();
-    let mut made: Vec<(PathBuf, Vec<String>)> = Vec::new();
-    let mut failure = None;
+    let (mut made, mut failure) = (Vec::new(), None);
     for (script, result) in scripts.iter().zip(results) {
         match result {
             Ok(None) => print(&format!("{}: identical, kept", script.name)),
-            Ok(Some(blessed)) => {
-                let size = bytes(blessed.bytes);
-                print(&format!("{}: {:016x}, {} ({size})", script.name, blessed.digest, script.golden.display()));
-                let folder = script.golden.parent().unwrap_or(Path::new("")).to_owned();
-                let entry = format!("{} {:016x}", script.name, blessed.digest);
-                match made.iter_mut().find(|(known, _)| *known == folder) {
-                    Some((_, entries)) => entries.push(entry),
-                    None => made.push((folder, vec![entry])),
-                }
-            }
+            Ok(Some((blessed, file))) => made.push((script, blessed, file)),
             Err(error) => failure = failure.or(Some(format!("{}: {error}", script.name))),
         }
     }
-    for (folder, entries) in made {
-        let line = format!(
-            "- {}, meldscope {}: {}: {reason}\n",
-            jiff::Timestamp::now().strftime("%F"),
-            env!("CARGO_PKG_VERSION"),
-            entries.join(", ")
-        );
-        let path = folder.join(REASONS);
-        let is_new = !path.exists();
-        let head = "# Why golden recordings were made\n\nWritten by `meldscope check --bless REASON`: scenes, and the hash of \
-                    all their checksums.\n\n";
-        let file = fs::OpenOptions::new().create(true).append(true).open(&path);
-        let written = file.and_then(|mut file| {
-            file.write_all(if is_new { head } else { "" }.as_bytes()).and_then(|()| file.write_all(line.as_bytes()))
-        });
-        if let Err(error) = written {
-            failure = failure.or(Some(format!("cannot write the reason to {}: {error}", path.display())));
+    // The reasons come first: whenever the machine fails, no golden recording is without its reason.
+    let placed = atomic::together(|| {
+        let written = give_reasons(&made, reason);
+        made.into_iter()
+            .map(|(script, blessed, file)| match (&written, file) {
+                (Ok(()), Some(file)) => file.place().map(|()| (script, blessed)).map_err(|error| error.to_string()),
+                (Ok(()), None) => Ok((script, blessed)),
+                (Err(error), file) => {
+                    file.into_iter().for_each(Complete::discard);
+                    Err(error.clone())
+                }
+            })
+            .collect::<Vec<_>>()
+    });
+    for placed in placed {
+        match placed {
+            Ok((script, blessed)) => {
+                let size = bytes(blessed.bytes);
+                print(&format!("{}: {:016x}, {} ({size})", script.name, blessed.digest, script.golden.display()));
+            }
+            Err(error) => failure = failure.or(Some(error)),
         }
     }
     failure.map_or(Ok(()), |failure| Err(Failure::Run(failure)))
 }
+
+/// A golden recording that has been made for a script.
+type Made<'a> = (&'a Script, Blessed, Option<Complete>);
+
+/// Adds the reason for new golden recordings to the list in each of their folders.
+fn give_reasons(made: &[Made<'_>], reason: &str) -> Result<(), String> {
+    let mut folders: Vec<(&Path, Vec<String>)> = Vec::new();
+    for (script, blessed, _) in made {
+        let folder = script.golden.parent().unwrap_or(Path::new(""));
+        let entry = format!("{} {:016x}", script.name, blessed.digest);
+        match folders.iter_mut().find(|(known, _)| *known == folder) {
+            Some((_, entries)) => entries.push(entry),
+            None => folders.push((folder, vec![entry])),
+        }
+    }
+    for (folder, entries) in folders {
+        let path = folder.join(REASONS);
+        let written = || {
+            let mut text = match fs::read(&path) {
+                Err(error) if error.kind() == io::ErrorKind::NotFound => HEAD.as_bytes().to_vec(),
+                read => read?,
+            };
+            let (date, version) = (jiff::Timestamp::now().strftime("%F"), env!("CARGO_PKG_VERSION"));
+            writeln!(text, "- {date}, meldscope {version}: {}: {reason}", entries.join(", "))?;
+            let mut file = AtomicFile::create(&path)?;
+            file.write_all(&text)?;
+            file.commit()
+        };
+        written().map_err(|error| format!("cannot write the reason to {}: {error}", path.display()))?;
+    }
+    Ok(())
+}
+
+/// The beginning of a list of reasons.
+const HEAD: &str = "# Why golden recordings were made\n\nWritten by `meldscope check --bless REASON`: scenes, and the hash of \
+                    all their checksums.\n\n";
 
 /// The scenes found under `paths`, sorted by name.
 fn scripts(paths: &[PathBuf]) -> Result<Vec<Script>, Failure> {

@@ -6,18 +6,19 @@ mod tables;
 
 use std::{
     fs,
-    io::{BufWriter, Read as _, Write as _},
+    io::{BufWriter, Read as _},
     path::{Path, PathBuf},
 };
 
 use super::{Failure, one_of, print, run, say};
 use crate::{
+    atomic::{self, AtomicFile},
     models::{self, SceneRun},
     observe::{Experiment as _, Frame, Simulation, StepSummary, Want, surface::Merger},
     recording::{Recorded, existing::Existing},
     scene::Model,
     sim::Options,
-    stream::{settings::file_stem, unfinished},
+    stream::settings::file_stem,
     text::{bytes, counted},
 };
 use formats::{Format, GENERATOR};
@@ -84,8 +85,9 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
     let folder = arguments.mesh.as_ref().map(|path| Folder { path, stem, format });
     folder.iter().try_for_each(|folder| folder.prepare(is_wanted))?;
     let paths = [&arguments.events, &arguments.pairs, &arguments.scalars, &arguments.states];
-    let given = || paths.iter().filter_map(|path| path.as_ref());
-    if let Some(twice) = given().enumerate().find_map(|(i, path)| given().take(i).find(|other| *other == path)) {
+    let given: Vec<&PathBuf> = paths.into_iter().flatten().collect();
+    let is_twice = |i: &usize| given[..*i].iter().any(|other| atomic::is_same_destination(other, given[*i]));
+    if let Some(twice) = (0..given.len()).find(is_twice).map(|i| given[i]) {
         return Err(Failure::Input(format!("{} is given for two tables: give each its own file", twice.display())));
     }
     let mut events = arguments.events.as_deref().map(Events::create).transpose()?;
@@ -200,7 +202,6 @@ impl Folder<'_> {
         for entry in fs::read_dir(self.path).map_err(|error| failed("read", error))? {
             let path = entry.map_err(|error| failed("read", error))?.path();
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            let name = name.strip_suffix(PARTIAL).unwrap_or(&name);
             let step = name.strip_prefix(&self.stem).and_then(|rest| rest.strip_prefix('-'));
             let step = step.and_then(|rest| rest.strip_suffix(&format!(".{}", self.format.name())));
             let step = step.and_then(|digits| digits.parse().ok());
@@ -217,35 +218,19 @@ impl Folder<'_> {
     /// Writes a file atomically; returns its size [bytes].
     fn write(&self, step: u64, parts: &[parts::Part]) -> Result<u64, Failure> {
         let path = self.file(step);
-        let mut partial = path.clone().into_os_string();
-        partial.push(PARTIAL);
-        let partial = PathBuf::from(partial);
         let failed = |error| Failure::Run(format!("cannot write {}: {error}", path.display()));
-        let replaces = [&path, &partial].into_iter().find(|path| path.symlink_metadata().is_ok() && !is_ours(path));
-        if let Some(other) = replaces {
-            let other = other.display();
-            return Err(Failure::Run(format!("{other} was not written by meldscope and is not replaced")));
+        if path.symlink_metadata().is_ok() && !is_ours(&path) {
+            let path = path.display();
+            return Err(Failure::Run(format!("{path} was not written by meldscope and is not replaced")));
         }
-        fs::remove_file(&partial).ok(); // left by a run that was killed
-        let file = unfinished::create_new(&partial).map_err(failed)?;
         let written = || {
-            let mut file = BufWriter::new(file);
+            let mut file = BufWriter::new(AtomicFile::create(&path)?);
             self.format.write(parts, &mut file)?;
-            file.flush()?;
-            let size = file.get_ref().metadata()?.len();
-            fs::rename(&partial, &path)?;
-            Ok(size)
+            file.into_inner().map_err(std::io::IntoInnerError::into_error)?.commit()
         };
-        let written = written();
-        if written.is_err() {
-            fs::remove_file(&partial).ok();
-        }
-        unfinished::forget(&partial);
-        written.map_err(failed)
+        written().map_err(failed)
     }
 }
-
-const PARTIAL: &str = ".partial";
 
 /// Whether a file is empty, or marked at its beginning as written by this program.
 fn is_ours(path: &Path) -> bool {

@@ -6,13 +6,13 @@ use std::{
 };
 
 use super::{Failure, say};
-use crate::stream::unfinished;
+use crate::atomic;
 
 /// Interrupts within this interval count as one: `timeout`, `cargo run` and others signal both a program and its
 /// process group.
 const SAME_INTERRUPT: Duration = Duration::from_secs(1);
 /// Exit status of an interrupted program, as shells report it.
-const STATUS: i32 = 130;
+pub const STATUS: u8 = 130;
 
 /// Set by Ctrl-C or a termination request; the run then finishes cleanly.
 pub static STOP: AtomicBool = AtomicBool::new(false);
@@ -26,7 +26,7 @@ pub fn raise_stop() -> Result<(), Failure> {
             STOP.store(true, Ordering::Relaxed);
         }
         Some(first) if first.elapsed() < SAME_INTERRUPT => {}
-        Some(_) => std::process::exit(STATUS),
+        Some(_) => std::process::exit(STATUS.into()),
     })
 }
 
@@ -34,13 +34,13 @@ pub fn raise_stop() -> Result<(), Failure> {
 pub fn end() -> Result<(), Failure> {
     listen(|| {
         say("error: interrupted");
-        unfinished::exit(STATUS)
+        atomic::exit(STATUS.into())
     })
 }
 
 /// Ends the program with the exit status of an interrupt.
 pub fn exit() -> ! {
-    std::process::exit(STATUS)
+    std::process::exit(STATUS.into())
 }
 
 fn listen(handler: impl FnMut() + Send + 'static) -> Result<(), Failure> {

@@ -25,6 +25,7 @@ use crate::recording::ReadError;
 use clap::{
     Parser, Subcommand,
     builder::{PossibleValuesParser, TypedValueParser},
+    error::ContextValue,
 };
 
 use crate::{
@@ -74,11 +75,13 @@ enum Failure {
     Run(String),
     /// Bad input or usage: exit status 2.
     Input(String),
+    /// Ctrl-C or a termination request came before the end: exit status 130.
+    Interrupted(String),
 }
 
 impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (Failure::Run(message) | Failure::Input(message)) = self;
+        let (Failure::Run(message) | Failure::Input(message) | Failure::Interrupted(message)) = self;
         f.write_str(message)
     }
 }
@@ -110,12 +113,13 @@ pub fn main() -> ExitCode {
     let result = match Arguments::try_parse() {
         Ok(arguments) => run(arguments.command),
         // help and version are results; everything else is a usage error
-        Err(error) => {
-            let printed = error.print();
-            if error.use_stderr() {
-                return ExitCode::from(2);
-            }
-            note_unprinted(printed);
+        Err(error) if error.use_stderr() => {
+            let text = escaped(error).render().to_string();
+            text.trim_end().split('\n').for_each(say);
+            return ExitCode::from(2);
+        }
+        Err(help) => {
+            note_unprinted(help.print());
             Ok(())
         }
     };
@@ -126,12 +130,33 @@ pub fn main() -> ExitCode {
         (Ok(()), None) => return ExitCode::SUCCESS,
         (Ok(()), Some(unprinted)) => (1, unprinted),
         (Err(failure), unprinted) => {
-            let status = if matches!(failure, Failure::Run(_)) { 1 } else { 2 };
+            let status = match failure {
+                Failure::Run(_) => 1,
+                Failure::Input(_) => 2,
+                Failure::Interrupted(_) => interrupt::STATUS,
+            };
             (status, failure.to_string() + &unprinted.map_or(String::new(), |unprinted| format!("; {unprinted}")))
         }
     };
     say(&format!("error: {message}"));
     ExitCode::from(status)
+}
+
+/// A usage error with what it quotes on one line each.
+fn escaped(mut error: clap::Error) -> clap::Error {
+    let plain = |text: &String| printable(text).into_owned();
+    let quoted = error.context().map(|(kind, value)| {
+        let value = match value {
+            ContextValue::String(text) => ContextValue::String(plain(text)),
+            ContextValue::Strings(texts) => ContextValue::Strings(texts.iter().map(plain).collect()),
+            other => other.clone(),
+        };
+        (kind, value)
+    });
+    for (kind, value) in quoted.collect::<Vec<_>>() {
+        error.insert(kind, value);
+    }
+    error
 }
 
 fn run(command: Command) -> Result<(), Failure> {

@@ -231,9 +231,16 @@ pub fn run(mut arguments: Arguments) -> Result<(), Failure> {
             }
         };
         console.notes(serving.refused().as_slice());
-        return failure.map_or(Ok(()), |error| Err(sink_failure(error)));
+        if let Some(error) = failure {
+            return Err(sink_failure(error));
+        }
     }
-    Ok(())
+    match (outcome.settings.steps, outcome.simulation.steps_taken()) {
+        (Some(steps), taken) if taken < steps && !arguments.watch => {
+            Err(Failure::Interrupted(format!("interrupted after step {} of {}", thousands(taken), thousands(steps))))
+        }
+        _ => Ok(()), // the run was to end with an interrupt, or has reached its end
+    }
 }
 
 /// Rejects contradictory options.

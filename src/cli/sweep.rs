@@ -2,6 +2,8 @@
 
 use std::{
     collections::HashMap,
+    fs::File,
+    io::{self, Read as _, Write as _},
     path::{Path, PathBuf},
     sync::atomic::{AtomicU64, Ordering},
     time::Instant,
@@ -16,13 +18,14 @@ use super::{
 };
 use crate::{
     models,
-    recording::Recorded,
+    recording::{Recorded, existing::Existing},
     scene::template::Setting,
+    stream::settings::application,
     sweep::{
         Sweep,
         bisect::{self, Threshold},
         builtin,
-        design::{MOST_LEVELS, Sampling},
+        design::{Design, MOST_LEVELS, Sampling},
         file::duration,
         level::{self, Ended, LevelError, Plan},
         map::Map,
@@ -33,6 +36,7 @@ use crate::{
         store::{Shard, Store, StoreError},
         svg, table,
     },
+    table::may_replace,
     text::{bytes, counted, did_you_mean, significant, thousands},
 };
 
@@ -127,6 +131,12 @@ pub fn sweep(arguments: Arguments) -> Result<(), Failure> {
     }
     let template = sweep.template().map_err(Failure::input)?;
     models::need_oscillators(template.base(), "a sweep").map_err(Failure::input)?;
+    let axis = arguments.bisect.as_ref().map(|name| axis_to_bisect(&sweep.design, name)).transpose()?;
+    may_draw(&arguments.out)?;
+    if let Some(axis) = axis {
+        let path = arguments.out.join(thresholds_file(axis));
+        may_replace(&path, &bisect::columns(&sweep.design)).map_err(Failure::input)?;
+    }
     let store = Store::open(&arguments.out, &sweep, columns(&sweep))?;
     if let Some(row) = arguments.open {
         return open(&sweep, &store, row);
@@ -174,11 +184,54 @@ pub fn sweep(arguments: Arguments) -> Result<(), Failure> {
     }
     running.summarize(total, arguments.refine)?;
     running.draw()?;
-    if let Some(axis) = &arguments.bisect {
-        running.bisect(axis)?;
-    }
-    Ok(())
+    axis.map_or(Ok(()), |axis| running.bisect(axis))
 }
+
+/// The axis with this key or name.
+fn axis_to_bisect(design: &Design, name: &str) -> Result<usize, Failure> {
+    let axis = design.axes.iter().position(|axis| axis.key.to_string() == name || axis.name.as_deref() == Some(name));
+    axis.filter(|&axis| bisect::is_bisectable(design, axis)).ok_or_else(|| {
+        let keys: Vec<String> = design.axes.iter().map(|axis| axis.key.to_string()).collect();
+        let hint = did_you_mean(name, keys.iter().map(String::as_str));
+        Failure::Input(format!(
+            "--bisect {name}: no axis of numbers has this key or name{hint} (axes: {})",
+            keys.join(", ")
+        ))
+    })
+}
+
+fn thresholds_file(axis: usize) -> String {
+    format!("thresholds-{axis}.parquet")
+}
+
+/// Checks that the maps replace no file of the user.
+fn may_draw(folder: &Path) -> Result<(), Failure> {
+    let recording = folder.join(MAP_RECORDING);
+    let is_map = || Existing::at(&recording).is_some_and(|there| there.application == application("map"));
+    if recording.symlink_metadata().is_ok() && !is_map() {
+        return Err(not_replaced(&recording));
+    }
+    may_write(&folder.join(MAP), MARK)
+}
+
+/// Checks that a file is missing, empty, or has this mark near its beginning.
+fn may_write(path: &Path, mark: &str) -> Result<(), Failure> {
+    let mut head = Vec::new();
+    match File::open(path).and_then(|file| file.take(4096).read_to_end(&mut head)) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+        Ok(_) if head.is_empty() || String::from_utf8_lossy(&head).contains(mark) => Ok(()),
+        _ => Err(not_replaced(path)),
+    }
+}
+
+fn not_replaced(path: &Path) -> Failure {
+    Failure::Input(format!("{} was not written by a sweep and is not replaced: choose another folder", path.display()))
+}
+
+/// The map as a diagram, which has this mark, and as a recording.
+const MAP: &str = "map.svg";
+const MARK: &str = "; meldscope ";
+const MAP_RECORDING: &str = "map.rrd";
 
 /// A running sweep.
 struct RunningSweep<'a> {
@@ -256,15 +309,11 @@ impl RunningSweep<'_> {
     fn draw(&self) -> Result<(), Failure> {
         let Some(map) = Map::new(self.sweep, self.store)? else { return Ok(()) };
         let first = self.sweep.text.lines().next().and_then(|line| line.strip_prefix('#')).unwrap_or(&self.sweep.file);
-        let about = format!(
-            "{}, scene {}; meldscope {}",
-            counted(map.rows, "run"),
-            self.sweep.scene_file,
-            env!("CARGO_PKG_VERSION")
-        );
+        let about =
+            format!("{}, scene {}{MARK}{}", counted(map.rows, "run"), self.sweep.scene_file, env!("CARGO_PKG_VERSION"));
         let drawn = svg::svg(&map, first.trim(), &about);
-        let path = self.store.write("map.svg", |to| std::io::Write::write_all(to, drawn.as_bytes()))?;
-        let recording = self.store.path().join("map.rrd");
+        let path = self.store.write(MAP, |to| to.write_all(drawn.as_bytes()))?;
+        let recording = self.store.path().join(MAP_RECORDING);
         picture::save(&map, self.sweep, self.store, first.trim(), &recording)
             .map_err(|error| Failure::Run(error.to_string()))?;
         let size = bytes(drawn.len() as u64);
@@ -273,18 +322,8 @@ impl RunningSweep<'_> {
     }
 
     /// Finds the thresholds along an axis.
-    fn bisect(&self, name: &str) -> Result<(), Failure> {
+    fn bisect(&self, axis: usize) -> Result<(), Failure> {
         let design = &self.sweep.design;
-        let axis =
-            design.axes.iter().position(|axis| axis.key.to_string() == name || axis.name.as_deref() == Some(name));
-        let keys: Vec<String> = design.axes.iter().map(|axis| axis.key.to_string()).collect();
-        let axis = axis.filter(|&axis| bisect::is_bisectable(design, axis)).ok_or_else(|| {
-            let hint = did_you_mean(name, keys.iter().map(String::as_str));
-            Failure::Input(format!(
-                "--bisect {name}: no axis of numbers has this key or name{hint} (axes: {})",
-                keys.join(", ")
-            ))
-        })?;
         let mut classes: HashMap<u64, u8> = HashMap::new();
         self.store.read(0..1, None, &self.store.named(&["outcome"]), |(row, cells)| {
             classes.insert(row, class(cells.first()));
@@ -302,8 +341,7 @@ impl RunningSweep<'_> {
         bar.finish_and_clear();
         let Some(found) = found else { self.interrupted() };
         let rows = bisect::rows(&found);
-        let file = format!("thresholds-{axis}.parquet");
-        let path = self.store.write(&file, |to| table::write(&bisect::columns(design), &rows, to))?;
+        let path = self.store.write(&thresholds_file(axis), |to| table::write(&bisect::columns(design), &rows, to))?;
         const LISTED: usize = 20;
         for Threshold { point, bracket: [low, high], classes: [below, above] } in found.iter().take(LISTED) {
             let others = design.axes.iter().zip(point).enumerate().filter(|(index, _)| *index != axis);
@@ -313,7 +351,7 @@ impl RunningSweep<'_> {
                 "{at}{} changes to {} at {} = {:?}",
                 bisect::name(*below),
                 bisect::name(*above),
-                keys[axis],
+                design.axes[axis].key,
                 0.5 * (low + high)
             ));
         }
@@ -348,10 +386,9 @@ fn open(sweep: &Sweep, store: &Store, row: u64) -> Result<(), Failure> {
     let text = template.text(sweep.settings(&point)).map_err(Failure::input)?;
     let values = sweep.design.axes.iter().zip(&point).map(|(axis, value)| format!("{} = {value}", axis.key));
     let about = values.collect::<Vec<_>>().join(", ");
-    let scene = store.write(&format!("row-{row}.toml"), |to| {
-        use std::io::Write as _;
-        write!(to, "# Row {row} of {}: {about}\n{text}", sweep.file)
-    })?;
+    let (scene, mark) = (format!("row-{row}.toml"), format!("# Row {row} of "));
+    may_write(&store.path().join(&scene), &mark)?;
+    let scene = store.write(&scene, |to| write!(to, "{mark}{}: {about}\n{text}", sweep.file))?;
     let recording = store.path().join(format!("row-{row}.rrd"));
     let outcome = if let Cell::Text(outcome) = outcome { outcome.as_str() } else { "failed" };
     print(&format!("row {row}: {about}; {outcome} after {}", counted(*steps as u64, "step")));

@@ -38,7 +38,7 @@ use crate::{
     stream::{
         Recorder,
         settings::{Frames, Settings},
-        sinks::{Destinations, SinkError, Sinks},
+        sinks::{Complete, Destinations, SinkError, Sinks},
     },
 };
 
@@ -84,6 +84,16 @@ pub struct Blessed {
 /// # Errors
 /// The scene is too large or diverges, or the file cannot be written.
 pub fn bless(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<Blessed, BlessError> {
+    let (blessed, file) = prepare(scene, path, reason)?;
+    file.map_or(Ok(()), Complete::place)?;
+    Ok(blessed)
+}
+
+/// Makes the golden recording of a scene, but does not put the file in place yet.
+///
+/// # Errors
+/// As for [`bless`].
+pub fn prepare(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<(Blessed, Option<Complete>), BlessError> {
     let settings = Settings { frames: Frames::Thin, ..Settings::of(scene) };
     let mut simulation = scene.start().map_err(BlessError::Scene)?;
     let (schema, mut frame, mut summary) = (simulation.schema(), Frame::default(), StepSummary::default());
@@ -143,8 +153,9 @@ pub fn bless(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<Blesse
     }
     recorder.finish(&*simulation);
     recorder.take().into_iter().try_for_each(|message| sinks.send(message))?;
-    let saved = sinks.finish()?.save;
-    Ok(Blessed { digest: digest(&checksums), bytes: saved.map_or(0, |saved| saved.bytes) })
+    let (finished, file) = sinks.complete();
+    let saved = finished?.save;
+    Ok((Blessed { digest: digest(&checksums), bytes: saved.map_or(0, |saved| saved.bytes) }, file))
 }
 
 /// Combines all checksums of a recording into one number.

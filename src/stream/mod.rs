@@ -21,7 +21,6 @@
 //! | colours and their meaning | [`palette`] |
 //! | the light on surfaces | [`light`] |
 //! | destinations of messages: files, viewers, servers | [`sinks`] |
-//! | files that an interrupt removes | [`unfinished`] |
 //!
 //! Nothing here depends on a particular simulation: see [`observe`](crate::observe).
 //!
@@ -80,7 +79,6 @@ pub mod settings;
 pub mod sinks;
 pub mod size;
 pub mod step;
-pub mod unfinished;
 
 pub use pipeline::Pipeline;
 pub use record::{RecordError, record};

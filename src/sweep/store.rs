@@ -22,10 +22,12 @@ use super::{
     row::{Row, append_record, take_record},
     table,
 };
-use crate::table::Column;
+use crate::{
+    atomic::{self, AtomicFile, PARTIAL},
+    table::Column,
+};
 
-const PARTIAL: &str = ".partial";
-/// Age of the last write at which a temporary file counts as abandoned.
+/// Age of the last write from which on a temporary file counts as abandoned: a table is written within seconds.
 const ABANDONED: Duration = Duration::from_secs(600);
 const JOURNAL: &str = ".journal";
 const PARQUET: &str = ".parquet";
@@ -121,17 +123,29 @@ impl Store {
         let store = Store { path: path.to_owned(), columns };
         fs::create_dir_all(path).map_err(|error| store.error("create the folder", path, error))?;
         for (file, text) in [("sweep.toml", &sweep.text), ("scene.toml", &sweep.scene_text)] {
-            let existing = path.join(file);
-            match fs::read(&existing) {
-                Ok(known) if known == text.as_bytes() => {}
-                Ok(_) => return Err(StoreError::Other { path: path.display().to_string(), file }),
-                Err(error) if error.kind() == io::ErrorKind::NotFound => {
-                    store.write(file, |to| to.write_all(text.as_bytes()))?;
-                }
-                Err(error) => return Err(store.error("read", &existing, error)),
+            let there = path.join(file);
+            if !there.exists() {
+                store.claim(&there, text)?;
+            }
+            let known = fs::read(&there).map_err(|error| store.error("read", &there, error))?;
+            if known != text.as_bytes() {
+                return Err(StoreError::Other { path: path.display().to_string(), file });
             }
         }
         Ok(store)
+    }
+
+    /// Writes a file unless there is one by now: of several processes that start at once, one writes it.
+    fn claim(&self, path: &Path, text: &str) -> Result<(), StoreError> {
+        let claimed = || {
+            let mut file = AtomicFile::create(path)?;
+            file.write_all(text.as_bytes())?;
+            file.commit_new()
+        };
+        match claimed() {
+            Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(self.error("write", path, error)),
+            _ => Ok(()),
+        }
     }
 
     /// The folder.
@@ -152,22 +166,18 @@ impl Store {
     ///
     /// # Errors
     /// The file cannot be written; no temporary file is left behind.
-    pub fn write(&self, name: &str, write: impl FnOnce(&mut File) -> io::Result<()>) -> Result<PathBuf, StoreError> {
-        let (path, partial) =
-            (self.path.join(name), self.path.join(format!(".{name}.{}{PARTIAL}", std::process::id())));
+    pub fn write(
+        &self,
+        name: &str,
+        write: impl FnOnce(&mut AtomicFile) -> io::Result<()>,
+    ) -> Result<PathBuf, StoreError> {
+        let path = self.path.join(name);
         let written = || {
-            let mut file = File::create(&partial)?;
+            let mut file = AtomicFile::create(&path)?;
             write(&mut file)?;
-            file.sync_all()?;
-            fs::rename(&partial, &path)?;
-            // make the new name durable, on systems that can open a folder
-            File::open(&self.path).and_then(|folder| folder.sync_all()).ok();
-            Ok(())
+            file.commit()
         };
-        written().map_err(|error| {
-            fs::remove_file(&partial).ok();
-            self.error("write", &path, error)
-        })?;
+        written().map_err(|error| self.error("write", &path, error))?;
         Ok(path)
     }
 
@@ -264,8 +274,9 @@ impl Store {
     /// # Errors
     /// The journal cannot be created.
     pub fn journal(&self, level: u32, shard: Shard) -> Result<Journal, StoreError> {
-        let nanoseconds = std::time::UNIX_EPOCH.elapsed().map_or(0, |time| time.subsec_nanos());
-        let name = format!(".{}{}-{nanoseconds}{JOURNAL}", stem(level, shard), std::process::id());
+        let start = format!(".{}", stem(level, shard));
+        let name =
+            atomic::unique_name(&start, JOURNAL).map_err(|error| self.error("name", Path::new(&start), error))?;
         let path = self.path.join(name);
         let file = OpenOptions::new().append(true).create_new(true).open(&path);
         let file = file.map_err(|error| self.error("create", &path, error))?;
@@ -277,12 +288,11 @@ impl Store {
         for path in self.journal_paths(level, shard)? {
             fs::remove_file(path).ok();
         }
-        // keep files that other processes may be writing
-        let start = format!(".{}", stem(level, shard));
+        // other processes may be writing the recent ones
         for name in self.names()?.iter().filter(|name| name.starts_with('.') && name.ends_with(PARTIAL)) {
             let path = self.path.join(name);
-            let is_old = || fs::metadata(&path)?.modified()?.elapsed().map_err(io::Error::other);
-            if name.starts_with(&start) || is_old().is_ok_and(|age| age > ABANDONED) {
+            let age = || fs::metadata(&path)?.modified()?.elapsed().map_err(io::Error::other);
+            if age().is_ok_and(|age| age > ABANDONED) {
                 fs::remove_file(&path).ok();
             }
         }

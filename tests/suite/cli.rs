@@ -724,14 +724,18 @@ fn an_interrupted_run_is_saved() {
     let vertices = Scene::parse(SCENE, "small.toml").expect("a valid scene").vertex_count();
     let every_step = "--realtime";
     let few_steps = "--every=1000";
-    for (name, pace, twice) in
-        [("INT", every_step, false), ("TERM", every_step, false), ("INT", few_steps, false), ("INT", every_step, true)]
-    {
+    for (name, pace, twice, most) in [
+        ("INT", every_step, false, "0"),
+        ("TERM", every_step, false, "0"),
+        ("INT", few_steps, false, "0"),
+        ("INT", every_step, true, "0"),
+        ("INT", every_step, false, "6000"),
+    ] {
         let dir = scene_dir();
         run(&dir, &["run", "small.toml", "--steps", "1", "--save", "x.rrd"]).succeeded();
         // longer than the data written before the first steps
         let length = size(&dir.file("x.rrd")) * 2;
-        let mut running = Running::start(&dir, &["run", "small.toml", "--steps", "0", "--save", "x.rrd", pace]);
+        let mut running = Running::start(&dir, &["run", "small.toml", "--steps", most, "--save", "x.rrd", pace]);
         running.eventually(|| size(&dir.file("x.rrd.partial")) > length);
         running.signal(name);
         if twice {
@@ -739,7 +743,9 @@ fn an_interrupted_run_is_saved() {
             signal(running.child().id(), name);
         }
         let ran = running.end();
-        assert_eq!(ran.status, 0, "{name}: {}", ran.err);
+        // a run without an end is to be ended so; any other run is cut short
+        assert_eq!(ran.status, if most == "0" { 0 } else { 130 }, "{name}: {}", ran.err);
+        assert_eq!(ran.err.contains("error: interrupted after step"), most != "0", "{}", ran.err);
         assert_eq!(dir.names(), ["small.toml", "x.rrd"]);
 
         let recording = Recording::open(&dir.file("x.rrd"));
@@ -798,15 +804,20 @@ fn an_interrupted_check_leaves_nothing() {
     run(&dir, &["run", "small.toml", "--quiet", "--save", "x.rrd"]).succeeded();
     fs::write(dir.file("long.toml"), SCENE.replace("duration = 2.0", "duration = 1e6")).expect("disk space");
     let names = dir.names();
-    let cases: [(&str, &[&str]); 4] = [
+    let cases: [(&str, &[&str]); 5] = [
         ("INT", &["replay", "x.rrd", "--dt", "1e-8", "--save", "y.rrd"]),
         ("TERM", &["replay", "x.rrd", "--dt", "1e-8", "--save", "y.rrd"]),
         ("INT", &["check", "long.toml", "--bless", "a test"]),
+        // the golden recording of the first scene is complete, but nobody knows why it was made
+        ("INT", &["check", "small.toml", "long.toml", "--bless", "a test"]),
         ("TERM", &["bench", "record", "small.toml", "--folder", "."]),
     ];
     for (name, arguments) in cases {
         let mut running = Running::start(&dir, arguments);
         running.eventually(|| dir.names().iter().any(|name| name.ends_with(".partial")));
+        if arguments.contains(&"--bless") {
+            std::thread::sleep(Duration::from_millis(500));
+        }
         let (ran, time) = running.ends_after(name);
         assert_eq!(ran.failed(130), "error: interrupted\n", "{arguments:?}");
         assert!(time < 1.0, "{arguments:?}: {time} s");
@@ -1139,8 +1150,10 @@ fn exported_tables_match_the_run_bit_by_bit() {
     assert_eq!(fs::read_to_string(dir.path().join("mine.csv")).expect("the file"), "a,b\n");
     let error = run(&dir, &["export", "two", "--pairs", "pairs.xlsx"]).failed(2);
     assert!(error.contains("use .csv, .json or .parquet"), "{error}");
-    let error = run(&dir, &["export", "two", "--pairs", "one.csv", "--states", "one.csv"]).failed(2);
-    assert!(error.contains("one.csv is given for two tables"), "{error}");
+    for again in ["one.csv", "./one.csv", dir.file("one.csv").to_str().expect("UTF-8")] {
+        let error = run(&dir, &["export", "two", "--pairs", "one.csv", "--states", again]).failed(2);
+        assert!(error.contains("one.csv is given for two tables"), "{error}");
+    }
     assert!(fs::read_dir(dir.path()).expect("a folder").all(|entry| {
         let name = entry.expect("an entry").file_name();
         !name.to_string_lossy().ends_with(".partial")

@@ -527,6 +527,19 @@ fn a_stuck_viewer_delays_nothing() {
     assert!(note.contains("has accepted nothing for 1 s and is given up, "), "{note}");
 }
 
+/// A run that no destination has received completely has failed.
+#[test]
+fn an_only_viewer_that_is_given_up_is_an_error() {
+    let (_listener, port, _connection) = stuck_viewer();
+    let patience = Duration::from_secs(1);
+    let alone = Destinations { connect: Some(url(port)), patience, ..Destinations::default() };
+    let mut sinks = Sinks::open(&alone).expect("a viewer");
+    send_all(&mut sinks, &recording(300));
+    let err = rejected(sinks.finish());
+    assert!(matches!(err, SinkError::GivenUp { .. }) && !err.is_usage(), "{err}");
+    assert!(err.to_string().contains("has accepted nothing for 1 s and is given up, "), "{err}");
+}
+
 #[test]
 fn a_lost_viewer_is_reported_once_and_the_file_is_complete() {
     let dir = Dir::new();

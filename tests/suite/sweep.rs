@@ -3,8 +3,10 @@
 use std::{
     collections::BTreeMap,
     fs,
+    io::Write as _,
     path::Path,
     process::{Command, Output, Stdio},
+    sync::Barrier,
     time::Duration,
 };
 
@@ -12,6 +14,8 @@ use meldscope::{
     sweep::{
         Sweep,
         row::{Cell, RUN_TIME, columns},
+        run::Runner,
+        store::{Shard, Store},
         table,
     },
     table::{Column, Kind},
@@ -276,4 +280,86 @@ fn a_row_opens_as_a_recording_with_its_checksum() {
     assert_eq!(cell("events"), Cell::Text("merge, core".to_owned()));
     let (Cell::F64(displacement), Cell::List(gaps)) = (cell("max_displacement"), cell("gaps")) else { panic!() };
     assert!(displacement > 0.01 && gaps.len() == 2 && gaps[1] < 0.0, "{displacement} {gaps:?}");
+}
+
+/// Shards on several machines may have the same process id.
+#[test]
+fn shards_in_one_process_keep_their_files_apart() {
+    let dir = folder(OVER_OFFSETS);
+    let sweep = Sweep::load(&dir.file("s.toml")).unwrap();
+    let columns = of(&dir);
+    let template = sweep.template().unwrap();
+    let point = Runner::new(&sweep, &template, None).row(0).unwrap().1;
+    for round in 0..8 {
+        let out = dir.file(&format!("out{round}"));
+        let start = Barrier::new(12);
+        std::thread::scope(|scope| {
+            let shards: Vec<_> = (0..12)
+                .map(|index| {
+                    let (sweep, columns, point, out, start) = (&sweep, &columns, &point, &out, &start);
+                    scope.spawn(move || {
+                        start.wait();
+                        let store = Store::open(out, sweep, columns.clone())?;
+                        let shard = Shard { index: index / 2, count: 6 }; // each shard runs twice
+                        for block in 0..4 {
+                            let mut journal = store.journal(0, shard)?;
+                            let row = (index + 100 * block, point.clone());
+                            journal.add(&row)?;
+                            store.write_block(0, shard, block, &[row])?;
+                            store.write("map.svg", |to| to.write_all(b"<svg/>"))?;
+                        }
+                        store.clean(0, shard)
+                    })
+                })
+                .collect();
+            shards.into_iter().for_each(|shard| shard.join().unwrap().unwrap());
+        });
+        let names: Vec<String> =
+            fs::read_dir(&out).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
+        assert_eq!(names.len(), 6 * 4 + 3, "{names:?}");
+    }
+}
+
+/// Of two sweeps that start in one folder at the same time, one is refused.
+#[test]
+fn two_sweeps_never_share_a_folder() {
+    let dir = folder(OVER_OFFSETS);
+    let one = Sweep::load(&dir.file("s.toml")).unwrap();
+    fs::write(dir.file("s.toml"), OVER_OFFSETS.replace("0.9", "0.95")).unwrap();
+    let other = Sweep::load(&dir.file("s.toml")).unwrap();
+    let columns = of(&dir);
+    for round in 0..200 {
+        let out = dir.file(&format!("out{round}"));
+        let start = Barrier::new(2);
+        let open = |sweep| {
+            start.wait();
+            Store::open(&out, sweep, columns.clone()).is_ok()
+        };
+        let opened = std::thread::scope(|scope| {
+            let threads = [&one, &other].map(|sweep| scope.spawn(move || open(sweep)));
+            threads.map(|thread| thread.join().unwrap())
+        });
+        assert!(opened[0] != opened[1], "{opened:?}");
+    }
+}
+
+#[test]
+fn a_sweep_replaces_no_file_of_the_user() {
+    let dir = folder(OVER_OFFSETS);
+    for name in ["map.svg", "map.rrd", "thresholds-1.parquet"] {
+        let out = dir.file("out");
+        fs::create_dir(&out).unwrap();
+        fs::write(out.join(name), "mine").unwrap();
+        let (status, output) = run(&dir, "s.toml --out out --bisect influence.merge_at");
+        assert!(status == 2 && output.contains(name) && output.contains("is not replaced"), "{output}");
+        assert_eq!(fs::read_to_string(out.join(name)).unwrap(), "mine");
+        assert_eq!(fs::read_dir(&out).unwrap().count(), 1, "nothing is written");
+        fs::remove_dir_all(&out).unwrap();
+    }
+    succeeds(&dir, "s.toml --out out --bisect influence.merge_at");
+    succeeds(&dir, "s.toml --out out --bisect influence.merge_at"); // its own files are replaced
+    fs::write(dir.file("out/row-3.toml"), "mine").unwrap();
+    let (status, output) = run(&dir, "s.toml --out out --open 3");
+    assert!(status == 2 && output.contains("row-3.toml") && output.contains("is not replaced"), "{output}");
+    assert_eq!(fs::read_to_string(dir.file("out/row-3.toml")).unwrap(), "mine");
 }

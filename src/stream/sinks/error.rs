@@ -140,6 +140,14 @@ pub enum SinkError {
         /// The reason, if known.
         reason: String,
     },
+    /// The last viewer accepts nothing any more, so it does not show the end of the run.
+    #[error("{name} {what}; no other destination has the whole run")]
+    GivenUp {
+        /// The viewer.
+        name: String,
+        /// What happened to it.
+        what: String,
+    },
     /// A thread could not be started, or has ended unexpectedly.
     #[error("cannot send the recording to {target}: {reason}")]
     Thread {

@@ -15,8 +15,8 @@ use same_file::Handle;
 use super::SinkError;
 use super::error::file_help;
 use super::queue::{Parcel, Queue, WhenFull};
+use crate::atomic;
 use crate::sdk::{CrateVersion, EncodeError, Encoder, EncodingOptions};
-use crate::stream::unfinished;
 
 /// Upper limit on data waiting to be written [bytes]; beyond it the run waits for the disk. A larger queue would not be
 /// faster: data would have left the processor's caches by the time it is written.
@@ -56,7 +56,7 @@ impl Drop for Partial {
         if !self.is_kept {
             std::fs::remove_file(&self.path).ok();
         }
-        unfinished::forget(&self.path);
+        atomic::forget(&self.path);
     }
 }
 
@@ -119,14 +119,14 @@ impl Claim {
         let in_the_way = |what: &str| taken(&format!("{}, where it is written first, {what}", partial.display()));
         loop {
             // never follow a link, whoever created it
-            match unfinished::create_new(&partial) {
+            match atomic::create_new(&partial) {
                 Ok(file) => {
                     let locked = lock(&file, path);
                     if matches!(locked, Ok(None)) || locked.is_ok() && leads_to(&partial, &file) {
                         let partial = Some(Partial { path: partial, is_kept: false });
                         return Ok(Claim { path: path.clone(), file, partial, is_stale: false, there });
                     }
-                    unfinished::forget(&partial); // another run's
+                    atomic::forget(&partial); // another run's
                     locked?;
                     continue;
                 }
@@ -181,7 +181,7 @@ impl Claim {
                 // not truncated: the file may have another hard link under which it is wanted
                 std::fs::remove_file(&partial.path).map_err(create)?;
                 drop(file);
-                file = match unfinished::create_new(&partial.path) {
+                file = match atomic::create_new(&partial.path) {
                     Err(err) if err.kind() == io::ErrorKind::AlreadyExists => return Err(SinkError::Busy { path }),
                     other => other.map_err(create)?,
                 };
@@ -298,6 +298,13 @@ struct Held {
     there: Option<Handle>,
 }
 
+/// The complete output of a writer. A file still has its temporary name, and keeps it unless it is placed.
+pub struct Complete {
+    pub(super) written: Written,
+    target: Target,
+    held: Option<Held>,
+}
+
 /// The output of a writer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Written {
@@ -362,40 +369,14 @@ impl Writer {
         }
     }
 
-    /// Waits until everything is written, and renames the temporary file.
-    pub fn finish(mut self) -> Result<Written, SinkError> {
+    /// Waits until everything is written and synced. A file still has its temporary name.
+    pub fn finish(mut self) -> Result<Complete, SinkError> {
         let written = self.join()?;
-        if let (Target::File { path, .. }, Some(Held { partial: Some(partial), file, there })) =
-            (&self.target, self.held.take())
-        {
+        let held = self.held.take();
+        if let Some(Held { partial: Some(_), file, .. }) = &held {
             file.sync_all().map_err(|err| self.target.error("sync", err))?;
-            // another file may have been put at the destination during the run
-            let in_the_way = |what: &str| SinkError::Taken {
-                path: path.clone(),
-                what: format!("{what}; the recording is in {}", partial.path.display()),
-            };
-            if !leads_to(&partial.path, &file) {
-                return Err(SinkError::Taken {
-                    path: path.clone(),
-                    what: format!("another program has replaced {}; record it again", partial.path.display()),
-                });
-            }
-            if let Ok(found) = std::fs::symlink_metadata(path) {
-                let is_same = found.is_file() && there.is_some() && Handle::from_path(path).ok() == there;
-                if !is_same || !File::open(path).is_ok_and(|file| may_be_replaced(&file).unwrap_or(false)) {
-                    return Err(in_the_way("something else has been put there in the meantime"));
-                }
-            }
-            drop(there);
-            std::fs::rename(&partial.path, path)
-                .map_err(|err| self.target.error("rename the .partial file to", err))?;
-            // the name is part of the directory, which must be synced separately; if that fails, there is no remedy
-            if let Some(Ok(directory)) = path.parent().map(File::open) {
-                directory.sync_all().ok();
-            }
-            drop(file);
         }
-        Ok(written)
+        Ok(Complete { written, target: self.target.clone(), held })
     }
 
     fn join(&mut self) -> Result<Written, SinkError> {
@@ -410,6 +391,42 @@ impl Writer {
             (_, Some(failure)) => Err(failure),
             _ => Err(gone()),
         }
+    }
+}
+
+impl Complete {
+    /// Removes the file instead of putting it in place.
+    pub fn discard(mut self) {
+        if let Some(Held { partial: Some(partial), .. }) = &mut self.held {
+            partial.is_kept = false;
+        }
+    }
+
+    /// Puts the file in place. Its destination may have changed during the run.
+    pub fn place(self) -> Result<(), SinkError> {
+        let Complete { target, held, .. } = self;
+        let (Target::File { path, .. }, Some(Held { partial: Some(partial), file, there })) = (&target, held) else {
+            return Ok(());
+        };
+        // another file may have been put at the destination during the run
+        let in_the_way = |what: &str| SinkError::Taken {
+            path: path.clone(),
+            what: format!("{what}; the recording is in {}", partial.path.display()),
+        };
+        if !leads_to(&partial.path, &file) {
+            return Err(SinkError::Taken {
+                path: path.clone(),
+                what: format!("another program has replaced {}; record it again", partial.path.display()),
+            });
+        }
+        if let Ok(found) = std::fs::symlink_metadata(path) {
+            let is_same = found.is_file() && there.is_some() && Handle::from_path(path).ok() == there;
+            if !is_same || !File::open(path).is_ok_and(|file| may_be_replaced(&file).unwrap_or(false)) {
+                return Err(in_the_way("something else has been put there in the meantime"));
+            }
+        }
+        drop(there);
+        atomic::place(&partial.path, path).map_err(|err| target.error("rename the .partial file to", err))
     }
 }
 

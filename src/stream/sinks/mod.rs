@@ -31,12 +31,13 @@ mod serve;
 mod spawn;
 
 pub use error::SinkError;
+pub use file::Complete;
 pub use serve::{Host, Serving};
 
 use super::chunks::Audience;
 use crate::sdk::{self, LogMsg};
 use crate::text::{counted, listed};
-use file::{Claim, Writer};
+use file::{Claim, Writer, Written};
 use live::Live;
 use note::seconds;
 use queue::Parcel;
@@ -298,7 +299,16 @@ impl Sinks {
 
     /// Finishes all destinations: writes footers, syncs and renames files, and delivers the remaining messages to
     /// viewers that still accept them. Every destination is finished even if one fails; the first failure is returned.
-    pub fn finish(mut self) -> Result<Finished, SinkError> {
+    ///
+    /// # Errors
+    /// A file or pipe has failed, or no destination has received everything.
+    pub fn finish(self) -> Result<Finished, SinkError> {
+        let (finished, file) = self.complete();
+        file.map_or(Ok(()), Complete::place).and(finished)
+    }
+
+    /// Like [`Sinks::finish`], but the file still has its temporary name: [`Complete::place`] puts it in place.
+    pub fn complete(mut self) -> (Result<Finished, SinkError>, Option<Complete>) {
         // close all of them first, so that they finish in parallel
         self.writers.iter().for_each(Writer::close);
         self.viewers.iter().for_each(|viewer| viewer.queue().close());
@@ -307,32 +317,35 @@ impl Sinks {
         }
 
         let mut failure = None;
-        let (mut save, mut stdout) = (None, None);
+        let (mut save, mut stdout, mut file) = (None, None, None);
         for writer in std::mem::take(&mut self.writers) {
             let path = writer.path().map(PathBuf::from);
             match (writer.finish(), path) {
-                (Ok(written), Some(path)) => {
-                    save = Some(Saved { path, bytes: written.bytes, messages: written.messages });
+                (Ok(complete), Some(path)) => {
+                    let Written { bytes, messages } = complete.written;
+                    save = Some(Saved { path, bytes, messages });
+                    file = Some(complete);
                 }
-                (Ok(written), None) => stdout = Some(written.bytes),
+                (Ok(complete), None) => stdout = Some(complete.written.bytes),
                 (Err(err), _) => failure = failure.or(Some(err)),
             }
         }
-        let mut watched = Vec::new();
+        let (mut watched, mut lost, mut is_shown) = (Vec::new(), None, false);
         for i in 0..self.viewers.len() {
             let queue = self.viewers[i].queue();
             let has_ended = queue.wait_ended(self.patience);
             let gone = queue.failure();
+            let mut given_up = None;
             if !has_ended && gone.is_none() {
                 let rest = queue.waiting();
                 let left =
                     if rest > 0 { format!(", {} before the end", counted(rest, "message")) } else { String::new() };
-                self.notes.push(format!(
-                    "{} has accepted nothing for {} and is given up{left}",
-                    queue.name(),
-                    seconds(self.patience)
-                ));
+                let what = format!("has accepted nothing for {} and is given up{left}", seconds(self.patience));
+                self.notes.push(format!("{} {what}", queue.name()));
+                given_up = Some(SinkError::GivenUp { name: queue.name().to_owned(), what });
             }
+            is_shown |= has_ended && gone.is_none();
+            lost = lost.or(gone.clone()).or(given_up);
             watched.push(Watched {
                 name: queue.name().to_owned(),
                 messages: queue.delivered(),
@@ -347,20 +360,22 @@ impl Sinks {
         }
         self.update_notes();
         let is_saved = save.is_some() || stdout.is_some();
-        if failure.is_none() && !is_saved && !self.is_any_left() {
-            failure = self.viewers.iter().map(Live::failure).chain([self.server_failure()]).flatten().next();
+        is_shown |= self.server.as_ref().is_some_and(|server| server.live.failure().is_none());
+        if failure.is_none() && !is_saved && !is_shown && self.memory.is_none() {
+            failure = lost.or_else(|| self.server_failure());
         }
         if let Some(failure) = failure {
-            return Err(failure);
+            return (Err(failure), file);
         }
-        Ok(Finished {
+        let finished = Finished {
             save,
             stdout,
             viewers: watched,
             notes: std::mem::take(&mut self.notes),
             memory: self.memory.take().unwrap_or_default(),
             serving: self.server.take().map(|server| Serving { server }),
-        })
+        };
+        (Ok(finished), file)
     }
 
     fn server_failure(&self) -> Option<SinkError> {
