@@ -4,7 +4,8 @@
     web.py MELDSCOPE          [PICTURE=F.png in the environment: keeps a picture]
 
 The viewer draws on a canvas, so texts are read from a screenshot by OCR. Exit status 1 if the page does not load, if the
-recording's name or the views' titles are missing, or if the 3D view is empty.
+recording's name or the views' titles are missing, if the 3D view is empty, or if the page asks any machine but this one
+for anything: every request is logged, also those that the browser refuses to send.
 """
 import os
 import re
@@ -13,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from urllib.parse import urlsplit
 
 from PIL import Image
 from playwright.sync_api import sync_playwright
@@ -21,6 +23,12 @@ FLAGS = ["--no-sandbox", "--disable-quic", "--no-first-run", "--disable-backgrou
          "--disable-component-update", "--disable-sync", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
          "--ignore-gpu-blocklist"]
 WANTED = ["two", "Bodies, influence spheres", "Pair distances", "Pair phases", "Events", "532 vertices"]
+# A request past the page's own check. Returns the directive that refuses it.
+ESCAPE = """new Promise(resolve => {
+    document.addEventListener("securitypolicyviolation", violation => resolve(violation.effectiveDirective));
+    fetchAnything("https://example.com/", {mode: "no-cors"}).catch(() => {});
+    setTimeout(() => resolve("nothing"), 5000);
+})"""
 
 
 def served(program):
@@ -51,11 +59,13 @@ def read(picture):
 def main():
     process, address = served(sys.argv[1])
     picture = os.environ.get("PICTURE") or os.path.join(tempfile.mkdtemp(), "web.png")
-    missing, colours = WANTED, 0
+    missing, colours, requests = WANTED, 0, []
     try:
         with sync_playwright() as playwright:
             browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", headless=True, args=FLAGS)
-            page = browser.new_page(viewport={"width": 1280, "height": 800}, color_scheme="dark")
+            context = browser.new_context(viewport={"width": 1280, "height": 800}, color_scheme="dark")
+            context.on("request", lambda request: requests.append(request.url))
+            page = context.new_page()
             page.goto(address + "&renderer=webgl")
             deadline = time.time() + 120  # the viewer is 41 MB of wasm, drawn in software
             while (missing or colours < 500) and time.time() < deadline:
@@ -65,6 +75,8 @@ def main():
                 missing = [wanted for wanted in WANTED if wanted not in text]
                 view = Image.open(picture).convert("RGB").crop((20, 60, 700, 560))
                 colours = len(view.getcolors(maxcolors=1 << 24))
+            # a request that the page itself does not refuse is refused by the browser
+            refused_by = page.evaluate(ESCAPE)
             browser.close()
     except Exception as error:  # report a page that does not load, without a stack trace
         sys.exit(f"the web viewer at {address}: {error}")
@@ -73,9 +85,13 @@ def main():
     status = process.wait(15)
     if missing or colours < 500:
         sys.exit(f"the web viewer does not show {missing}; colours in the 3D view: {colours}; it shows:\n{text}")
+    own = [url for url in requests if urlsplit(url).hostname == "127.0.0.1" or url.startswith(("data:", "blob:"))]
+    others = [url for url in requests if url not in own and url != "https://example.com/"]
+    if others or refused_by != "connect-src":
+        sys.exit(f"the page asks other machines: {others}; the content security policy refuses: {refused_by}")
     if status != 0:
         sys.exit(f"the server ended with status {status} at Ctrl-C")
-    print(f"web viewer: {len(WANTED)} texts and a 3D view of {colours} colours")
+    print(f"web viewer: {len(WANTED)} texts and a 3D view of {colours} colours; {len(own)} requests, all to this machine")
 
 
 if __name__ == "__main__":

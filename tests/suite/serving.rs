@@ -233,3 +233,26 @@ fn native_viewers_and_browsers_get_the_same_messages() {
     drop(sinks);
     assert_eq!(native.join().expect("no panic"), browser);
 }
+
+/// The page names no other machine, and the browser may ask none.
+#[test]
+fn the_page_stays_on_this_machine() {
+    let allow = vec!["studio.example".parse().expect("a host")];
+    let (_sinks, web, data) = serve(Serve { allow, ..Serve::default() });
+    for path in ["/", "/page.js", "/page.css"] {
+        for host in ["localhost", "127.0.0.1", "studio.example"] {
+            let answer = ask(web, format!("GET {path} HTTP/1.1\r\nhost: {host}:{web}\r\n\r\n").as_bytes());
+            let policy = answer.lines().find_map(|line| line.strip_prefix("content-security-policy: "));
+            let policy = policy.unwrap_or_else(|| panic!("{path}: {answer}"));
+            let directives: Vec<&str> = policy.split("; ").collect();
+            assert!(directives.contains(&"default-src 'none'"), "{policy}");
+            let connect =
+                format!("connect-src 'self' http://{host}:{data} http://127.0.0.1:{data} http://localhost:{data}");
+            assert!(directives.contains(&connect.as_str()), "{policy}");
+            assert!(!policy.contains("unsafe-inline") && !policy.contains('*'), "{policy}");
+        }
+    }
+    for path in ["/sw.js", "/signed-in", "/signed-out", "/index.html"] {
+        assert_eq!(status(web, &format!("GET {path}"), "host: localhost\r\n", b""), 404, "{path}");
+    }
+}

@@ -76,7 +76,7 @@ impl Server {
         let guard = Arc::new(Guard::new(allow.clone()));
         let (feed, history) = history::history(HISTORY);
         let log = history.log();
-        let web = Port::new(Site::Viewer(files(web_address)?), Arc::clone(&guard));
+        let web = Port::new(Site::Viewer(files(web_address)?, data_address.port()), Arc::clone(&guard));
         let data = Port::new(Site::Data(history), Arc::clone(&guard));
         let (stop, stopping) = oneshot::channel::<()>();
         let serving = async move {
@@ -261,10 +261,11 @@ fn reachable(bind: IpAddr) -> IpAddr {
     }
 }
 
-/// Formats an address as the host of a URL.
+/// Formats an address as the host of a URL. A content security policy has no IPv6 addresses, but it has names.
 fn in_url(ip: IpAddr) -> String {
     match ip {
         IpAddr::V4(ip) => ip.to_string(),
+        IpAddr::V6(Ipv6Addr::LOCALHOST) => "localhost".to_owned(),
         IpAddr::V6(ip) => format!("[{ip}]"),
     }
 }

@@ -1,6 +1,6 @@
 //! Hostile clients cannot harm a serving process; memory and descriptors are measured by the operating system.
 
-use std::io::{BufRead as _, BufReader, Read as _, Write as _};
+use std::io::{BufRead as _, BufReader, ErrorKind, Read as _, Write as _};
 use std::net::{Ipv4Addr, TcpStream};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -246,5 +246,44 @@ fn three_hundred_bad_clients_per_port_lock_nobody_out() {
         let line = server.end("closed ");
         assert!(line.contains("connections: "), "{line}");
         assert_eq!(dir.names(), ["x.rrd"]);
+    }
+}
+
+/// Whoever is served longest goes last, however many clients come that never read.
+#[test]
+fn a_flood_of_readers_cuts_no_viewer_off() {
+    for options in [["--steps", "0", "--realtime"], ["--steps", "300", "--quiet"]] {
+        let dir = Dir::new();
+        let server = Server::start(&dir, &[&options[..], &["--save", "x.rrd"]].concat());
+        // a viewer that reads what there is
+        let mut viewer = bad_client(server.data, 9).expect("a connection");
+        viewer.set_read_timeout(Some(Duration::from_millis(20))).expect("a timeout");
+        let mut read = move || {
+            let mut bytes = vec![0; 1 << 20];
+            loop {
+                match viewer.read(&mut bytes) {
+                    Ok(0) => return false,
+                    Ok(_) => {}
+                    Err(error) => return matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut),
+                }
+            }
+        };
+        let started = Instant::now();
+        while started.elapsed() < Duration::from_secs(2) {
+            assert!(read(), "it is served");
+        }
+        // 100 a second, twice as many as there may be
+        let mut flood = Vec::new();
+        for number in 0..512 {
+            flood.extend(bad_client(server.data, 9));
+            std::thread::sleep(Duration::from_millis(10));
+            if number % 50 == 0 {
+                assert!(read(), "cut off after {} clients", flood.len());
+            }
+        }
+        assert!(read(), "cut off by the last ones");
+        assert_serves(server.web, server.data);
+        assert!(read());
+        server.end("closed ");
     }
 }

@@ -1,4 +1,7 @@
 //! Responses: the files of the web viewer on one port, the messages of the run on the other.
+//!
+//! The page around the viewer is our own: the SDK's loads fonts from the web. The viewer itself would report its use and
+//! load a list of examples. A content security policy makes the browser send nothing to other machines.
 
 use std::net::IpAddr;
 use std::pin::pin;
@@ -11,7 +14,7 @@ use hyper::{Method, Request, Response, StatusCode};
 use re_protos::sdk_comms::v1alpha1::message_proxy_service_server::SERVICE_NAME;
 use re_web_viewer_server::WebViewerData;
 
-use super::guard::Guard;
+use super::guard::{Guard, Host};
 use super::history::{History, Reader};
 
 /// Upper limit on the body of a gRPC request: an empty message, in its frame [bytes].
@@ -49,8 +52,8 @@ impl Content {
 
 /// The content that a port serves.
 pub(super) enum Site {
-    /// The web viewer.
-    Viewer(&'static WebViewerData),
+    /// The web viewer, which gets its data from this port.
+    Viewer(&'static WebViewerData, u16),
     /// The run's messages, like the SDK's proxy: gRPC for native viewers, gRPC-web for browsers.
     Data(History),
 }
@@ -68,7 +71,15 @@ impl Site {
             return text(StatusCode::FORBIDDEN, help);
         }
         match self {
-            Site::Viewer(files) => file(files, guard, &request),
+            Site::Viewer(files, data_port) => {
+                let mut response = file(files, guard, &request);
+                let policy = HeaderValue::try_from(policy(request.headers(), at, *data_port));
+                let headers = response.headers_mut();
+                headers.extend(policy.ok().map(|policy| (header::CONTENT_SECURITY_POLICY, policy)));
+                headers.insert(header::REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
+                headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+                response
+            }
             Site::Data(history) => {
                 // the page is on another port, hence another origin; the guard has checked it
                 let origin = request.headers().get(header::ORIGIN).cloned();
@@ -86,6 +97,22 @@ impl Site {
     }
 }
 
+/// What a browser may load for the page: its own files, and the data of the run from the host that it was requested
+/// from, or from this machine under a usual name.
+fn policy(headers: &HeaderMap, at: IpAddr, data_port: u16) -> String {
+    let host = headers.get(header::HOST).and_then(|host| Host::of(host.as_bytes()));
+    let host = match host.unwrap_or(Host::Ip(at)) {
+        Host::Ip(IpAddr::V6(ip)) => format!("[{ip}]"),
+        Host::Ip(ip) => ip.to_string(),
+        Host::Name(name) => name,
+    };
+    let data = [&host, "127.0.0.1", "localhost"].map(|host| format!("http://{host}:{data_port}")).join(" ");
+    format!(
+        "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; img-src 'self' data: blob:; \
+         connect-src 'self' {data}; base-uri 'none'; form-action 'none'"
+    )
+}
+
 /// Responds with a file of the web viewer.
 fn file(files: &'static WebViewerData, guard: &Guard, request: &Request<Incoming>) -> Response<Content> {
     if !matches!(*request.method(), Method::GET | Method::HEAD) {
@@ -94,22 +121,18 @@ fn file(files: &'static WebViewerData, guard: &Guard, request: &Request<Incoming
         response.headers_mut().insert(header::ALLOW, HeaderValue::from_static("GET, HEAD"));
         return response;
     }
-    let (kind, bytes) = match request.uri().path() {
-        "/" | "/index.html" => ("text/html", files.index_html()),
+    let (kind, bytes): (_, &'static [u8]) = match request.uri().path() {
+        "/" => ("text/html", include_bytes!("page/index.html")),
+        "/page.js" => ("text/javascript", include_bytes!("page/page.js")),
+        "/page.css" => ("text/css", include_bytes!("page/page.css")),
         "/favicon.ico" => ("image/x-icon", files.favicon()),
         "/apple-touch-icon.png" => ("image/png", files.apple_touch_icon()),
-        "/sw.js" => ("text/javascript", files.sw_js()),
         "/re_viewer.js" => ("text/javascript", files.viewer_js()),
         "/re_viewer_bg.wasm" => ("application/wasm", files.viewer_wasm()),
-        "/signed-in" => ("text/html", files.signed_in_html()),
-        "/signed-out" => ("text/html", files.signed_out_html()),
         _ => return text(StatusCode::NOT_FOUND, "there is no such file\n"),
     };
     let mut response = Response::new(Content::Whole(Bytes::from_static(bytes)));
-    let headers = response.headers_mut();
-    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(kind));
-    // the page's progress bar needs this
-    headers.insert(HeaderName::from_static("rerun-final-length"), HeaderValue::from(bytes.len()));
+    response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static(kind));
     response
 }
 

@@ -45,7 +45,7 @@ impl Host {
     }
 
     /// Parses the host of an authority such as `studio.local:9090`.
-    fn of(authority: &[u8]) -> Option<Host> {
+    pub fn of(authority: &[u8]) -> Option<Host> {
         let authority = Authority::try_from(authority).ok()?;
         (!authority.as_str().contains('@')).then(|| Host::lenient(authority.host()))
     }

@@ -2,11 +2,11 @@
 //!
 //! The *quiet time* of a connection starts when it is accepted, when it sends a request, and whenever it reads some of
 //! its response. A connection without a pending request is closed when it has been quiet for [`REQUEST_TIMEOUT`]. At
-//! most [`MAX_CONNECTIONS`] connections are served. When the limit is reached, a new connection replaces the one that
-//! has been quiet longest; connections without a pending request are replaced first. If none is quiet, the one that has
-//! read least is replaced. A client that sends nothing, an incomplete request or garbage, or that does not read,
-//! therefore loses its connection to one that does. A viewer that has received everything and waits for more is quiet
-//! too, and is replaced last.
+//! most [`MAX_CONNECTIONS`] connections are served. When the limit is reached, a new connection replaces another one:
+//! first one without a pending request, then one that does not read what there is, then any other; and among these the
+//! one that has been served for the shortest time. A client that sends nothing, an incomplete request or garbage, or
+//! that does not read, therefore loses its connection to one that does, and the viewer that has been served longest goes
+//! last. A viewer that has received everything and waits for more is being served.
 
 use std::collections::HashMap;
 use std::convert::Infallible;
@@ -116,21 +116,11 @@ impl Port {
 
     /// Closes the most expendable connection; `false` if there is none.
     fn close_one(&self) -> bool {
-        let quiet = |activity: &Activity| {
-            (activity.quiet_since.elapsed() >= GRACE).then_some((activity.responses > 0, activity.quiet_since))
-        };
-        // The system buffers more than the client reads: until the buffers are full, a stalled client looks like a
-        // viewer.
-        let idle = |activity: &Activity| {
-            (activity.accepted_at.elapsed() >= GRACE).then_some((activity.bytes_read, activity.accepted_at))
-        };
-        let activities: Vec<(u64, Activity)> =
-            self.clients().iter().map(|(number, client)| (*number, *client.activity())).collect();
-        let quietest = activities.iter().filter_map(|(number, activity)| Some((quiet(activity)?, *number))).min();
-        let idlest = || activities.iter().filter_map(|(number, activity)| Some((idle(activity)?, *number))).min();
-        let Some(number) = quietest.map(|(_, number)| number).or_else(|| idlest().map(|(_, number)| number)) else {
-            return false;
-        };
+        let clients = self.clients();
+        let activities = clients.iter().map(|(number, client)| (*number, *client.activity()));
+        let expendable = activities.filter_map(|(number, activity)| Some((activity.worth()?, number))).min();
+        drop(clients);
+        let Some((_, number)) = expendable else { return false };
         self.close(number);
         true
     }
@@ -151,7 +141,7 @@ impl Port {
         let number = self.accepted.fetch_add(1, Ordering::Relaxed);
         let now = Instant::now();
         let activity =
-            Activity { accepted_at: now, has_requested: false, responses: 0, bytes_read: 0, quiet_since: now };
+            Activity { accepted_at: now, has_requested: false, responses: 0, has_all: false, quiet_since: now };
         let client = Arc::new(Client { activity: Mutex::new(activity), closing: Notify::new() });
         self.clients().insert(number, Arc::clone(&client));
         let entry = Entry { port: Arc::clone(self), number };
@@ -226,9 +216,26 @@ struct Activity {
     has_requested: bool,
     /// Number of responses in progress.
     responses: usize,
-    /// Total amount read of responses, as of the last record of activity [bytes].
-    bytes_read: u64,
+    /// Whether it has received everything there is, and waits for more. The system buffers more than the client reads:
+    /// until the buffers are full, a stalled client looks like a viewer.
+    has_all: bool,
     quiet_since: Instant,
+}
+
+impl Activity {
+    /// How much the connection is worth keeping: first its kind, then how long it has been served. `None` while it is
+    /// too new to be replaced.
+    fn worth(&self) -> Option<(u8, Duration)> {
+        let now = Instant::now();
+        let is_quiet = now - self.quiet_since >= GRACE;
+        let kind = match self.responses {
+            0 if is_quiet => 0,
+            1.. if is_quiet && !self.has_all => 1,
+            _ => 2,
+        };
+        let until = if kind == 2 { now } else { self.quiet_since };
+        (now - self.accepted_at >= GRACE).then_some((kind, until - self.accepted_at))
+    }
 }
 
 impl Client {
@@ -275,12 +282,14 @@ impl Body for Answer {
             Poll::Ready(Some(frame)) => frame.data_ref().map_or(0, Bytes::len),
             _ => 0,
         };
+        let mut activity = answer.client.activity();
+        activity.has_all = frame.is_pending();
         // a client that has read everything available counts as active
         if answer.unrecorded >= SHARE || !matches!(frame, Poll::Ready(Some(_))) {
-            let mut activity = answer.client.activity();
-            activity.bytes_read += std::mem::take(&mut answer.unrecorded) as u64;
+            answer.unrecorded = 0;
             activity.quiet_since = Instant::now();
         }
+        drop(activity);
         frame.map(|frame| frame.map(Ok))
     }
 
