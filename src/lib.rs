@@ -36,7 +36,7 @@
 //! | [`stream`] | frames as Rerun data: entities, blueprint, sinks | `observe`, `geometry`, `text`, `atomic`, `sdk` | `viewer` |
 //! | [`table`] | tables as CSV, JSON and Parquet files | `atomic`, `sdk` | `cli` |
 //! | [`recording`] | reading recordings: replay, check, diff | all above | `viewer` |
-//! | [`sweep`] | grids of runs over a scene's parameters, refinement, thresholds, maps | `scene`, `sim`, `observe`, `stream`, `text`, `atomic`, `sdk` | `cli` |
+//! | [`sweep`] | grids of runs over a scene's parameters, refinement, thresholds, maps | `scene`, `sim`, `observe`, `stream`, `recording`, `text`, `atomic`, `sdk` | `cli` |
 //! | [`bench`] | benchmarks, and an independent reference solution | all above | `cli` |
 //! | [`cli`] | the command line, one file per subcommand | all above | `cli` |
 //!

@@ -10,7 +10,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use super::{Failure, one_of, print, run, say};
+use super::{Failure, expense, one_of, print, run, say};
 use crate::{
     atomic::{self, AtomicFile},
     models::{self, SceneRun},
@@ -78,6 +78,9 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
     let (from, to) = (arguments.from.unwrap_or(0), arguments.to.unwrap_or(last));
     if from > to {
         return Err(Failure::Input(format!("there are no steps from {from} to {to}: the last is {last}")));
+    }
+    if to > last {
+        return Err(Failure::Input(format!("--to {to} is beyond the last step, {last}")));
     }
     let schema = simulation.schema();
     let is_wanted = |step: u64| (from..=to).contains(&step) && (step - from).is_multiple_of(arguments.every);
@@ -177,6 +180,7 @@ fn source(arguments: &Arguments) -> Result<Source, Failure> {
     let mut scene = run::scene(&arguments.scene)?;
     scene.model = arguments.model.unwrap_or(scene.model);
     let last = scene.steps();
+    expense::announce(&scene, None)?;
     let simulation = SceneRun { scene, options: Options::default() }.start().map_err(Failure::Input)?;
     Ok(Source { simulation, last, recorded: None })
 }

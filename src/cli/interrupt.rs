@@ -17,6 +17,31 @@ pub const STATUS: u8 = 130;
 /// Set by Ctrl-C or a termination request; the run then finishes cleanly.
 pub static STOP: AtomicBool = AtomicBool::new(false);
 
+/// After an interrupt before the first step, the run has this long to save its initial state.
+const PATIENCE: Duration = Duration::from_millis(1500);
+/// Whether there is anything to save besides the initial state.
+pub static HAS_STEPPED: AtomicBool = AtomicBool::new(false);
+
+/// Ends the program soon after an interrupt that comes before the first step: building and recording the initial state
+/// of a large scene may take minutes, and nothing would be lost.
+pub fn end_before_first_step() -> Result<(), Failure> {
+    let wait = || {
+        while !STOP.load(Ordering::Relaxed) {
+            std::thread::sleep(Duration::from_millis(100));
+            if HAS_STEPPED.load(Ordering::Relaxed) {
+                return;
+            }
+        }
+        std::thread::sleep(PATIENCE);
+        if !HAS_STEPPED.load(Ordering::Relaxed) {
+            say("error: interrupted before the first step; nothing is saved");
+            atomic::exit(STATUS.into());
+        }
+    };
+    let started = std::thread::Builder::new().name("first step".to_owned()).spawn(wait);
+    started.map(drop).map_err(|error| Failure::Run(format!("cannot start a thread: {error}")))
+}
+
 /// Installs a handler: the first interrupt sets [`STOP`], a second one ends the program at once.
 pub fn raise_stop() -> Result<(), Failure> {
     let mut first: Option<Instant> = None;

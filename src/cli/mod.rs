@@ -6,6 +6,7 @@
 mod bench;
 mod check;
 mod diff;
+mod expense;
 mod export;
 mod interrupt;
 mod replay;

@@ -11,8 +11,8 @@ use std::{
 };
 
 use super::{
-    Failure, announce,
-    interrupt::{self, STOP},
+    Failure, announce, expense,
+    interrupt::{self, HAS_STEPPED, STOP},
     may_print, may_save, one_of, print, say, sink_failure,
 };
 use crate::{
@@ -191,6 +191,7 @@ pub fn run(mut arguments: Arguments) -> Result<(), Failure> {
         pool.map_err(|error| Failure::Run(format!("cannot start {threads} threads: {error}")))?;
     }
     let destinations = destinations(&arguments, &scene);
+    expense::announce(&scene, (!arguments.thin).then_some(arguments.detail))?;
     // Check the scene first, then the destinations; only then start any work.
     let experiment = experiment(&arguments, scene);
     let simulation = start(&experiment)?;
@@ -206,6 +207,7 @@ pub fn run(mut arguments: Arguments) -> Result<(), Failure> {
         may_save(save, &[(Path::new(&arguments.scene), "the scene to be run")], &new)?;
     }
     interrupt::raise_stop()?; // there is nothing to save before this point
+    interrupt::end_before_first_step()?;
     let sinks = Sinks::open(&destinations).map_err(sink_failure)?;
     if let Some(save) = &destinations.save {
         announce(save, &new)?;
@@ -402,6 +404,7 @@ fn simulate(
         let step = Instant::now();
         simulation.step();
         simulating += step.elapsed();
+        HAS_STEPPED.store(true, Ordering::Relaxed);
         simulation.summary(&mut summary);
         failed = summary.failure.take();
         if failed.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
@@ -446,6 +449,7 @@ fn simulate(
     let failure = failure.or(unsent.map(|error| error.to_string()));
     notes.append(&mut sinks.notes());
     notes.extend(events.inaccuracy(&schema));
+    notes.extend(recorder.dropped_frames());
     if next.is_none() {
         notes.extend(recorder.missed_event());
     }

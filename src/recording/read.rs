@@ -468,16 +468,16 @@ thread_local! {
     static EXPECTS_PANICS: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Whether a panic of this thread only means that Arrow found malformed data in a recording. Such a panic is caught and
+/// Whether a panic of this thread only means that Arrow found malformed data in a file. Such a panic is caught and
 /// becomes a [`ReadError`]. A program's panic hook can call this to avoid printing it.
 pub fn expects_panics() -> bool {
     EXPECTS_PANICS.get()
 }
 
-/// Returns the result of `work`; a panic becomes an error.
-fn catching<T>(work: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
+/// Returns the result of `work`, which decodes data; a panic becomes an error.
+pub fn catching<T>(work: impl FnOnce() -> Result<T, String>) -> Result<T, String> {
     let before = EXPECTS_PANICS.replace(true);
     let result = catch_unwind(AssertUnwindSafe(work));
     EXPECTS_PANICS.set(before);
-    result.unwrap_or_else(|_| Err("a message is malformed".to_owned()))
+    result.unwrap_or_else(|_| Err("its data is malformed".to_owned()))
 }

@@ -46,6 +46,8 @@ const SMALLEST: f64 = 1e-12;
 const MAX_STEPS: f64 = 1e12;
 const LARGEST_FILE: u64 = 32 << 20;
 
+/// Limit on the planes of a scene.
+const MAX_PLANES: usize = 1000;
 const POSITIVE: Number = Number { min: SMALLEST, max: LARGEST };
 const NON_NEGATIVE: Number = Number { min: 0.0, max: LARGEST };
 const ANY: Number = Number { min: -LARGEST, max: LARGEST };
@@ -368,6 +370,10 @@ pub(super) fn read_document(
     }
     let names = Names::of(&bodies, &from)?;
     let pairs = pairs::read(&pair_tables, &bodies, &names, law)?;
+    if let Some(array) = plane_array.as_ref().filter(|_| plane_tables.len() > MAX_PLANES) {
+        let message = format!("expected at most {MAX_PLANES} planes, found {}", plane_tables.len());
+        return Err(array.error(message).with_help("every vertex of a free body is tested against every plane"));
+    }
     let planes = plane_tables.iter().map(read_plane).collect::<Result<_, _>>()?;
     let pushes = push_tables.iter().map(|push| read_push(push, &bodies, &names)).collect::<Result<_, _>>()?;
     Ok(Scene {

@@ -74,6 +74,11 @@ impl Work {
         Work { limit, ..Work::new(interrupt) }
     }
 
+    /// The limit of this step [units].
+    pub fn limit(&self) -> u64 {
+        self.limit
+    }
+
     /// The same limit as that of this step, without interruption: an observer needs the result.
     pub fn once_more(&self) -> Work {
         Work::limited(self.limit, None)

@@ -133,7 +133,8 @@ impl World {
             stride,
             seen: OnceLock::new(),
             has_looked: AtomicBool::new(false),
-            is_watched: false,
+            // whoever can interrupt a run watches it: without a look ahead, the first look could not be interrupted
+            is_watched: options.interrupt.is_some(),
             unreported: 0,
             coming: Vec::new(),
             coupled: None,
@@ -244,15 +245,17 @@ impl World {
             self.begin_stride(stride)?;
         }
         if self.step + 1 < self.stored_at() + self.stride.frames {
+            let ready = Instant::now();
+            let work = Work::limited(self.work.limit(), self.options.interrupt);
+            let seen = self.is_watched.then(|| self.within_stride(self.step + 1, work, true));
             if self.work.is_interrupted() {
-                return Err(Failure::Interrupted { step: self.step + 1 });
+                return Err(Failure::Interrupted { step: self.step + 1 }); // before anybody waits for that state
             }
             self.step += 1;
             self.report_events(frame.end);
             self.report_substeps(self.stored_at() + self.stride.frames - self.step);
-            if self.is_watched {
-                let ready = Instant::now();
-                self.seen = OnceLock::from(self.within_stride(true));
+            if let Some(seen) = seen {
+                self.seen = OnceLock::from(seen);
                 self.report.timings[Stage::Integrate as usize] = ready.elapsed();
             }
             return Ok(());
@@ -470,17 +473,16 @@ impl World {
         }
         self.has_looked.store(true, Ordering::Relaxed);
         // Not in parallel: a thread that waits here for others could take up a task that also looks at this world.
-        self.seen.get_or_init(|| self.within_stride(false))
+        self.seen.get_or_init(|| self.within_stride(self.step, self.work.once_more(), false))
     }
 
-    /// The awake bodies as they are now, within a stride: advanced from its start, like its own step advances them to its
+    /// The awake bodies after a step within a stride: advanced from its start, like its own step advances them to its
     /// end. If that exceeds the work limit of the stride, as its own step then does, they are those at its start.
-    fn within_stride(&self, is_parallel: bool) -> Vec<Active> {
+    fn within_stride(&self, step: u64, mut work: Work, is_parallel: bool) -> Vec<Active> {
         let mut seen = self.actives.awake().to_vec();
-        let mut work = self.work.once_more();
         work.begin_turns(seen.len());
-        let context = self.reading_frames(self.step - self.stored_at(), &work);
-        let span = Span { start: self.stride_span().start, end: self.time() };
+        let context = self.reading_frames(step - self.stored_at(), &work);
+        let span = Span { start: self.stride_span().start, end: self.time_of(step) };
         let is_worth_threads = is_parallel && is_worth_threads(&seen);
         each(&mut seen, is_worth_threads, |turn, active| context.advance(active, turn, span));
         if work.check().is_ok() { seen } else { self.actives.awake().to_vec() }

@@ -7,7 +7,11 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use super::instant::Instant;
-use crate::sdk::{Chunk, ChunkId, Scalars};
+use crate::sdk::{Chunk, ChunkId, Scalars, SizeBytes as _};
+use crate::text::bytes;
+
+/// Limit on the size of the kept frames [bytes].
+const MAX_BYTES: u64 = 1 << 30;
 
 /// The last frames of a run.
 pub(super) struct FlightRecorder {
@@ -16,6 +20,10 @@ pub(super) struct FlightRecorder {
     /// Rows logged since the end of the last frame.
     open: Vec<Chunk>,
     frames: VecDeque<(Instant, Vec<Chunk>)>,
+    /// Size of `frames` [bytes], its upper limit, and whether frames were dropped because of it.
+    bytes: u64,
+    max_bytes: u64,
+    is_cut: bool,
     /// The chunk with the last value that has left `frames`, by entity and component, until a newer value leaves.
     held: BTreeMap<(String, String), ChunkId>,
     held_chunks: BTreeMap<ChunkId, (Chunk, usize)>,
@@ -30,6 +38,9 @@ impl FlightRecorder {
             max_frames: usize::try_from(max_frames).unwrap_or(usize::MAX).max(1),
             open: Vec::new(),
             frames: VecDeque::new(),
+            bytes: 0,
+            max_bytes: MAX_BYTES,
+            is_cut: false,
             held: BTreeMap::new(),
             held_chunks: BTreeMap::new(),
             lines: BTreeSet::new(),
@@ -44,16 +55,25 @@ impl FlightRecorder {
     /// Ends the current frame, and drops the oldest one if there are too many. If lines were written up to the dropped
     /// frame, they end there: returns the instant and those lines.
     pub fn end_frame(&mut self, at: Instant) -> Option<(Instant, BTreeSet<String>)> {
+        self.bytes += size(&self.open);
         self.frames.push_back((at, std::mem::take(&mut self.open)));
         let mut ended = None;
-        while self.frames.len() > self.max_frames {
+        while self.frames.len() > self.max_frames || (self.bytes > self.max_bytes && self.frames.len() > 1) {
+            self.is_cut |= self.frames.len() <= self.max_frames;
             let Some((at, chunks)) = self.frames.pop_front() else { break };
+            self.bytes -= size(&chunks);
             chunks.into_iter().for_each(|chunk| self.hold(chunk));
             if !self.lines.is_empty() {
                 ended = Some((at, std::mem::take(&mut self.lines)));
             }
         }
         ended
+    }
+
+    /// A note if not all requested frames fit.
+    pub fn note(&self) -> Option<String> {
+        let limit = bytes(self.max_bytes);
+        self.is_cut.then(|| format!("--keep {}: only the last frames that fit into {limit} are kept", self.max_frames))
     }
 
     fn hold(&mut self, chunk: Chunk) {
@@ -82,6 +102,7 @@ impl FlightRecorder {
     /// Takes everything kept, to be written, with the number of frames. The recorder is empty afterwards.
     pub fn take(&mut self) -> (Vec<Chunk>, u64) {
         self.held.clear();
+        self.bytes = 0;
         let held = std::mem::take(&mut self.held_chunks).into_values().map(|(chunk, _)| chunk);
         let count = self.frames.len() as u64;
         let frames = self.frames.drain(..).flat_map(|(_, chunks)| chunks);
@@ -91,7 +112,30 @@ impl FlightRecorder {
     }
 }
 
+fn size(chunks: &[Chunk]) -> u64 {
+    chunks.iter().map(|chunk| chunk.heap_size_bytes()).sum()
+}
+
 /// Whether a chunk has points of a plot line.
 fn is_line(chunk: &Chunk) -> bool {
     chunk.components().contains_key(&Scalars::descriptor_scalars().component)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sdk::TimePoint;
+
+    #[test]
+    fn frames_that_do_not_fit_are_dropped() {
+        let mut flight = FlightRecorder { max_bytes: 100_000, ..FlightRecorder::new(4_000_000_000) };
+        for step in 0..1000 {
+            let values = Scalars::new((0..1000).map(f64::from));
+            flight.push(Chunk::builder("many").with_archetype_auto_row(TimePoint::STATIC, &values).build().unwrap());
+            flight.end_frame(Instant { step, time: 0.0 });
+        }
+        assert!(flight.note().is_some_and(|note| note.contains("--keep 4000000000")));
+        let (_, frames) = flight.take();
+        assert!((2..=12).contains(&frames), "{frames}");
+    }
 }

@@ -387,6 +387,11 @@ impl Recorder {
         }
     }
 
+    /// A note if a flight recorder could not keep all requested frames.
+    pub fn dropped_frames(&self) -> Option<String> {
+        self.flight.as_ref().and_then(FlightRecorder::note)
+    }
+
     /// A note if the event at which the file should open did not happen.
     pub fn missed_event(&self) -> Option<String> {
         let (around, seen) = self.parts.as_ref()?.focus.missed()?;

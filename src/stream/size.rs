@@ -71,6 +71,11 @@ pub fn project(experiment: &dyn Experiment, settings: &Settings, min_size: u64) 
     let stride = settings.every * (last / settings.every / samples).max(1);
 
     let mut simulation = experiment.start().ok()?;
+    let is_interrupted =
+        |simulation: &dyn Simulation| simulation.interrupt().is_some_and(|flag| flag.load(Ordering::Relaxed));
+    if is_interrupted(&*simulation) {
+        return None;
+    }
     let sampled = |detail| Settings { every: stride, detail, ..settings.clone() };
     let detail = if settings.detail == Detail::Surface { Detail::Surface } else { Detail::Forces };
     let mut probes = vec![Probe::new(&*simulation, sampled(detail))?];
@@ -82,7 +87,7 @@ pub fn project(experiment: &dyn Experiment, settings: &Settings, min_size: u64) 
     while simulation.steps_taken() < last {
         simulation.step();
         simulation.summary(&mut summary);
-        if summary.failure.is_some() || simulation.interrupt().is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+        if summary.failure.is_some() || is_interrupted(&*simulation) {
             break;
         }
         if simulation.steps_taken().is_multiple_of(stride) {

@@ -13,7 +13,10 @@ use crate::sdk::arrow::{
     array::{Array, ArrayRef, AsArray as _},
     datatypes::{Float64Type, Int64Type, UInt64Type},
 };
-use crate::table::{self, Column, Kind, ParquetTable};
+use crate::{
+    recording::read::catching,
+    table::{self, Column, Kind, ParquetTable},
+};
 
 /// Why a table cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -41,30 +44,38 @@ pub fn write(columns: &[Column], rows: &[Row], to: impl Write + Send) -> io::Res
 /// The file cannot be read, or lacks one of the columns.
 pub fn read(path: &Path, columns: &[Column], mut each: impl FnMut(Row)) -> Result<(), TableError> {
     let error_of = |why: String| TableError { path: path.display().to_string(), why };
-    let file = File::open(path).map_err(|error| error_of(error.to_string()))?;
-    let builder = ParquetRecordBatchReaderBuilder::try_new(file).map_err(|error| error_of(error.to_string()))?;
+    // the decoder may panic on a damaged file
+    let rows = catching(|| rows(path, columns)).map_err(error_of)?;
+    rows.into_iter().for_each(&mut each);
+    Ok(())
+}
+
+fn rows(path: &Path, columns: &[Column]) -> Result<Vec<Row>, String> {
+    let file = File::open(path).map_err(|error| error.to_string())?;
+    let builder = ParquetRecordBatchReaderBuilder::try_new(file).map_err(|error| error.to_string())?;
     for column in columns {
         let field = builder.schema().field_with_name(&column.name);
         if !field.is_ok_and(|field| *field.data_type() == column.kind.data_type()) {
-            return Err(error_of(format!("it has no column \"{}\" of this type", column.name)));
+            return Err(format!("it has no column \"{}\" of this type", column.name));
         }
     }
     // match whole names, because they may contain dots
     let roots: Vec<usize> = columns.iter().filter_map(|column| builder.schema().index_of(&column.name).ok()).collect();
     let mask = ProjectionMask::roots(builder.parquet_schema(), roots);
-    let reader = builder.with_projection(mask).build().map_err(|error| error_of(error.to_string()))?;
+    let reader = builder.with_projection(mask).build().map_err(|error| error.to_string())?;
+    let mut rows = Vec::new();
     for batch in reader {
-        let batch = batch.map_err(|error| error_of(error.to_string()))?;
+        let batch = batch.map_err(|error| error.to_string())?;
         let arrays: Vec<&ArrayRef> = columns.iter().filter_map(|column| batch.column_by_name(&column.name)).collect();
         for i in 0..batch.num_rows() {
             let mut cells = columns.iter().zip(&arrays).map(|(column, array)| cell(column.kind, array, i));
             let Some(Cell::U64(row)) = cells.next() else {
-                return Err(error_of("a row has no number".to_owned()));
+                return Err("a row has no number".to_owned());
             };
-            each((row, cells.collect()));
+            rows.push((row, cells.collect()));
         }
     }
-    Ok(())
+    Ok(rows)
 }
 
 fn cell(kind: Kind, array: &ArrayRef, i: usize) -> Cell {

@@ -1179,6 +1179,13 @@ impl Damage {
     }
 }
 
+#[test]
+fn planes_are_limited() {
+    let text = format!("{}{}", REFERENCES[0].1, "[[plane]]\nnormal = [0, 0, 1]\n".repeat(1001));
+    let error = Scene::parse(&text, "many.toml").unwrap_err().to_string();
+    assert!(error.contains("plane: expected at most 1000 planes, found 1001"), "{error}");
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 1000, failure_persistence: None, ..ProptestConfig::default() })]
 

@@ -1150,6 +1150,8 @@ fn exported_tables_match_the_run_bit_by_bit() {
     assert_eq!(fs::read_to_string(dir.path().join("mine.csv")).expect("the file"), "a,b\n");
     let error = run(&dir, &["export", "two", "--pairs", "pairs.xlsx"]).failed(2);
     assert!(error.contains("use .csv, .json or .parquet"), "{error}");
+    let error = run(&dir, &["export", "two", "--events", "e.csv", "--to", "18446744073709551615"]).failed(2);
+    assert!(error.contains("--to 18446744073709551615 is beyond the last step, 300"), "{error}");
     for again in ["one.csv", "./one.csv", dir.file("one.csv").to_str().expect("UTF-8")] {
         let error = run(&dir, &["export", "two", "--pairs", "one.csv", "--states", again]).failed(2);
         assert!(error.contains("one.csv is given for two tables"), "{error}");
@@ -1327,4 +1329,27 @@ fn a_thin_recording_shows_its_events_and_the_next_command() {
     assert_eq!(recording.changes("/events").len(), 2);
     let about = recording.fixed("/about").text("TextDocument:text");
     assert!(about.contains("meldscope replay F.rrd --save full.rrd"), "{about}");
+}
+
+/// The initial state of 1,500 bodies in one place takes many seconds to record, and a step takes longer.
+#[cfg(unix)]
+#[test]
+fn a_scene_that_takes_long_is_announced_and_can_be_interrupted() {
+    let dir = Dir::new();
+    let text = "duration = 1\n[[grid]]\nname = \"a\"\nradius = 1\ncount = [1500, 1, 1]\nspacing = [0, 0, 0]\n\
+                motion = { fixed = [0, 0, 0] }\n";
+    fs::write(dir.file("heap.toml"), text).expect("disk space");
+    for options in [&["--thin"][..], &[]] {
+        let mut running = Running::start(&dir, &[&["run", "heap.toml", "--save", "x.rrd"], options].concat());
+        running.wait_for_line("note: about 1,124,250 pairs of bodies are within reach of each other at the start");
+        running.eventually(|| dir.file("x.rrd.partial").exists());
+        std::thread::sleep(Duration::from_secs(2));
+        let start = Instant::now();
+        running.signal("INT");
+        let ran = running.end();
+        assert_eq!(ran.status, 130, "{}", ran.err);
+        assert!(start.elapsed() < Duration::from_secs(4), "{options:?}: {:?}", start.elapsed());
+        assert!(!dir.file("x.rrd.partial").exists());
+        fs::remove_file(dir.file("x.rrd")).ok();
+    }
 }

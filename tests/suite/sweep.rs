@@ -363,3 +363,25 @@ fn a_sweep_replaces_no_file_of_the_user() {
     assert!(status == 2 && output.contains("row-3.toml") && output.contains("is not replaced"), "{output}");
     assert_eq!(fs::read_to_string(dir.file("out/row-3.toml")).unwrap(), "mine");
 }
+
+/// The decoder panics on some damaged files.
+#[test]
+fn a_damaged_table_is_an_error() {
+    let dir = folder(OVER_OFFSETS);
+    succeeds(&dir, "s.toml --out out");
+    let columns = of(&dir);
+    let (path, damaged) = (dir.file("out/rows-00-0of1-000000.parquet"), dir.file("damaged.parquet"));
+    let bytes = fs::read(&path).unwrap();
+    let (mut seed, mut errors) = (1u64, 0);
+    for _ in 0..3000 {
+        let mut copy = bytes.clone();
+        for _ in 0..3 {
+            seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            let at = (seed >> 33) as usize % copy.len();
+            copy[at] = (seed >> 20) as u8;
+        }
+        fs::write(&damaged, copy).unwrap();
+        errors += u32::from(table::read(&damaged, &columns, |_| ()).is_err());
+    }
+    assert!(errors > 100, "{errors}");
+}

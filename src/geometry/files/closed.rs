@@ -8,8 +8,8 @@ use rustc_hash::FxBuildHasher;
 use super::Soup;
 use crate::geometry::union::{Budget, self_contact};
 
-/// Work limit of the search for self-contact: per triangle, and at least.
-const WORK: [u64; 2] = [200, 100_000_000];
+/// Work limit of the search for self-contact: per triangle, and at least. A sphere takes 10 to 20 per triangle.
+const WORK: [u64; 2] = [60, 30_000_000];
 
 /// Why triangles are not the surface of a body. Positions are those of the file.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]

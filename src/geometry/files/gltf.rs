@@ -1,32 +1,45 @@
 //! glTF 2.0 and its binary form GLB: the triangles of the default scene, with the transforms of its nodes.
 
-use std::path::Path;
+use std::{borrow::Cow, path::Path};
 
 use base64::{Engine as _, engine::general_purpose::STANDARD};
 use glam::{DMat4, DQuat, DVec3};
 use serde_json::Value;
 
-use super::Soup;
+use super::{LARGEST_FILE, MOST_TRIANGLES, Soup};
 
 /// Limits on the depth of the node tree and on the number of node instances: a file beyond them probably contains a
 /// cycle.
 const MAX_DEPTH: u32 = 64;
 const MAX_NODES: u32 = 100_000;
+/// Limit on the values in the JSON, which take up to some 100 bytes each.
+const MAX_VALUES: usize = 4_000_000;
+/// Limits on sums over all instances: a file may name a part of it any number of times.
+const MAX_PRIMITIVES: u32 = 1_000_000;
+const MAX_POSITIONS: usize = 3 * MOST_TRIANGLES;
 
 pub fn parse(bytes: &[u8], path: &Path) -> Result<Soup, String> {
     let (json, binary) = match bytes {
         [b'g', b'l', b'T', b'F', ..] => chunks(bytes)?,
         _ => (bytes, None),
     };
-    let document: Value = serde_json::from_slice(json).map_err(|error| format!("its JSON: {error}"))?;
-    let mut buffers = Vec::new();
-    for (index, buffer) in array(&document["buffers"]).iter().enumerate() {
-        buffers.push(match buffer["uri"].as_str() {
-            Some(uri) => load(uri, path).map_err(|what| format!("buffer {index}: {what}"))?,
-            None => binary.ok_or_else(|| format!("buffer {index} has no uri"))?.to_vec(),
-        });
+    if json.iter().filter(|&&byte| byte == b',').count() >= MAX_VALUES {
+        return Err(format!("its JSON has more than {MAX_VALUES} values"));
     }
-    let mut reader = Reader { document: &document, buffers, soup: Soup::default(), nodes: 0 };
+    let document: Value = serde_json::from_slice(json).map_err(|error| format!("its JSON: {error}"))?;
+    let (mut buffers, mut size) = (Vec::new(), 0);
+    for (index, buffer) in array(&document["buffers"]).iter().enumerate() {
+        let buffer = match buffer["uri"].as_str() {
+            Some(uri) => Cow::Owned(load(uri, path).map_err(|what| format!("buffer {index}: {what}"))?),
+            None => Cow::Borrowed(binary.ok_or_else(|| format!("buffer {index} has no uri"))?),
+        };
+        size += buffer.len() as u64;
+        if size > LARGEST_FILE {
+            return Err(format!("its buffers take more than {} MiB together", LARGEST_FILE >> 20));
+        }
+        buffers.push(buffer);
+    }
+    let mut reader = Reader { document: &document, buffers, soup: Soup::default(), nodes: 0, primitives: 0 };
     let scene = &document["scenes"][document["scene"].as_u64().unwrap_or(0) as usize];
     // y-up to z-up
     let upright = DMat4::from_cols_array(&[1., 0., 0., 0., 0., 0., 1., 0., 0., -1., 0., 0., 0., 0., 0., 1.]);
@@ -68,9 +81,10 @@ fn array(value: &Value) -> &[Value] {
 
 struct Reader<'a> {
     document: &'a Value,
-    buffers: Vec<Vec<u8>>,
+    buffers: Vec<Cow<'a, [u8]>>,
     soup: Soup,
     nodes: u32,
+    primitives: u32,
 }
 
 impl Reader<'_> {
@@ -97,12 +111,19 @@ impl Reader<'_> {
         if primitive["mode"].as_u64().unwrap_or(4) != 4 {
             return Err("it has primitives other than triangles".to_owned());
         }
+        self.primitives += 1;
+        if self.primitives > MAX_PRIMITIVES {
+            return Err(format!("the scene has more than {MAX_PRIMITIVES} primitives, with those that it names again"));
+        }
         let first = self.soup.positions.len() as u32;
         let numbers = self.accessor(&primitive["attributes"]["POSITION"], "VEC3", 3)?;
         let corners = match primitive.get("indices") {
             Some(indices) => self.accessor(indices, "SCALAR", 1)?,
             None => (0..numbers.len() / 3).map(|i| i as f64).collect(),
         };
+        if numbers.len() / 3 > MAX_POSITIONS - self.soup.positions.len() {
+            return Err(format!("the scene has more than {MAX_POSITIONS} positions, with those that it names again"));
+        }
         let count = (numbers.len() / 3) as f64;
         for position in numbers.chunks_exact(3) {
             self.soup.positions.push(transform.transform_point3(DVec3::new(position[0], position[1], position[2])));
@@ -142,6 +163,9 @@ impl Reader<'_> {
             0 => size * width,
             stride => stride,
         };
+        if stride < size * width {
+            return Err(rejected("its elements overlap"));
+        }
         let count = number(&accessor["count"]);
         let bytes = buffer.get(start..).ok_or_else(|| rejected("it is outside of its buffer"))?;
         // the number of elements that fit, whatever the file claims

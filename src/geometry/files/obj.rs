@@ -17,9 +17,11 @@ pub fn parse(bytes: &[u8]) -> Result<Soup, String> {
             continue;
         }
         let mut text = Cow::Borrowed(super::text(bytes).map_err(|what| format!("line {line}: {what}"))?);
-        while let Some(begun) = text.trim_ascii_end().strip_suffix('\\') {
+        while let Some(begun) = text.trim_ascii_end().strip_suffix('\\').map(str::len) {
             let (_, next) = lines.next().unwrap_or_default();
-            text = Cow::Owned(format!("{begun} {}", super::text(next).map_err(|what| format!("line {line}: {what}"))?));
+            let text = text.to_mut();
+            text.replace_range(begun.., " ");
+            text.push_str(super::text(next).map_err(|what| format!("line {line}: {what}"))?.trim_ascii());
         }
         let mut words = text.split_ascii_whitespace();
         match words.next() {

@@ -2,6 +2,7 @@
 
 use super::*;
 use proptest::prelude::*;
+use serde_json::Value;
 
 const CORNERS: [[f32; 3]; 8] = [
     [0.0, 0.0, 0.0],
@@ -173,6 +174,40 @@ fn unusual_files_have_the_same_cube() {
         let soup = closed::closed(parse(extension, &bytes).unwrap(), &|_| ()).unwrap();
         assert_eq!((soup.positions.len(), soup.triangles.len()), (8, 12), "{extension}");
     }
+}
+
+/// Small files that name one part of them many times, or need time that grows with the square of their size.
+#[test]
+fn what_a_file_takes_is_limited() {
+    let plain: Value = serde_json::from_slice(&gltf()).unwrap();
+    // 80,000 instances of a mesh of 700 primitives without a triangle
+    let mut many = plain.clone();
+    let mut empty = plain["accessors"][0].clone();
+    empty["count"] = 0.into();
+    many["accessors"].as_array_mut().unwrap().push(empty);
+    let primitive = serde_json::json!({"attributes": {"POSITION": 2}});
+    many["meshes"] = serde_json::json!([{"primitives": vec![primitive; 700]}]);
+    many["nodes"] = serde_json::json!([{"children": vec![1; 200]}, {"children": vec![2; 400]}, {"mesh": 0}]);
+    let error = parse("gltf", many.to_string().as_bytes()).unwrap_err();
+    assert!(error.contains("more than 1000000 primitives"), "{error}");
+    // one buffer, 3 GiB in all
+    let mut large = plain.clone();
+    large["buffers"] = vec![serde_json::json!({"byteLength": 1}); 3000].into();
+    let mut glb = b"glTF\x02\0\0\0\0\0\0\0".to_vec();
+    for (kind, chunk) in [(b"JSON", large.to_string().into_bytes()), (b"BIN\0", vec![0; 1 << 20])] {
+        glb.extend((chunk.len() as u32).to_le_bytes());
+        glb.extend(kind);
+        glb.extend(chunk);
+    }
+    let error = parse("gltf", &glb).unwrap_err();
+    assert!(error.contains("more than 1024 MiB together"), "{error}");
+    let error = parse("gltf", format!("[{}0]", "0,".repeat(4_000_000)).as_bytes()).unwrap_err();
+    assert!(error.contains("more than 4000000 values"), "{error}");
+
+    // a line of a million parts: minutes, if each part copied those before it
+    let own = String::from_utf8(obj()).unwrap();
+    let long = own.replacen("v 2", &format!("v {} 2", "\\\n".repeat(1_000_000)), 1);
+    assert_eq!(parse("obj", long.as_bytes()).unwrap().triangles.len(), 12);
 }
 
 #[test]

@@ -9,7 +9,7 @@ use super::{
     body::Aabb,
     exact::{Expansion, Number, Plane},
     report::{Budget, Failure, Meter, UnionError},
-    sweep::sweep,
+    sweep::{best_axis, sweep},
     topology::{Topology, TopologyError},
 };
 
@@ -49,10 +49,13 @@ pub fn self_contact(
     }
 }
 
+/// Tests of two boxes that cost as much as a step of work.
+const TESTS_PER_STEP: u64 = 32;
+
 struct Surface<'a> {
     triangles: &'a [[u32; 3]],
     topology: &'a Topology,
-    /// Scaled by a power of two to coordinates of up to 1, with the longest axis first.
+    /// Scaled by a power of two to coordinates of up to 1.
     positions: Vec<DVec3>,
     boxes: Vec<Aabb>,
     /// One vertex of each set of vertices that triangles without area join; empty if there are no such triangles.
@@ -62,16 +65,9 @@ struct Surface<'a> {
 impl<'a> Surface<'a> {
     fn new(positions: &[DVec3], triangles: &'a [[u32; 3]], topology: &'a Topology) -> Surface<'a> {
         let hull = Aabb::of(positions.iter().copied());
-        let size = hull.max - hull.min;
         let farthest = hull.min.abs().max(hull.max.abs()).max_element();
         let (_, exponent) = libm::frexp(farthest);
-        // boxes are swept along x, and overlap least along the longest axis; cyclic, so that triangles are not mirrored
-        let along = |p: DVec3| match () {
-            () if size.x >= size.y.max(size.z) => p,
-            () if size.y >= size.z => DVec3::new(p.y, p.z, p.x),
-            () => DVec3::new(p.z, p.x, p.y),
-        };
-        let scaled = |p: DVec3| DVec3::from_array(along(p).to_array().map(|x| libm::ldexp(x, -exponent)));
+        let scaled = |p: DVec3| DVec3::from_array(p.to_array().map(|x| libm::ldexp(x, -exponent)));
         let positions: Vec<DVec3> = positions.iter().map(|&p| scaled(p)).collect();
         let boxes = triangles.iter().map(|corners| Aabb::of(corners.map(|v| positions[v as usize]))).collect();
         let joined = joined(&positions, triangles);
@@ -84,7 +80,9 @@ impl<'a> Surface<'a> {
         let hull = |&block: &u32| of(block).iter().fold(Aabb::EMPTY, |hull, &t| hull.joined(&self.boxes[t as usize]));
         let hulls: Vec<Aabb> = blocks.iter().map(hull).collect();
         let (mut found, mut done) = (Ok(None), 0_usize);
-        sweep(0, [&blocks; 2], [&hulls; 2], |a, b| {
+        let (axis, tests) = best_axis(&blocks, &hulls);
+        meter.spend(tests / TESTS_PER_STEP)?;
+        sweep(axis, [&blocks; 2], [&hulls; 2], |a, b| {
             if a > b || !matches!(found, Ok(None)) {
                 return;
             }
@@ -344,6 +342,17 @@ mod tests {
         triangles[0] = [a, new, c];
         triangles.extend([[new, b, c], [a, b, new]]);
         assert_eq!(meeting(&positions, &triangles), None);
+    }
+
+    /// Boxes in a layer, and one that is longest across it.
+    #[test]
+    fn boxes_are_swept_along_the_axis_with_the_fewest_tests() {
+        let at = |x: u32, y: u32| DVec3::new(f64::from(x), f64::from(y), 0.0);
+        let tile = |i: u32| Aabb { min: at(i % 60, i / 60), max: at(i % 60, i / 60) + DVec3::splat(0.5) };
+        let mut boxes: Vec<Aabb> = (0..3600).map(tile).collect();
+        boxes.push(Aabb { min: at(30, 30), max: at(30, 30) + DVec3::new(0.1, 0.1, 1000.0) });
+        let all: Vec<u32> = (0..boxes.len() as u32).collect();
+        assert_eq!(best_axis(&all, &boxes), (0, 59 * 60 * 60 + 61 * 61));
     }
 
     #[test]

@@ -15,6 +15,23 @@ pub fn body_pairs(boxes: &[Aabb]) -> Vec<[u32; 2]> {
     pairs
 }
 
+/// The axis along which a sweep tests the fewest pairs of boxes, and their number.
+pub fn best_axis(list: &[u32], boxes: &[Aabb]) -> (usize, u64) {
+    let tests = |axis: usize| {
+        let mut starts: Vec<f64> = list.iter().map(|&i| boxes[i as usize].min[axis]).collect();
+        starts.sort_unstable_by(f64::total_cmp);
+        let within = |&i: &u32| {
+            let Aabb { min, max } = boxes[i as usize];
+            let from = starts.partition_point(|&start| start < min[axis]);
+            (starts.partition_point(|&start| start <= max[axis]).saturating_sub(from)) as u64
+        };
+        list.iter().map(within).sum::<u64>()
+    };
+    let of_axes = [tests(0), tests(1), tests(2)];
+    let best = (0..3).min_by_key(|&axis| of_axes[axis]).unwrap_or(0);
+    (best, of_axes[best])
+}
+
 /// Calls `meet` for every pair of an element of the first list and one of the second whose boxes overlap. Boxes are
 /// indexed by element. The sweep is fastest along an axis on which the boxes are spread out.
 pub fn sweep(axis: usize, lists: [&[u32]; 2], boxes: [&[Aabb]; 2], mut meet: impl FnMut(u32, u32)) {
