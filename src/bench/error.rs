@@ -2,12 +2,12 @@
 //!
 //! The error is the largest distance of any vertex from its position in an independent [`Reference`], in radii of the
 //! vertex's body, over all steps of the run that coincide with a step of the scene. The run time covers the steps
-//! alone, on one thread. Cases take turns, so that other load on the machine affects all of them alike. Scenes with free
-//! bodies have [another reference](super::particles).
+//! alone, on one thread. Cases take turns, so that other load on the machine affects all of them alike.
 
 pub mod before;
 pub mod csv;
 pub mod diagram;
+pub mod random;
 pub mod table;
 pub mod verdict;
 
@@ -18,7 +18,6 @@ use std::{
 
 use super::{
     MeasureError,
-    particles::Particles,
     reference::{Accuracy, Reference},
 };
 use crate::{
@@ -71,6 +70,8 @@ const MAX_TIME_PER_CASE: Duration = Duration::from_secs(10);
 const NO_CONTROL: f64 = 1e15;
 /// A vertex with a larger error than this has diverged [radii].
 const DIVERGED: f64 = 1e3;
+/// The least error that a tolerance can ask for, at any time [radii].
+pub const LEAST_ALLOWED: f64 = 1e-10;
 /// Upper limit on the number of instants at which runs are compared with the reference.
 const MAX_INSTANTS: u64 = 1024;
 
@@ -124,6 +125,9 @@ pub struct Measurement {
     pub steps: u64,
     /// The largest error over time and vertices [radii]; `None` if the run diverged.
     pub error: Option<f64>,
+    /// The largest ratio of an error to what the tolerance allows until then [–], with error control: tolerance times
+    /// time, but no less than 1e-10 R and what the reference resolves. Above 1, the tolerance is missed.
+    pub share: Option<f64>,
     /// The convergence order between this error and that of the previous step size [–], if both errors are resolved.
     pub order: Option<f64>,
     /// Run time [s], median.
@@ -149,8 +153,7 @@ pub struct Report {
     pub bodies: usize,
     /// Number of vertices.
     pub vertices: u64,
-    /// Distance of the reference from a less accurate one [radii]: with twice the step, and for prescribed paths also
-    /// ten times the tolerance.
+    /// Distance of the reference from a less accurate one [radii]: with twice the step and ten times the tolerance.
     pub agreement: f64,
     /// Ordered by integrator, then by step size or tolerance, descending.
     pub measurements: Vec<Measurement>,
@@ -159,7 +162,7 @@ pub struct Report {
 impl Report {
     /// Errors below this cannot be distinguished from those of the reference [radii].
     pub fn resolution(&self) -> f64 {
-        f64::max(1e-13, 10.0 * self.agreement)
+        resolution(self.agreement)
     }
 
     /// Vertices times steps per run time [1/s].
@@ -173,6 +176,11 @@ impl Report {
     }
 }
 
+/// See [`Report::resolution`].
+fn resolution(agreement: f64) -> f64 {
+    f64::max(1e-13, 10.0 * agreement)
+}
+
 /// One run to measure.
 struct Case {
     scene: Scene,
@@ -181,6 +189,8 @@ struct Case {
     factor: f64,
     steps: u64,
     error: Option<f64>,
+    /// See [`Measurement::share`].
+    share: Option<f64>,
     /// [s]
     run_times: Vec<f64>,
 }
@@ -201,7 +211,10 @@ pub fn measure(scene: &Scene, settings: &Settings, progress: &mut dyn FnMut(f64)
         progress(done / all);
     };
     for case in &mut cases {
-        case.error = thread.install(|| judge.error(case))?;
+        (case.error, case.share) = thread.install(|| judge.error(case))?.unzip();
+        if !matches!(case.scheme, Scheme::Controlled { .. }) {
+            case.share = None;
+        }
         progress(case.steps);
     }
     for round in 0..settings.runs {
@@ -237,7 +250,15 @@ fn cases(scene: &Scene, settings: &Settings) -> Vec<Case> {
         };
         let scene = Scene { dt: scene.dt * factor, integrator: scheme.integrator(), tolerance, ..scene.clone() };
         let is_whole = (count * factor - steps).abs() < 1e-9 * steps && count >= 1.0;
-        is_whole.then(|| Case { scene, scheme, factor, steps: count as u64, error: None, run_times: vec![] })
+        is_whole.then(|| Case {
+            scene,
+            scheme,
+            factor,
+            steps: count as u64,
+            error: None,
+            share: None,
+            run_times: vec![],
+        })
     };
     let of_integrator = |&integrator: &Integrator| {
         let fixed = settings.factors.iter().filter_map(move |&factor| case(Scheme::Fixed(integrator), factor));
@@ -286,6 +307,7 @@ impl Case {
             dt: self.scene.dt,
             steps: self.steps,
             error: self.error,
+            share: self.share,
             order: None,
             seconds: self.run_times.get(self.run_times.len() / 2).copied().unwrap_or(f64::NAN),
             runs: self.run_times.len(),
@@ -320,17 +342,9 @@ fn try_out(scene: &Scene) -> Result<(), MeasureError> {
     Ok(())
 }
 
-/// A reference solution.
-enum Solution {
-    /// For prescribed paths: each vertex separately.
-    Vertices(Reference),
-    /// For free bodies: all vertices together.
-    Particles(Particles),
-}
-
 /// The reference and its accuracy.
 struct Judge {
-    reference: Solution,
+    reference: Reference,
     /// See [`Report::agreement`].
     agreement: f64,
     /// Number of scene steps between instants.
@@ -342,14 +356,9 @@ impl Judge {
         let steps = scene.steps();
         let stride = steps.div_ceil(MAX_INSTANTS).next_power_of_two();
         let instants: Vec<f64> = (0..=steps / stride).map(|k| (k * stride) as f64 * scene.dt).collect();
-        let (agreement, reference) = if scene.is_coupled() {
-            let (usual, halved) = (Particles::solve(scene, &instants, 1)?, Particles::solve(scene, &instants, 2)?);
-            (usual.largest_difference(&halved, scene), Solution::Particles(halved))
-        } else {
-            let usual = Reference::solve(scene, &instants, Accuracy::DEFAULT)?;
-            let tighter = Reference::solve(scene, &instants, Accuracy::TIGHTER)?;
-            (usual.largest_difference(&tighter, scene), Solution::Vertices(tighter))
-        };
+        let usual = Reference::solve(scene, &instants, Accuracy::DEFAULT)?;
+        let reference = Reference::solve(scene, &instants, Accuracy::TIGHTER)?;
+        let agreement = usual.largest_difference(&reference, scene);
         Ok(Judge { agreement, reference, stride })
     }
 
@@ -360,30 +369,26 @@ impl Judge {
         ((instant - whole).abs() < 1e-9 * f64::max(1.0, whole)).then_some(whole as usize)
     }
 
-    /// The largest error over time and vertices [radii]; `None` if the run diverged.
-    fn error(&self, case: &Case) -> Result<Option<f64>, TooLarge> {
+    /// The largest error over time and vertices [radii], and its [share](Measurement::share) of what is allowed; `None`
+    /// if the run diverged.
+    fn error(&self, case: &Case) -> Result<Option<(f64, f64)>, TooLarge> {
         let mut world = case.world()?;
-        let mut largest = 0.0;
+        let (mut largest, mut share) = (0.0, 0.0);
+        let least = f64::max(LEAST_ALLOWED, resolution(self.agreement));
         for step in 1..=case.steps {
             if world.step().failure.is_some() {
                 return Ok(None);
             }
             let Some(instant) = self.instant(case, step) else { continue };
             for (index, body) in world.bodies().enumerate() {
-                let distance = match &self.reference {
-                    Solution::Particles(reference) => reference.distance(index, instant, body.positions()),
-                    Solution::Vertices(reference) => {
-                        let found = (0..body.vertex_count()).map(|vertex| body.displacement(vertex));
-                        reference.distance(index, instant, found)
-                    }
-                };
-                let error = distance / body.scene().radius;
+                let error = self.reference.error(index, &body, instant);
                 if error.is_nan() || error > DIVERGED {
                     return Ok(None);
                 }
                 largest = f64::max(largest, error);
+                share = f64::max(share, error / f64::max(least, case.scene.tolerance * world.time()));
             }
         }
-        Ok(Some(largest))
+        Ok(Some((largest, share)))
     }
 }

@@ -7,30 +7,28 @@ const COLUMNS: usize = 10;
 /// A step that needs at most this many columns could have been longer.
 const FEW_COLUMNS: usize = 5;
 
-/// A right-hand side y′ = f(t, y) with `N` coordinates.
-pub trait Slope<const N: usize> {
-    /// f(t, y).
-    fn at(&self, t: f64, y: &[f64; N]) -> [f64; N];
+/// A right-hand side y′ = f(t, y).
+pub trait Slope {
+    /// Writes f(t, y).
+    fn at(&mut self, t: f64, y: &[f64], slope: &mut [f64]);
 }
 
-impl<const N: usize, F: Fn(f64, &[f64; N]) -> [f64; N]> Slope<N> for F {
-    fn at(&self, t: f64, y: &[f64; N]) -> [f64; N] {
-        self(t, y)
+impl<F: FnMut(f64, &[f64], &mut [f64])> Slope for F {
+    fn at(&mut self, t: f64, y: &[f64], slope: &mut [f64]) {
+        self(t, y, slope);
     }
 }
 
-/// The result of a step.
+/// How well a step went.
 #[derive(Clone, Copy, Debug)]
-pub struct Step<const N: usize> {
-    /// y at the end of the step.
-    pub end: [f64; N],
+pub struct Step {
     /// The largest ratio of a coordinate's estimated error to its tolerance; above 1, the step was too long.
     pub error: f64,
     /// Number of midpoint solutions used.
     pub columns: usize,
 }
 
-impl<const N: usize> Step<N> {
+impl Step {
     /// Whether the step meets its tolerance.
     pub fn is_accurate(&self) -> bool {
         self.error <= 1.0
@@ -42,61 +40,99 @@ impl<const N: usize> Step<N> {
     }
 }
 
-/// Takes one step from `(t, y)` over `h`; `slope` is f(t, y), and `tolerance` the permitted error of each coordinate.
-///
-/// All but the last addition act on the increment y(t + h) − y(t), so rounding errors scale with the change, not with
-/// y.
-pub fn step<const N: usize>(
-    f: &impl Slope<N>,
-    t: f64,
-    y: &[f64; N],
-    slope: &[f64; N],
-    h: f64,
-    tolerance: &[f64; N],
-) -> Step<N> {
-    // the last row of the extrapolation tableau: row[j] is free of error terms up to h^(2j)
-    let mut row = [[0.0; N]; COLUMNS];
-    let mut result = Step { end: *y, error: f64::INFINITY, columns: 0 };
-    for k in 0..COLUMNS {
-        let mut entry = midpoint(f, t, y, slope, h, divisions(k));
-        let mut change = [0.0; N];
-        for (j, former) in row.iter_mut().take(k).enumerate() {
-            let ratio = f64::from(divisions(k)) / f64::from(divisions(k - 1 - j));
-            let weight = 1.0 / (ratio * ratio - 1.0);
-            let before = std::mem::replace(former, entry);
-            for i in 0..N {
-                change[i] = (entry[i] - before[i]) * weight;
-                entry[i] += change[i];
+/// A step from `y` at time `t` [s].
+#[derive(Clone, Copy)]
+pub struct Start<'a> {
+    /// Its time [s].
+    pub t: f64,
+    /// The state there.
+    pub y: &'a [f64],
+    /// f(t, y).
+    pub slope: &'a [f64],
+}
+
+/// Scratch storage of the method, reused from step to step.
+#[derive(Clone, Debug, Default)]
+pub struct Extrapolation {
+    /// The last row of the extrapolation tableau: `rows[j]` is free of error terms up to h^(2j).
+    rows: Vec<Vec<f64>>,
+    entry: Vec<f64>,
+    before: Vec<f64>,
+    now: Vec<f64>,
+    stage: Vec<f64>,
+    slope: Vec<f64>,
+}
+
+impl Extrapolation {
+    /// Takes one step over `h` and writes the state after it to `end`; `tolerance` is the permitted error of each
+    /// coordinate.
+    ///
+    /// All but the last addition act on the increment y(t + h) − y(t), so rounding errors scale with the change, not
+    /// with y.
+    pub fn step(
+        &mut self,
+        f: &mut impl Slope,
+        start: Start<'_>,
+        h: f64,
+        tolerance: &[f64],
+        end: &mut Vec<f64>,
+    ) -> Step {
+        let n = start.y.len();
+        self.rows.resize(COLUMNS, Vec::new());
+        let mut result = Step { error: f64::INFINITY, columns: 0 };
+        for k in 0..COLUMNS {
+            self.midpoint(f, start, h, divisions(k));
+            let mut error = 0.0;
+            for (j, former) in self.rows.iter_mut().take(k).enumerate() {
+                let ratio = f64::from(divisions(k)) / f64::from(divisions(k - 1 - j));
+                let weight = 1.0 / (ratio * ratio - 1.0);
+                error = 0.0;
+                for i in 0..n {
+                    let change = (self.entry[i] - former[i]) * weight;
+                    former[i] = self.entry[i];
+                    self.entry[i] += change;
+                    let share = change.abs() / tolerance[i];
+                    // written so that NaN stays
+                    error = if share <= error || error.is_nan() { error } else { share };
+                }
             }
-        }
-        row[k] = entry;
-        if k >= 2 {
-            let errors = change.iter().zip(tolerance).map(|(change, tolerance)| change.abs() / tolerance);
-            // not `f64::max`, which would discard NaN
-            let error = errors.fold(0.0, |a: f64, b| if a.is_nan() || b <= a { a } else { b });
-            result = Step { end: std::array::from_fn(|i| y[i] + entry[i]), error, columns: k + 1 };
-            if result.is_accurate() {
+            self.rows[k].clone_from(&self.entry);
+            result = Step { error: if k >= 2 { error } else { f64::INFINITY }, columns: k + 1 };
+            if result.is_accurate() || error.is_nan() {
                 break;
             }
         }
+        end.clear();
+        end.extend(start.y.iter().zip(&self.entry).map(|(y, change)| y + change));
+        result
     }
-    result
+
+    /// Writes y(t + h) − y(t) by Gragg's rule with `n` divisions to the entry; its error is a series in (h/n)².
+    fn midpoint(&mut self, f: &mut impl Slope, start: Start<'_>, h: f64, n: u32) {
+        let Extrapolation { entry, before, now, stage, slope, .. } = self;
+        let part = h / f64::from(n);
+        before.clear();
+        before.resize(start.y.len(), 0.0);
+        now.clear();
+        now.extend(start.slope.iter().map(|slope| part * slope));
+        slope.resize(start.y.len(), 0.0);
+        for m in 1..=n {
+            stage.clear();
+            stage.extend(start.y.iter().zip(&*now).map(|(y, now)| y + now));
+            f.at(start.t + f64::from(m) * part, stage, slope);
+            if m == n {
+                break;
+            }
+            for i in 0..now.len() {
+                before[i] += 2.0 * part * slope[i];
+            }
+            std::mem::swap(before, now);
+        }
+        entry.clear();
+        entry.extend((0..now.len()).map(|i| 0.5 * (now[i] + before[i] + part * slope[i])));
+    }
 }
 
 fn divisions(k: usize) -> u32 {
     2 * (k as u32 + 1)
-}
-
-/// y(t + h) − y(t) by Gragg's rule with `n` divisions; its error is a series in (h/n)².
-fn midpoint<const N: usize>(f: &impl Slope<N>, t: f64, y: &[f64; N], slope: &[f64; N], h: f64, n: u32) -> [f64; N] {
-    let part = h / f64::from(n);
-    let mut before = [0.0; N];
-    let mut now: [f64; N] = std::array::from_fn(|i| part * slope[i]);
-    for m in 1..n {
-        let slope = f.at(t + f64::from(m) * part, &std::array::from_fn(|i| y[i] + now[i]));
-        let next = std::array::from_fn(|i| before[i] + 2.0 * part * slope[i]);
-        (before, now) = (now, next);
-    }
-    let slope = f.at(t + h, &std::array::from_fn(|i| y[i] + now[i]));
-    std::array::from_fn(|i| 0.5 * (now[i] + before[i] + part * slope[i]))
 }

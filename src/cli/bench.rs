@@ -18,14 +18,14 @@ use super::{Failure, print_lines as print, run::scene};
 use crate::{
     bench::{
         MeasureError,
-        error::{self, Settings, csv::csv, diagram, table},
+        error::{self, Settings, csv::csv, diagram, random, table},
         machine::Machine,
         output::Output,
         stability::{self, cases::Case, drift, free, models as of_models, sizes, table as of_stability},
         surface,
     },
     models::need_oscillators,
-    scene::{Integrator, Model},
+    scene::{Integrator, Model, Scene},
     sim::memory,
     text::thousands,
 };
@@ -56,8 +56,22 @@ enum What {
 #[derive(clap::Args)]
 struct ErrorArguments {
     /// Scene files, or names of built-in scenes (see `meldscope scenes`).
-    #[arg(default_values = ["push", "two", "three", "size_ratio", "collide"])]
+    #[arg(default_values = ["push", "two", "three", "size_ratio", "collide", "orbit", "drop"])]
     scene: Vec<String>,
+    /// Instead of scenes, compare the errors of N random short ones with what was asked: contacts, rims, cores, planes up
+    /// to 1e5, sizes to 1:50, masses to 1:1000, free bodies and paths.
+    #[arg(long, value_name = "N", conflicts_with_all = ["scene", "csv", "svg"],
+          value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    random: Option<u64>,
+    /// Seed of the random scenes.
+    #[arg(long, value_name = "S", requires = "random", default_value_t = 1)]
+    seed: u64,
+    /// Tolerance of the random scenes, radii per second.
+    #[arg(long, value_name = "T", requires = "random", default_value_t = Scene::DEFAULT_TOLERANCE, value_parser = tolerance)]
+    tolerance: f64,
+    /// Write the random scenes that miss to files in this folder, for `meldscope bench error FILE`.
+    #[arg(long, value_name = "DIR", requires = "random")]
+    out: Option<PathBuf>,
     #[command(flatten)]
     files: Files,
 }
@@ -140,7 +154,48 @@ fn surface() -> Result<(), Failure> {
     Ok(())
 }
 
+/// A tolerance that asks for error control.
+fn tolerance(text: &str) -> Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|number| (1e-12..=1e-2).contains(number));
+    number.ok_or_else(|| "expected radii per second, from 1e-12 to 1e-2".to_owned())
+}
+
+fn random_errors(count: u64, arguments: &ErrorArguments) -> Result<(), Failure> {
+    let settings = random::Settings { count, seed: arguments.seed, tolerance: arguments.tolerance };
+    if let Some(folder) = &arguments.out {
+        std::fs::create_dir_all(folder).map_err(|error| unwritable(folder, &error))?;
+    }
+    let (bar, done) = (progress_bar("random scenes"), AtomicU64::new(0));
+    let progress = || bar.set_position(1000 * (done.fetch_add(1, Ordering::Relaxed) + 1) / count);
+    let outcomes = random::measure(&settings, &progress);
+    bar.finish_and_clear();
+    let outcomes = outcomes.map_err(|error| Failure::Run(error.to_string()))?;
+    for outcome in &outcomes {
+        if outcome.factor <= 1.0 && !outcome.is_underestimated && outcome.failure.is_none() {
+            continue;
+        }
+        print(&outcome.to_string());
+        if let Some(folder) = &arguments.out {
+            let path = folder.join(format!("{}.toml", outcome.scene.name));
+            let text = format!("{WRITTEN} error`.\n{}", outcome.scene.source);
+            write(claim(Some(&path), WRITTEN)?, || Ok(text))?;
+        }
+    }
+    let counts = random::Counts::of(&outcomes);
+    print(&format!("tolerance {:.0e}, seed {}: {counts}", settings.tolerance, settings.seed));
+    if counts.are_met() {
+        return Ok(());
+    }
+    Err(Failure::Run(
+        "asked are errors below tolerance × time in 99 of 100 scenes, and below the sum of the estimates in 95"
+            .to_owned(),
+    ))
+}
+
 fn error(arguments: ErrorArguments) -> Result<(), Failure> {
+    if let Some(count) = arguments.random {
+        return random_errors(count, &arguments);
+    }
     let scenes = arguments.scene.iter().map(|name| scene(name)).collect::<Result<Vec<_>, _>>()?;
     for scene in &scenes {
         memory::check(scene).map_err(Failure::input)?;

@@ -62,6 +62,7 @@ mod tests {
             dt: 5.0 / steps as f64,
             steps,
             error: Some(1e-2),
+            share: None,
             order: None,
             seconds: 0.5,
             runs: 1,

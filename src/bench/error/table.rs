@@ -18,7 +18,8 @@ pub fn table(report: &Report) -> String {
     let rows = families.flat_map(|family| blank().chain(family.iter().map(|measured| row(report, measured))));
     format!(
         "{}: {}, {}, {} s in steps of {:.6} s\n\n{}\n\n{}\n\
-         reference: {} it changes by {:.0e} R",
+         reference: extrapolation (Gragg, Bulirsch, Stoer), restarted at events, contacts, rims and cores; with a tenth of \
+         the tolerance and half the step it changes by {:.0e} R",
         report.scene,
         counted(report.bodies as u64, "body"),
         counted(report.vertices, "vertex"),
@@ -26,12 +27,6 @@ pub fn table(report: &Report) -> String {
         report.dt,
         tables::table(heading, rows),
         report.verdict().join("\n"),
-        if report.is_coupled {
-            "vertices as particles (Runge, Kutta), restarted at events; with half the step"
-        } else {
-            "extrapolation (Gragg, Bulirsch, Stoer), restarted at events and rims; with a tenth of the tolerance and half \
-             the step"
-        },
         report.agreement
     )
 }

@@ -114,13 +114,17 @@ impl Report {
     }
 
     /// The errors that the tolerances allow over the whole run, and the actual errors [radii], of runs with error
-    /// control whose allowed error the reference resolves.
+    /// control one of whose two errors the reference resolves.
     pub(super) fn allowed_and_actual(&self) -> Vec<(f64, f64)> {
         let of = |it: &Measurement| match it.scheme {
             Scheme::Controlled { tolerance } => Some((tolerance * self.duration, it.error?)),
             Scheme::Fixed(_) => None,
         };
-        self.measurements.iter().filter_map(of).filter(|(allowed, _)| *allowed > self.resolution()).collect()
+        self.measurements
+            .iter()
+            .filter_map(of)
+            .filter(|(allowed, actual)| allowed.max(*actual) > self.resolution())
+            .collect()
     }
 
     /// A sentence that compares the actual error with the requested one.
@@ -129,11 +133,25 @@ impl Report {
             self.allowed_and_actual().into_iter().map(|(allowed, actual)| actual / allowed).collect();
         let within = shares.iter().filter(|share| (0.01..=1.0).contains(*share)).count();
         let (min, max) = (shares.iter().copied().reduce(f64::min)?, shares.iter().copied().reduce(f64::max)?);
-        Some(format!(
+        let mut sentence = format!(
             "error control: the error is {min:.0e} to {max:.0e} of what the tolerance allows, between 1e-2 and 1 of it at \
              {within} of {} tolerances",
             shares.len()
-        ))
+        );
+        let missed: Vec<String> =
+            self.missed().map(|(tolerance, share)| format!("{tolerance:.0e} ({share:.1} times)")).collect();
+        if !missed.is_empty() {
+            sentence += &format!("\n  missed at some instant: {}", missed.join(", "));
+        }
+        Some(sentence)
+    }
+
+    /// The tolerances that were missed, each with the largest ratio of an error to what it allows until then.
+    pub fn missed(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
+        self.measurements.iter().filter_map(|it| match (it.scheme, it.share) {
+            (Scheme::Controlled { tolerance }, Some(share)) if !(share <= 1.0) => Some((tolerance, share)),
+            _ => None,
+        })
     }
 
     /// A comparison such as "error ÷ 350, time × 1.4".

@@ -4,6 +4,9 @@
 //! gravity, and the maximum that spheres can add initially and at each event. A run that exceeds this bound by the
 //! factor [`super::MARGIN`], or is not finite, is not a solution. Runs that the integrator ends with a reason are
 //! counted separately.
+//!
+//! A run of the exponential integrator is also compared with a [`Reference`], where there is one that does not take too
+//! long: its error at any time must be within the tolerance, unless the motion itself amplifies errors.
 
 use std::fmt::Write as _;
 
@@ -12,13 +15,21 @@ use rayon::prelude::*;
 use super::MARGIN;
 use crate::{
     Scene, SceneError, World,
-    bench::{MeasureError, tables},
+    bench::{
+        MeasureError,
+        error::random,
+        reference::{Accuracy, Reference},
+        tables,
+    },
     model::energy::influence_potential,
     scene::{Integrator, Motion},
 };
 
 /// Steps of each case.
 const STEPS: u32 = 60;
+
+/// A reference is computed only if it takes at most this many evaluations of a vertex's equation of motion.
+const MAX_EVALUATIONS: f64 = 1e8;
 
 /// The setting that a case takes to its limits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -169,6 +180,15 @@ pub enum Verdict {
     NotFinite,
     /// Its energy exceeds the bound by this factor.
     BeyondBound(f64),
+    /// Its error exceeds what the tolerance allows by this factor.
+    Inaccurate(f64),
+}
+
+impl Verdict {
+    /// Whether the run went on with a wrong state.
+    fn is_failure(&self) -> bool {
+        matches!(self, Verdict::NotFinite | Verdict::BeyondBound(_) | Verdict::Inaccurate(_))
+    }
 }
 
 /// A case and how it ended with each integrator.
@@ -178,13 +198,14 @@ pub struct Row {
     pub case: Case,
     /// Verdicts, in the order of the requested integrators.
     pub verdicts: Vec<(Integrator, Verdict)>,
+    /// Whether the exponential integrator's run was compared with a reference.
+    pub is_compared: bool,
 }
 
 impl Row {
     /// Whether the exponential integrator failed: it must pass, or stop with a reason.
     pub fn is_defect(&self) -> bool {
-        let is_failure = |verdict: &Verdict| matches!(verdict, Verdict::NotFinite | Verdict::BeyondBound(_));
-        self.verdicts.iter().any(|(of, verdict)| *of == Integrator::Exponential && is_failure(verdict))
+        self.verdicts.iter().any(|(of, verdict)| *of == Integrator::Exponential && verdict.is_failure())
     }
 }
 
@@ -195,8 +216,18 @@ impl Row {
 pub fn measure(integrators: &[Integrator]) -> Result<Vec<Row>, MeasureError> {
     let row = |case: Case| {
         let verdict = |&integrator: &Integrator| Ok((integrator, run(&case.scene, integrator)?));
-        let verdicts = integrators.iter().map(verdict).collect::<Result<_, MeasureError>>()?;
-        Ok(Row { case, verdicts })
+        let mut verdicts = integrators.iter().map(verdict).collect::<Result<Vec<_>, MeasureError>>()?;
+        let mut is_compared = false;
+        for (of, verdict) in &mut verdicts {
+            if *of == Integrator::Exponential && *verdict == Verdict::Passed {
+                let factor = excess(&case.scene)?;
+                is_compared = factor.is_some();
+                if let Some(factor) = factor.filter(|&factor| factor > 1.0) {
+                    *verdict = Verdict::Inaccurate(factor);
+                }
+            }
+        }
+        Ok(Row { case, verdicts, is_compared })
     };
     cases()?.into_par_iter().map(row).collect()
 }
@@ -219,6 +250,17 @@ fn run(scene: &Scene, integrator: Integrator) -> Result<Verdict, MeasureError> {
         }
     }
     Ok(if used > MARGIN { Verdict::BeyondBound(used) } else { Verdict::Passed })
+}
+
+/// The largest ratio of an error to what the tolerance allows; `None` without a reference, or if the motion amplifies.
+fn excess(scene: &Scene) -> Result<Option<f64>, MeasureError> {
+    let scene = Scene { duration: f64::from(STEPS) * scene.dt, ..scene.clone() };
+    let instants: Vec<f64> = (0..=scene.steps()).map(|step| step as f64 * scene.dt).collect();
+    if Reference::evaluations(&scene, &instants, Accuracy::TIGHTER) > MAX_EVALUATIONS {
+        return Ok(None);
+    }
+    let outcome = random::judge(scene)?;
+    Ok((outcome.failure.is_none() && !outcome.amplifies).then_some(outcome.factor))
 }
 
 /// The initial energy of bodies, including that of the longest possible fall during the run.
@@ -265,7 +307,7 @@ pub fn table(rows: &[Row]) -> String {
         let cell = |k: usize| {
             let count = |is: fn(&Verdict) -> bool| of_axis().filter(|row| is(&row.verdicts[k].1)).count();
             let passed = count(|verdict| *verdict == Verdict::Passed);
-            let failed = count(|verdict| matches!(verdict, Verdict::NotFinite | Verdict::BeyondBound(_)));
+            let failed = count(Verdict::is_failure);
             let stopped = count(|verdict| matches!(verdict, Verdict::NotFollowed(_)));
             let mut text = format!("{passed} passed");
             for (count, what) in [(failed, "failed"), (stopped, "not followed")] {
@@ -278,7 +320,12 @@ pub fn table(rows: &[Row]) -> String {
         let cells = (0..integrators.len()).map(cell);
         [axis.name().to_owned(), of_axis().count().to_string()].into_iter().chain(cells).collect::<Vec<_>>()
     };
-    tables::table(heading.collect::<Vec<_>>(), Axis::ALL.into_iter().map(line))
+    let compared = rows.iter().filter(|row| row.is_compared).count();
+    format!(
+        "{}\nexponential: errors of {compared} of {} cases compared with a reference",
+        tables::table(heading.collect::<Vec<_>>(), Axis::ALL.into_iter().map(line)),
+        rows.len()
+    )
 }
 
 /// The cases that an integrator stopped or failed, with the reasons. For the exponential integrator, these are all
@@ -291,6 +338,7 @@ pub fn failures(rows: &[Row], of: Integrator) -> Vec<String> {
             Verdict::NotFollowed(reason) => format!("not followed: {reason}"),
             Verdict::NotFinite => "not finite".to_owned(),
             Verdict::BeyondBound(factor) => format!("{factor:.1} times the available energy"),
+            Verdict::Inaccurate(factor) => format!("{factor:.1} times the error that the tolerance allows"),
         };
         Some(format!("{of}, {}, {}: {what}", row.case.axis.name(), row.case.what))
     };
