@@ -109,8 +109,8 @@ const AT_KINK: f64 = 5e-10;
 /// The vertices at given instants.
 pub struct Reference {
     times: Vec<f64>,
-    /// `[body][vertex][time]`; empty for a vertex that has stayed at rest.
-    tracks: Vec<Vec<Vec<DVec3>>>,
+    /// `[body]`
+    tracks: Vec<Vertices>,
     events: Vec<PhaseChange>,
 }
 
@@ -240,6 +240,9 @@ fn fastest_rate(scene: &Scene) -> f64 {
     scene.bodies.iter().map(body).chain(planes).fold(f64::max(influence, 1e-3), f64::max)
 }
 
+/// The vertices of a body at the requested instants, `[vertex][time]`; empty for a vertex that has stayed at rest.
+type Vertices = Vec<Vec<DVec3>>;
+
 /// A scene to solve.
 struct Problem<'a> {
     scene: &'a Scene,
@@ -260,7 +263,7 @@ impl<'a> Problem<'a> {
     }
 
     /// All vertices of the scene, and the phase changes of pairs with a free body.
-    fn together(&self) -> Result<(Vec<Vec<Vec<DVec3>>>, Vec<PhaseChange>), NoReference> {
+    fn together(&self) -> Result<(Vec<Vertices>, Vec<PhaseChange>), NoReference> {
         let system = System::of_scene(self.scene);
         let all: Vec<usize> = (0..self.scene.bodies.len()).collect();
         let chunks = self.divide(&all, &|_, _, _| true);
@@ -277,7 +280,7 @@ impl<'a> Problem<'a> {
     }
 
     /// The vertices of a body in a scene without free bodies, each on its own.
-    fn each(&self, body: usize) -> Result<Vec<Vec<DVec3>>, NoReference> {
+    fn each(&self, body: usize) -> Result<Vertices, NoReference> {
         let leash = self.scene.bodies[body].radius;
         let near = |start, end, other| self.is_near(body, other, leash, start, end);
         let chunks = self.divide(&[body], &near);
