@@ -14,12 +14,12 @@ import duckdb
 import polars
 
 COUNTS = {"step", "vertex"}
-TEXTS = {"event", "a", "b", "from", "to", "phase", "body"}
+TEXTS = {"event", "a", "b", "from", "to", "surfaces", "phase", "body"}
 
 
 def bits(name, value):
     if name in TEXTS:
-        return value
+        return value or None
     if name in COUNTS:
         return int(value)
     return None if value in (None, "") else struct.pack("<d", float(value))

@@ -14,7 +14,7 @@ use super::{Failure, expense, one_of, print, run, say};
 use crate::{
     atomic::{self, AtomicFile},
     models::{self, SceneRun},
-    observe::{Experiment as _, Frame, Simulation, StepSummary, Want, surface::Merger},
+    observe::{Experiment as _, Frame, Simulation, StepSummary, Want, row::rows, surface::Merger, touch::Touches},
     recording::{Recorded, existing::Existing},
     scene::Model,
     sim::Options,
@@ -102,6 +102,7 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
 
     let (mut merger, mut frame, mut summary) = (Merger::new(&schema, None), Frame::default(), StepSummary::default());
     let (mut files, mut size, mut overlapping) = (0, 0, 0);
+    let (mut touches, mut surfaces) = (events.is_some().then(|| Touches::new(&*simulation)), Vec::new());
     loop {
         let step = simulation.steps_taken();
         if let Some(recorded) = &recorded
@@ -138,9 +139,11 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
                 folder.as_ref().map(|folder| format!("; {} contains the steps up to here", folder.path.display()));
             return Err(Failure::Run(format!("{failure}{}", written.unwrap_or_default())));
         }
-        if let Some(table) = &mut events {
-            let within = summary.events.iter().filter(|event| (from..=to).contains(&event.step));
-            within.into_iter().try_for_each(|event| table.add(&schema, event))?;
+        if let (Some(table), Some(touches)) = (&mut events, &mut touches) {
+            simulation.observe(Want::default(), &mut frame);
+            touches.step(&*simulation, &frame, &summary.events, &mut surfaces);
+            let all = rows(&summary.events, &surfaces, simulation.body_events());
+            all.iter().filter(|row| (from..=to).contains(&row.step())).try_for_each(|row| table.add(&schema, row))?;
         }
     }
     if overlapping > 0 {

@@ -168,12 +168,16 @@ fn check_end(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> 
     if recorded.end == End::Whole {
         return Ok(());
     }
-    let planned = recorded.settings.steps.map_or(String::new(), |steps| format!(" of {}", thousands(steps)));
-    let what = format!(
-        "{} is cut short after step {}{planned}: the run was killed, or the file is incomplete",
-        recorded.path.display(),
-        thousands(recorded.last())
-    );
+    let (path, last) = (recorded.path.display(), thousands(recorded.last()));
+    let what = match recorded.settings.steps {
+        Some(steps) if steps == recorded.last() => {
+            format!("{path} has all {last} steps but lacks its end: the run was killed, or the file is incomplete")
+        }
+        steps => {
+            let planned = steps.map_or(String::new(), |steps| format!(" of {}", thousands(steps)));
+            format!("{path} is cut short after step {last}{planned}: the run was killed, or the file is incomplete")
+        }
+    };
     let is_expected = arguments.partial || recorded.path.extension().is_some_and(|extension| extension == "partial");
     if is_expected {
         say(&format!("note: {what}"));
@@ -248,12 +252,8 @@ fn vary(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
         "  largest displacement: {:.6} radii, of body \"{}\" at t = {:.6} s",
         largest.0, largest.2, largest.1
     ));
-    print(&match recorded.settings.frames {
-        Frames::Thin => {
-            format!("  {} (a thin recording has no events to compare):", counted(events.len() as u64, "event"))
-        }
-        _ => format!("  {}, {} recorded:", counted(events.len() as u64, "event"), recorded.events.len()),
-    });
+    let changes = counted(events.len() as u64, "phase change");
+    print(&format!("  {changes}, {} recorded:", thousands(recorded.events.len() as u64)));
     for event in events.iter().take(20) {
         print(&format!("    {event}"));
     }

@@ -17,10 +17,7 @@ use super::{
 };
 use crate::{
     models::{self, SceneRun},
-    observe::{
-        self, Experiment as _, PairEvent, Schema, Shortfall, Simulation, StepFailure, StepSummary, SurfaceEvent,
-        touch::Finding,
-    },
+    observe::{self, EventRow, Experiment as _, Schema, Shortfall, Simulation, StepFailure, StepSummary, row::rows},
     recording::existing::{Existing, Kind},
     scene::{Integrator, Model, Scene, builtin},
     sdk,
@@ -42,6 +39,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 /// The progress bar is updated, and a watched file is checked, at this interval, but only every few steps.
 const CHECK_INTERVAL: Duration = Duration::from_millis(50);
 const STEPS_BETWEEN_CHECKS: u64 = 16;
+/// A rate of steps is reported only if they took at least this long [s].
+const LEAST_TIMED: f64 = 0.5;
 /// At most this many events are listed; the rest are counted.
 const LISTED_EVENTS: usize = 20;
 
@@ -293,13 +292,15 @@ struct Outcome {
     seconds: [f64; 2],
 }
 
-/// The events of a run: the first [`LISTED_EVENTS`] of them and the total count.
+/// The events of a run: the first [`LISTED_EVENTS`] of pairs, and the total count.
 #[derive(Default)]
 struct Events {
-    first: Vec<PairEvent>,
+    first: Vec<ListedEvent>,
     count: u64,
-    /// Descriptions of the surfaces at the first of them.
-    surfaces: Vec<SurfaceEvent>,
+    /// Number of those that are of single bodies; they are not listed.
+    of_bodies: u64,
+    /// When the present phase of a pair began [s].
+    begun: HashMap<(usize, usize), f64>,
     /// Number of steps that missed the tolerance.
     inaccurate: u64,
     /// The first and the worst of these steps.
@@ -307,6 +308,34 @@ struct Events {
 }
 
 impl Events {
+    /// Adds an event.
+    fn add(&mut self, row: &EventRow<'_>, schema: &Schema) {
+        self.count += 1;
+        let what = match row {
+            EventRow::Body(_) => {
+                self.of_bodies += 1;
+                return;
+            }
+            EventRow::Phase(event, _) => format!("{} {}", event.name, schema.pair_name(event.a, event.b)),
+            EventRow::Contact(event) => format!("{} {}", event.name(), schema.pair_name(event.a, event.b)),
+        };
+        let line = match row {
+            EventRow::Phase(event, surfaces) => {
+                let direction = if event.rate < 0.0 { "falling" } else { "rising" };
+                let lasted = event.time - self.begun.insert((event.a, event.b), event.time).unwrap_or(0.0);
+                let (rate, phase) = (event.rate.abs(), schema.phases[event.from].name);
+                let surfaces = surfaces.as_ref().map_or(String::new(), |surfaces| format!("; {surfaces}"));
+                let line = schema.describe(event);
+                format!("{line}; q {direction} by {rate:.3}/s after {lasted:.3} s {phase}{surfaces}")
+            }
+            _ => row.describe(schema),
+        };
+        if self.first.len() < LISTED_EVENTS {
+            let number = 1 + self.first.iter().filter(|other| other.what == what).count();
+            self.first.push(ListedEvent { what, number, time: row.time(), line });
+        }
+    }
+
     /// Adds a step that missed the tolerance.
     fn missed(&mut self, at: observe::Instant, shortfall: Shortfall) {
         self.inaccurate += 1;
@@ -413,14 +442,13 @@ fn simulate(
         if let Some(shortfall) = summary.shortfall {
             events.missed(summary.at, shortfall);
         }
-        events.count += summary.events.len() as u64;
-        events.first.extend(summary.events.iter().take(LISTED_EVENTS - events.first.len()));
         let due = arguments.realtime.then(|| start + Duration::from_secs_f64(simulation.time().min(1e9)));
         let lag = due.map(|due| Instant::now().saturating_duration_since(due));
         failure = pipeline.observe(&*simulation, lag).err();
-        let is_phase = |event: &SurfaceEvent| matches!(event.what, Finding::Phase { .. });
-        let surfaces = pipeline.surface_events().into_iter().filter(is_phase);
-        events.surfaces.extend(surfaces.take(LISTED_EVENTS.saturating_sub(events.surfaces.len())));
+        let surfaces = pipeline.surface_events();
+        for row in rows(&summary.events, &surfaces, simulation.body_events()) {
+            events.add(&row, &schema);
+        }
         if let Some(due) = due {
             failure = failure.or(pipeline.hand_over().err());
             wait_until(due, stop);
@@ -508,21 +536,18 @@ struct EventList {
     until: f64,
 }
 
-/// An event: kind and pair, number among the events of that kind and pair, and time [s].
+/// An event: kind and pair, number among the events of that kind and pair, time [s], and description.
+#[derive(Clone)]
 struct ListedEvent {
     what: String,
     number: usize,
     time: f64,
+    line: String,
 }
 
 impl EventList {
     fn of(run: &Simulated) -> EventList {
-        let mut events: Vec<ListedEvent> = Vec::new();
-        for event in &run.events.first {
-            let what = format!("{} {}", event.name, run.schema.pair_name(event.a, event.b));
-            let number = 1 + events.iter().filter(|other| other.what == what).count();
-            events.push(ListedEvent { what, number, time: event.time });
-        }
+        let events = run.events.first.clone();
         EventList { more: run.events.count - events.len() as u64, events, until: run.simulation.time() }
     }
 
@@ -773,11 +798,16 @@ fn destinations(arguments: &Arguments, scene: &Scene) -> Destinations {
 fn summarize(console: &Console, outcome: &Outcome) {
     let Outcome { simulation, schema, settings, finished, frames, events, approaches, seconds: [simulating, all] } =
         outcome;
-    let Events { first: events, count: event_count, surfaces, .. } = events;
+    let Events { first: events, count: event_count, of_bodies, .. } = events;
     console.notes(&finished.notes);
     let (bodies, steps) = (schema.bodies.len() as u64, simulation.steps_taken());
+    // the first steps warm caches, and other load comes and goes: a rate needs a while
+    let rate = match *simulating >= LEAST_TIMED {
+        true => format!(" ({} steps/s)", thousands((steps as f64 / simulating) as u64)),
+        false => String::new(),
+    };
     console.print(&format!(
-        "{}: {}, {}; {} of {} s with {}{}, {:.3} s simulated in {simulating:.3} s ({} steps/s), recorded in {all:.3} s",
+        "{}: {}, {}; {} of {} s with {}{}, {:.3} s simulated in {simulating:.3} s{rate}, recorded in {all:.3} s",
         schema.name,
         counted(bodies, "body"),
         counted(schema.vertex_count(), "vertex"),
@@ -786,26 +816,19 @@ fn summarize(console: &Console, outcome: &Outcome) {
         schema.non_default_model().map(|model| format!("{model}, ")).unwrap_or_default(),
         schema.integrator,
         simulation.time(),
-        thousands((steps as f64 / simulating.max(1e-9)) as u64),
     ));
     match event_count {
         0 => console.print("no events"),
         n => console.print(&format!("{}:", counted(*n, "event"))),
     }
-    let mut begun = HashMap::new();
     for event in events {
-        let (direction, pair) = (if event.rate < 0.0 { "falling" } else { "rising" }, (event.a, event.b));
-        let lasted = event.time - begun.insert(pair, event.time).unwrap_or(0.0);
-        let (rate, phase) = (event.rate.abs(), schema.phases[event.from].name);
-        let line = schema.describe(event);
-        let is_it = |found: &&SurfaceEvent| (found.a, found.b, found.time) == (event.a, event.b, event.time);
-        let surfaces = surfaces.iter().find(is_it).and_then(SurfaceEvent::findings);
-        let surfaces = surfaces.map_or(String::new(), |surfaces| format!("; {surfaces}"));
-        console.print(&format!("  {line}; q {direction} by {rate:.3}/s after {lasted:.3} s {phase}{surfaces}"));
+        console.print(&format!("  {}", event.line));
     }
-    if *event_count > events.len() as u64 {
-        let more = thousands(event_count - events.len() as u64);
-        console.print(&format!("  … and {more} more, in the recording's event log"));
+    let more = event_count - of_bodies - events.len() as u64;
+    for (more, of) in [(more, ""), (*of_bodies, " of single bodies")] {
+        if more > 0 {
+            console.print(&format!("  … and {} more{of}, in the recording's event log", thousands(more)));
+        }
     }
     for approach in approaches.iter().take(MOST_APPROACHES) {
         console.print(&format!("  {approach}"));
@@ -818,7 +841,8 @@ fn summarize(console: &Console, outcome: &Outcome) {
         let word = shell_word(&path.to_string());
         let size = bytes(saved.bytes);
         if settings.frames == Frames::Thin {
-            console.print(&format!("saved {path}: the scene and {}, {size}", counted(steps + 1, "checksum")));
+            let events = counted(*event_count, "event");
+            console.print(&format!("saved {path}: the scene, {events} and {}, {size}", counted(steps + 1, "checksum")));
             console.print(&format!(
                 "verify it with `meldscope replay {word}`; `meldscope replay {word} --save full.rrd` restores the frames"
             ));
@@ -952,7 +976,7 @@ mod tests {
         let mut list: Vec<ListedEvent> = Vec::new();
         for &(what, time) in events {
             let number = 1 + list.iter().filter(|other| other.what == what).count();
-            list.push(ListedEvent { what: what.to_owned(), number, time });
+            list.push(ListedEvent { what: what.to_owned(), number, time, line: String::new() });
         }
         EventList { events: list, more: 0, until }
     }

@@ -28,7 +28,7 @@ use crate::{
         design::{Design, MOST_LEVELS, Sampling},
         file::duration,
         level::{self, Ended, LevelError, Plan},
-        map::Map,
+        map::{self, Map},
         picture,
         refine::{FAILED, Known, class},
         row::{Cell, Row, columns},
@@ -52,7 +52,8 @@ pub struct Arguments {
     /// Refine the grid N times where neighbours differ in outcome, or by a [jump]. Each level halves their distance.
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=i64::from(MOST_LEVELS)))]
     refine: u32,
-    /// Find every change of outcome along this axis, to 1e-9: KEY of an [[axis]], or its name.
+    /// Find the changes of outcome along this axis, to 1e-9, where neighbours of the grid differ: KEY of an [[axis]], or
+    /// its name. An even number of changes between two neighbours shows in none of them.
     #[arg(long, value_name = "AXIS", conflicts_with_all = ["shard", "open"])]
     bisect: Option<String>,
     /// Run only part I, from 0, of N equal parts of a level. Processes share only the folder.
@@ -309,8 +310,13 @@ impl RunningSweep<'_> {
     fn draw(&self) -> Result<(), Failure> {
         let Some(map) = Map::new(self.sweep, self.store)? else { return Ok(()) };
         let first = self.sweep.text.lines().next().and_then(|line| line.strip_prefix('#')).unwrap_or(&self.sweep.file);
-        let about =
-            format!("{}, scene {}{MARK}{}", counted(map.rows, "run"), self.sweep.scene_file, env!("CARGO_PKG_VERSION"));
+        let about = format!(
+            "{}, scene {}{MARK}{}; {}",
+            counted(map.rows, "run"),
+            self.sweep.scene_file,
+            env!("CARGO_PKG_VERSION"),
+            map::MISSABLE
+        );
         let drawn = svg::svg(&map, first.trim(), &about);
         let path = self.store.write(MAP, |to| to.write_all(drawn.as_bytes()))?;
         let recording = self.store.path().join(MAP_RECORDING);
@@ -318,6 +324,7 @@ impl RunningSweep<'_> {
             .map_err(|error| Failure::Run(error.to_string()))?;
         let size = bytes(drawn.len() as u64);
         print(&format!("map: {}, {size}, and for the viewer {}", path.display(), recording.display()));
+        print(&format!("note: {}", map::MISSABLE));
         Ok(())
     }
 
@@ -359,6 +366,10 @@ impl RunningSweep<'_> {
             print(&format!("… and {} more", thousands((found.len() - LISTED) as u64)));
         }
         print(&format!("{} to 1e-9: {}", counted(found.len() as u64, "threshold"), path.display()));
+        print(
+            "note: searched between neighbours of the grid that differ in outcome: two changes between neighbours of the \
+             same outcome are not found, and of three only one; a finer grid separates them",
+        );
         Ok(())
     }
 }

@@ -11,7 +11,7 @@ use glam::DVec3;
 use super::SceneRun;
 use crate::{
     observe::{
-        BodyEvent, BodyFrame, Experiment, Frame, Instant, PairEvent, PairFrame, Refusal, Schema, Simulation,
+        BodyEvent, BodyFrame, Experiment, Frame, Instant, NearPair, PairEvent, PairFrame, Refusal, Schema, Simulation,
         StepFailure, StepSummary, SurfaceEvent, Want, checksum, colors,
         schema::{BodySchema, OwnLevels, OwnSurfaces, ScalarOf, ScalarSchema, TermSchema},
         surface::{Group, Merger, Surfaced, Surfaces},
@@ -370,6 +370,20 @@ impl Simulation for SideBySideRun {
                 frame.bodies[place.first + index] = now;
             }
         }
+    }
+
+    fn near(&self, pairs: &mut Vec<NearPair>) {
+        pairs.clear();
+        let mut own = Vec::new();
+        for Part { simulation, place, .. } in &self.parts {
+            simulation.near(&mut own);
+            pairs.extend(own.iter().map(|pair| NearPair { a: pair.a + place.first, b: pair.b + place.first, ..*pair }));
+        }
+    }
+
+    fn apart(&self, a: usize, b: usize, time: f64) -> Option<DVec3> {
+        let Part { simulation, place, .. } = self.parts.iter().find(|part| part.place.has(a))?;
+        simulation.apart(a - place.first, b - place.first, time)
     }
 
     fn contacts(&self) -> Option<&[SurfaceEvent]> {

@@ -1,8 +1,10 @@
 //! How close pairs came without leaving their first phase: the answer to "why did these two not merge?".
 
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, mem::take};
 
-use super::{Frame, PairEvent, Schema};
+use glam::DVec3;
+
+use super::{PairEvent, Schema, Simulation};
 
 /// Upper limit on the number of tracked pairs.
 const MAX_PAIRS: usize = 1 << 16;
@@ -20,64 +22,129 @@ pub struct Approach {
     pub time: f64,
 }
 
-/// The closest approaches of all pairs that came within reach and stayed in their first phase, from the frames of a
-/// run.
-///
-/// Between frames, q² is interpolated by a parabola through three frames: exact for bodies at constant velocity.
+/// A pair that can interact, and how its centres move.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NearPair {
+    /// Index of the first body.
+    pub a: usize,
+    /// Index of the second body; a < b.
+    pub b: usize,
+    /// Index into the schema's phases.
+    pub phase: usize,
+    /// Centre of the second body as seen from that of the first [scene unit].
+    pub apart: DVec3,
+    /// Its rate of change [scene unit/s].
+    pub rate: DVec3,
+}
+
+/// Number of places in a step at which the distance of a pair is looked at.
+const LOOKS: usize = 8;
+
+impl NearPair {
+    /// Time [s] and distance [scene unit] of an extremum of the centre distance within the step of a simulation from
+    /// this state to `next`: of its minimum, or of its maximum. Bodies on paths are where their paths are; the motion of
+    /// others is interpolated by a cubic from their velocities at both ends.
+    pub fn extremum(&self, next: &NearPair, simulation: &dyn Simulation, ends: [f64; 2], is_maximum: bool) -> [f64; 2] {
+        let h = ends[1] - ends[0];
+        let sign = if is_maximum { -1.0 } else { 1.0 };
+        let distance = |z: f64| {
+            let time = ends[0] + z * h;
+            let apart = simulation.apart(self.a, self.b, time).unwrap_or_else(|| {
+                let (value, slope) = ((1.0 - z) * (1.0 - z) * (1.0 + 2.0 * z), z * (1.0 - z) * (1.0 - z) * h);
+                let last_slope = -z * z * (1.0 - z) * h;
+                self.apart * value + next.apart * (1.0 - value) + self.rate * slope + next.rate * last_slope
+            });
+            sign * apart.length()
+        };
+        let at = |k: usize| k as f64 / LOOKS as f64;
+        let looks: [f64; LOOKS + 1] = std::array::from_fn(|k| distance(at(k)));
+        let least = (0..=LOOKS).min_by(|&i, &j| looks[i].total_cmp(&looks[j])).unwrap_or(0);
+        // golden section about the least
+        let share = 0.5 * (5f64.sqrt() - 1.0);
+        let (mut low, mut high) = (at(least.saturating_sub(1)), at((least + 1).min(LOOKS)));
+        let (mut best, mut best_at) = (looks[least], at(least));
+        for _ in 0..40 {
+            let (one, other) = (high - share * (high - low), low + share * (high - low));
+            let (of_one, of_other) = (distance(one), distance(other));
+            for (value, at) in [(of_one, one), (of_other, other)] {
+                if value < best {
+                    (best, best_at) = (value, at);
+                }
+            }
+            if of_one < of_other { high = other } else { low = one }
+        }
+        [ends[0] + best_at * h, sign * best]
+    }
+}
+
+/// The closest approaches of all pairs that came within reach and stayed in their first phase. They are found in the
+/// motion of every step, so they do not depend on which frames are recorded.
 #[derive(Clone, Debug, Default)]
 pub struct Approaches {
     pairs: BTreeMap<(usize, usize), Watched>,
+    /// The pairs after the last step, and the time then [s].
+    before: Vec<NearPair>,
+    time: f64,
+    /// Scratch storage, reused.
+    now: Vec<NearPair>,
 }
 
-/// A pair, and its last two frames.
 #[derive(Clone, Copy, Debug)]
 struct Watched {
     closest: Approach,
-    /// Time and q² in the last frame, and in the previous one if it contained the pair.
-    last: (f64, f64),
-    before: Option<(f64, f64)>,
     /// Whether the pair has left its first phase.
     has_changed: bool,
 }
 
 impl Approaches {
-    /// Adds a frame. Frames must be added in order of time.
-    pub fn add(&mut self, frame: &Frame) {
-        let time = frame.at.time;
-        for pair in &frame.pairs {
-            let now = (time, pair.q * pair.q);
+    /// Starts at the simulation's current state.
+    pub fn new(simulation: &dyn Simulation, schema: &Schema) -> Approaches {
+        let mut approaches = Approaches::default();
+        approaches.step(simulation, schema, &[]);
+        approaches
+    }
+
+    /// Adds the last step of a simulation, given its phase changes.
+    pub fn step(&mut self, simulation: &dyn Simulation, schema: &Schema, changes: &[PairEvent]) {
+        let mut now = take(&mut self.now);
+        simulation.near(&mut now);
+        let time = simulation.time();
+        for change in changes {
+            if let Some(watched) = self.pairs.get_mut(&(change.a, change.b)) {
+                watched.has_changed = true;
+            }
+        }
+        let mut before = self.before.iter().peekable();
+        for pair in &now {
+            let key = (pair.a, pair.b);
+            while before.next_if(|before| (before.a, before.b) < key).is_some() {}
+            let before = before.next_if(|before| (before.a, before.b) == key);
+            let has_changed = pair.phase != 0 || changes.iter().any(|change| (change.a, change.b) == key);
+            let radii = schema.bodies[pair.a].radius + schema.bodies[pair.b].radius;
+            let closest = Approach { a: pair.a, b: pair.b, q: pair.apart.length() / radii, time };
             let is_full = self.pairs.len() >= MAX_PAIRS;
-            let closest = Approach { a: pair.a, b: pair.b, q: pair.q, time };
-            let Some(watched) = self.pairs.get_mut(&(pair.a, pair.b)) else {
-                if !is_full {
-                    let has_changed = pair.phase != 0;
-                    let watched = Watched { closest, last: now, before: None, has_changed };
-                    self.pairs.insert((pair.a, pair.b), watched);
-                }
-                continue;
+            let watched = match self.pairs.get_mut(&key) {
+                Some(watched) => watched,
+                None if is_full => continue,
+                None => self.pairs.entry(key).or_insert(Watched { closest, has_changed }),
             };
-            watched.has_changed |= pair.phase != 0;
+            watched.has_changed |= has_changed;
             if watched.has_changed {
                 continue;
             }
-            if pair.q < watched.closest.q {
+            if closest.q < watched.closest.q {
                 watched.closest = closest;
             }
-            if let Some(before) = watched.before
-                && let Some((time, squared)) = lowest([before, watched.last, now])
-                && squared < watched.closest.q * watched.closest.q
-            {
-                (watched.closest.q, watched.closest.time) = (squared.max(0.0).sqrt(), time);
+            if let Some(before) = before {
+                let [time, distance] = before.extremum(pair, simulation, [self.time, time], false);
+                if distance / radii < watched.closest.q {
+                    // a distance below the threshold would have been an event: what is left is interpolation
+                    let q = f64::max(distance / radii, schema.level(0, pair.a, pair.b).unwrap_or(0.0));
+                    (watched.closest.q, watched.closest.time) = (q.min(watched.closest.q), time);
+                }
             }
-            (watched.before, watched.last) = (Some(watched.last), now);
         }
-    }
-
-    /// Adds a phase change.
-    pub fn change(&mut self, event: &PairEvent) {
-        if let Some(watched) = self.pairs.get_mut(&(event.a, event.b)) {
-            watched.has_changed = true;
-        }
+        (self.before, self.now, self.time) = (now, take(&mut self.before), time);
     }
 
     /// The closest approaches, the nearest first.
@@ -113,36 +180,64 @@ pub(crate) fn lowest([(t0, y0), (t1, y1), (t2, y2)]: [(f64, f64); 3]) -> Option<
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Scene, World, observe::Simulation, observe::Want};
+    use crate::{Scene, World};
+
+    /// The closest approaches of a scene.
+    fn closest(text: &str) -> (Vec<Approach>, Schema) {
+        let mut world = World::new(Scene::parse(text, "miss.toml").unwrap()).unwrap();
+        let schema = Simulation::schema(&world);
+        let mut approaches = Approaches::new(&world, &schema);
+        let mut summary = crate::observe::StepSummary::default();
+        for _ in 0..world.scene().steps() {
+            world.step();
+            world.summary(&mut summary);
+            approaches.step(&world, &schema, &summary.events);
+        }
+        (approaches.closest(), schema)
+    }
 
     /// b passes a at a distance of 2.14 in a straight line: q = 1.07 at t = 2.8 s, between two steps.
     #[test]
-    fn a_near_miss_is_found_between_frames() {
-        let scene = "duration = 4.0\ndt = 0.03\n[[body]]\nname = 'a'\nradius = 1.0\nmotion = { fixed = [0, 0, 0] }\n\
-                     [[body]]\nname = 'b'\nradius = 1.0\n\
-                     motion = { line = { from = [-1.4, 2.14, 0], velocity = [0.5, 0, 0] } }\n";
-        let mut world = World::new(Scene::parse(scene, "miss.toml").unwrap()).unwrap();
-        let (mut approaches, mut frame) = (Approaches::default(), Frame::default());
-        let schema = Simulation::schema(&world);
-        for _ in 0..133 {
-            world.observe(Want::default(), &mut frame);
-            approaches.add(&frame);
-            world.step();
+    fn a_near_miss_is_found_between_steps() {
+        for dt in [0.03, 0.3] {
+            let (found, schema) = closest(&format!(
+                "duration = 3.9\ndt = {dt}\n[[body]]\nname = 'a'\nradius = 1.0\nmotion = {{ fixed = [0, 0, 0] }}\n\
+                 [[body]]\nname = 'b'\nradius = 1.0\n\
+                 motion = {{ line = {{ from = [-1.4, 2.14, 0], velocity = [0.5, 0, 0] }} }}\n"
+            ));
+            let [found] = found[..] else { panic!("one pair") };
+            assert!((found.q - 1.07).abs() < 1e-12 && (found.time - 2.8).abs() < 1e-6, "{found:?}");
+            assert_eq!(
+                found.describe(&schema),
+                "a~b came to q = 1.0700 at t = 2.8000 s, 0.0200 short of merge_at = 1.05"
+            );
         }
-        let [found] = approaches.closest()[..] else { panic!("one pair") };
-        assert!((found.q - 1.07).abs() < 1e-12 && (found.time - 2.8).abs() < 1e-12, "{found:?}");
-        assert_eq!(found.describe(&schema), "a~b came to q = 1.0700 at t = 2.8000 s, 0.0200 short of merge_at = 1.05");
+    }
+
+    /// A path that oscillates within a step: the nearest place is 1.0515 (2.103 apart), never below the threshold.
+    #[test]
+    fn a_near_miss_of_a_fast_path_is_found_within_a_step() {
+        let (found, _) = closest(
+            "duration = 2.0\ndt = 0.1\n[[body]]\nname = 'a'\nradius = 1.0\nmotion = { fixed = [0, 0, 0] }\n\
+             [[body]]\nname = 'b'\nradius = 1.0\n\
+             motion = { sine = { center = [2.4, 0, 0], amplitude = [0.297, 0, 0], frequency = 2.3 } }\n",
+        );
+        assert!(found.len() == 1 && (found[0].q - 1.0515).abs() < 1e-9, "{found:?}");
+    }
+
+    /// A free body turns back above the threshold; steps of a tenth of a second find the same distance as short ones.
+    #[test]
+    fn a_near_miss_of_free_bodies_does_not_depend_on_the_step() {
+        let text = "duration = 1.0\n[[body]]\nname = 'a'\nradius = 1.0\nmotion = { free = { from = [0, 0, 0] } }\n\
+                    [[body]]\nname = 'b'\nradius = 1.0\nmotion = { free = { from = [2.5, 0.1, 0], velocity = [-0.3, 0, 0] } }\n";
+        let of = |dt: f64| closest(&format!("dt = {dt}\n{text}")).0;
+        let (coarse, fine) = (of(0.1), of(1.0 / 240.0));
+        assert!(coarse.len() == 1 && fine.len() == 1, "{coarse:?} {fine:?}");
+        assert!((coarse[0].q - fine[0].q).abs() < 1e-4 && fine[0].q > 1.05, "{coarse:?} {fine:?}");
     }
 
     #[test]
     fn a_pair_that_merges_is_not_listed() {
-        let mut world = World::new(Scene::builtin("two").unwrap()).unwrap();
-        let (mut approaches, mut frame) = (Approaches::default(), Frame::default());
-        for _ in 0..240 {
-            world.observe(Want::default(), &mut frame);
-            approaches.add(&frame);
-            world.step();
-        }
-        assert_eq!(approaches.closest(), []);
+        assert_eq!(closest(Scene::builtin("two").unwrap().source.as_str()).0, []);
     }
 }

@@ -5,6 +5,7 @@
 //! | constant properties of a run: bodies, force terms, scalars, thresholds | [`schema`] |
 //! | the state at an instant; only what is requested is computed | [`frame`] |
 //! | points in time, events | [`event`] |
+//! | the events of a step as rows, in order of time | [`row`] |
 //! | the traits of a simulation, and of the experiment that creates it | [`simulation`] |
 //! | closest approaches of pairs that did not change phase | [`approach`] |
 //! | the largest difference between two states | [`worst`] |
@@ -21,15 +22,17 @@ pub mod checksum;
 pub mod colors;
 pub mod event;
 pub mod frame;
+pub mod row;
 pub mod schema;
 pub mod simulation;
 pub mod surface;
 pub mod touch;
 pub mod worst;
 
-pub use approach::{Approach, Approaches};
+pub use approach::{Approach, Approaches, NearPair};
 pub use event::{BodyEvent, Instant, PairEvent};
 pub use frame::{BodyFrame, Frame, MotionFrame, NetForce, PairFrame, Want};
+pub use row::EventRow;
 pub use schema::Schema;
 pub use simulation::{Experiment, Refusal, Shortfall, Simulation, StageFrame, StepFailure, StepSummary, between};
 pub use touch::SurfaceEvent;

@@ -9,8 +9,9 @@ use std::{
 use glam::{DQuat, DVec3};
 
 use super::{
+    approach::NearPair,
     event::{BodyEvent, Instant, PairEvent},
-    frame::{BodyFrame, Frame, Want},
+    frame::{BodyFrame, Frame, PairFrame, Want},
     schema::Schema,
     touch::SurfaceEvent,
 };
@@ -59,6 +60,27 @@ pub trait Simulation {
 
     /// Writes the requested parts of the state to `frame` (reused).
     fn observe(&self, want: Want, frame: &mut Frame);
+
+    /// Writes the pairs of [`Frame::pairs`], with the motion of their centres, to `pairs` (reused). Called after every
+    /// step. The default observes a frame, and knows no velocities.
+    fn near(&self, pairs: &mut Vec<NearPair>) {
+        let mut frame = Frame::default();
+        self.observe(Want::default(), &mut frame);
+        pairs.clear();
+        pairs.extend(frame.pairs.iter().map(|&PairFrame { a, b, phase, .. }| {
+            let [one, other] = [a, b].map(|body| &frame.bodies[body]);
+            let velocity = |body: &BodyFrame| body.motion.map_or(DVec3::ZERO, |motion| motion.velocity);
+            let rate = velocity(other) - velocity(one);
+            NearPair { a, b, phase, apart: other.centre - one.centre, rate }
+        }));
+    }
+
+    /// Centre of body `b` as seen from that of body `a` at a time within the last step [s, scene unit], if both are on
+    /// paths.
+    fn apart(&self, a: usize, b: usize, time: f64) -> Option<DVec3> {
+        let _ = (a, b, time);
+        None
+    }
 
     /// States inside the step that led from `before` to the current state, in order; by default only its start and end.
     fn stages(&self, before: &Frame) -> Vec<StageFrame> {

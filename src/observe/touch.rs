@@ -7,7 +7,7 @@
 //! the times have the lower order of the scheme.
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     sync::{Arc, atomic::AtomicBool},
 };
 
@@ -15,6 +15,7 @@ use glam::DVec3;
 
 use super::{
     Frame, Schema,
+    approach::NearPair,
     event::PairEvent,
     frame::{PairFrame, Want},
     simulation::Simulation,
@@ -31,6 +32,12 @@ const PRECISION: f64 = 1e-7;
 const MAX_BISECTIONS: u32 = 60;
 /// Upper limit on the watched pairs. If there are more, the closest are watched.
 const MAX_PAIRS: usize = 64;
+/// In scenes of at most this many bodies, a pair that comes within reach is followed from the step before on.
+const FEW_BODIES: usize = 64;
+/// Surfaces are compared within a step each time that a pair has moved by this much [radii of the smaller body] …
+const FAR: f64 = 0.1;
+/// … but at most this often.
+const MAX_LOOKS: f64 = 8.0;
 /// Upper limit on the phase changes of a step for which the surfaces are compared.
 const MAX_CHANGES: usize = 16;
 
@@ -62,7 +69,9 @@ pub enum Finding {
     Phase {
         /// Kind of event: `merge`, `split`, …
         name: &'static str,
-        /// Time at which the surfaces began to touch [s], if they still touch and the time is known.
+        /// Whether the surfaces touch at that time.
+        is_touching: bool,
+        /// Time at which they began to touch [s], if they touch and the time is known.
         touched: Option<f64>,
         /// The measures at that time, if they could be computed.
         measures: Option<PairMeasures>,
@@ -94,12 +103,23 @@ impl SurfaceEvent {
         }
     }
 
+    /// Whether the surfaces begin to touch, or part: an event of its own, not a remark on a phase change.
+    pub fn is_contact(&self) -> bool {
+        matches!(self.what, Finding::Touch | Finding::Part)
+    }
+
+    /// Whether this is the remark on a phase change.
+    pub fn is_on(&self, event: &PairEvent) -> bool {
+        let is_same = (self.a, self.b, self.time) == (event.a, event.b, event.time);
+        is_same && matches!(self.what, Finding::Phase { name, .. } if name == event.name)
+    }
+
     /// Describes the surfaces at a phase change in words; `None` if there are no measures.
     pub fn findings(&self) -> Option<String> {
-        let Finding::Phase { touched, measures, .. } = self.what else { return None };
+        let Finding::Phase { is_touching, touched, measures, .. } = self.what else { return None };
         let PairMeasures { gap, share, neck, .. } = measures?;
-        if gap > 0.0 {
-            return Some(format!("surfaces {gap:.3} R apart"));
+        if !is_touching {
+            return Some(format!("surfaces {:.3} R apart", gap.max(0.0)));
         }
         let touched = match touched {
             Some(time) => format!("surfaces touched {:.3} s before", self.time - time),
@@ -114,8 +134,12 @@ pub struct Touches {
     schema: Schema,
     merger: Merger,
     pairs: BTreeMap<[usize; 2], Known>,
-    /// State before the step, for bodies in pairs.
+    /// State before the step; in scenes of many bodies, of those in pairs only.
     before: Frame,
+    /// The motion of the pairs before the step.
+    near: Vec<NearPair>,
+    /// Whether a state has been seen.
+    has_begun: bool,
     /// Scratch storage, reused.
     inside: Frame,
     local: Vectors,
@@ -142,6 +166,8 @@ impl Touches {
             interrupt: simulation.interrupt(),
             pairs: BTreeMap::new(),
             before: Frame::default(),
+            near: Vec::new(),
+            has_begun: false,
             inside: Frame::default(),
             local: Vectors::default(),
             placed: BTreeMap::new(),
@@ -153,9 +179,11 @@ impl Touches {
         touches
     }
 
-    /// Finds the events of the last step, given its phase changes and the state `now` after it. Misses a pair that
-    /// touches and parts within one step. Skips a step without a frame before it, so that recordings with few frames do
-    /// not pay for a search in every step.
+    /// Finds the events of the last step, given its phase changes and the state `now` after it. Must be called after
+    /// every step.
+    ///
+    /// Whether surfaces touch is examined at the end of the step and, for a visit that is shorter than a step, at the
+    /// extremum of the centre distance within it, and at more instants if the bodies move far in it.
     pub fn step(
         &mut self,
         simulation: &dyn Simulation,
@@ -164,11 +192,20 @@ impl Touches {
         found: &mut Vec<SurfaceEvent>,
     ) {
         found.clear();
-        let is_next = now.at.step == self.before.at.step + 1;
+        let is_next = self.has_begun && now.at.step == self.before.at.step + 1;
+        self.has_begun = true;
+        let mut near = Vec::new();
+        simulation.near(&mut near);
         self.placed.clear();
         let own = simulation.contacts();
         let mut pairs = BTreeMap::new();
         let mut watched: Vec<PairFrame> = now.pairs.clone();
+        // pairs that met and left within the step
+        for change in changes.iter().take(MAX_CHANGES) {
+            if !watched.iter().any(|pair| (pair.a, pair.b) == (change.a, change.b)) {
+                watched.push(PairFrame { a: change.a, b: change.b, q: change.q, phase: change.to });
+            }
+        }
         if watched.len() > MAX_PAIRS {
             watched.sort_by(|x, y| x.q.total_cmp(&y.q).then((x.a, x.b).cmp(&(y.a, y.b))));
             watched.truncate(MAX_PAIRS);
@@ -179,6 +216,10 @@ impl Touches {
             }
             let bodies = [pair.a, pair.b];
             let mut before = self.pairs.get(&bodies).copied();
+            if before.is_none() && is_next && !self.before.pairs.iter().any(|known| [known.a, known.b] == bodies) {
+                before = Some(Known::default()); // it was out of reach
+            }
+            let is_torn = bodies.iter().any(|&body| self.has_torn(body, now));
             if bodies.iter().any(|&body| self.has_torn(body, now)) {
                 // it consists of vertices of the former mesh
                 before.iter_mut().for_each(|before| before.crossing = None);
@@ -194,33 +235,52 @@ impl Touches {
                 bodies.iter().for_each(|&body| self.place(body, now));
                 self.update_contact(bodies, &mut known);
             }
-            let changed = before.filter(|before| before.is_touching != known.is_touching);
-            if changed.is_some() && !is_next {
-                known.touched = None;
-            } else if let Some(before) = changed {
-                let (time, q) = self.when(simulation, bodies, before, now.at.time);
-                if is_raised(self.interrupt) {
-                    return; // the time is not accurate yet
+            if let Some(before) = before.filter(|_| is_next) {
+                let mut last = before;
+                let ends = [self.before.at.time, now.at.time];
+                let visits = if is_torn || before.is_touching != known.is_touching {
+                    Vec::new()
+                } else {
+                    self.instants_between(simulation, &near, bodies, before, now)
+                };
+                let mut start = ends[0];
+                for end in visits.into_iter().chain([ends[1]]) {
+                    let state = if end == ends[1] { known } else { self.known_at(simulation, bodies, last, end) };
+                    if state.is_touching != last.is_touching {
+                        let (time, q) = self.when(simulation, bodies, last, [start, end]);
+                        if is_raised(self.interrupt) {
+                            return; // the time is not accurate yet
+                        }
+                        let what = if state.is_touching { Finding::Touch } else { Finding::Part };
+                        last.touched = state.is_touching.then_some(time);
+                        found.push(SurfaceEvent { what, time, step: now.at.step, a: pair.a, b: pair.b, q });
+                    }
+                    last = Known { touched: last.touched, ..state };
+                    start = end;
                 }
-                let what = if known.is_touching { Finding::Touch } else { Finding::Part };
-                known.touched = known.is_touching.then_some(time);
-                found.push(SurfaceEvent { what, time, step: now.at.step, a: pair.a, b: pair.b, q });
+                known.touched = last.touched;
             }
             pairs.insert(bodies, known);
         }
         take(own.unwrap_or_default(), &mut pairs, found);
         for change in changes.iter().filter(|_| is_next && !is_raised(self.interrupt)).take(MAX_CHANGES) {
             let bodies = [change.a, change.b];
-            let Some(known) = self.pairs.get(&bodies) else { continue };
-            let is_touch = |event: &&SurfaceEvent| [event.a, event.b] == bodies && event.what == Finding::Touch;
-            let just_touched = found.iter().find(is_touch).map(|event| event.time).filter(|&time| time <= change.time);
-            let touched = just_touched.or(known.touched);
+            let known = self.pairs.get(&bodies).copied().unwrap_or_default();
+            // what the last contact event before the change says
+            let is_before =
+                |event: &&SurfaceEvent| [event.a, event.b] == bodies && event.is_contact() && event.time <= change.time;
+            let last = found.iter().filter(is_before).max_by(|x, y| x.time.total_cmp(&y.time));
+            let (is_touching, touched) = match last {
+                Some(last) if last.what == Finding::Touch => (true, Some(last.time)),
+                Some(_) => (false, None),
+                None => (known.is_touching, known.touched),
+            };
             simulation.within(&self.before, change.time, &bodies, &mut self.inside);
             let measures = match self.schema.surfaces.get() {
                 Some(own) => own.measure(&self.schema, &self.inside, bodies, self.interrupt),
                 None => self.merger.merge(&self.schema, &self.inside, &[bodies]).pairs.first().copied().flatten(),
             };
-            let what = Finding::Phase { name: change.name, touched, measures };
+            let what = Finding::Phase { name: change.name, is_touching, touched, measures };
             let PairEvent { time, step, a, b, q, .. } = *change;
             found.push(SurfaceEvent { what, time, step, a, b, q });
         }
@@ -228,8 +288,12 @@ impl Touches {
         self.pairs = pairs;
         self.before.at = now.at;
         self.before.pairs.clone_from(&now.pairs);
+        self.near = near;
         self.before.bodies.resize_with(now.bodies.len(), Default::default);
-        for &body in self.pairs.keys().flatten() {
+        let all = (0..now.bodies.len()).take(if now.bodies.len() <= FEW_BODIES { FEW_BODIES } else { 0 });
+        let of_pairs = self.pairs.keys().flatten().copied();
+        let bodies: BTreeSet<usize> = all.chain(of_pairs).collect();
+        for body in bodies {
             let (from, to) = (&now.bodies[body], &mut self.before.bodies[body]);
             (to.centre, to.rotation, to.motion) = (from.centre, from.rotation, from.motion);
             to.is_at_rest = from.is_at_rest;
@@ -239,15 +303,58 @@ impl Touches {
         }
     }
 
-    /// Adds the events that the simulation found itself in a step without a frame.
-    pub fn between_frames(&mut self, simulation: &dyn Simulation, found: &mut Vec<SurfaceEvent>) {
-        found.clear();
-        take(simulation.contacts().unwrap_or_default(), &mut self.pairs, found);
+    /// The instants within the step [s] at which a pair, in contact or not at both of its ends, may be otherwise.
+    fn instants_between(
+        &self,
+        simulation: &dyn Simulation,
+        near: &[NearPair],
+        bodies: [usize; 2],
+        before: Known,
+        now: &Frame,
+    ) -> Vec<f64> {
+        let is_it = |pair: &&NearPair| [pair.a, pair.b] == bodies;
+        let (Some(from), Some(to)) = (self.near.iter().find(is_it), near.iter().find(is_it)) else {
+            // it came within reach in this step, or left: halfway is the best guess
+            return vec![0.5 * (self.before.at.time + now.at.time)];
+        };
+        let ends = [self.before.at.time, now.at.time];
+        let [time, distance] = from.extremum(to, simulation, ends, before.is_touching);
+        let reach: f64 = bodies
+            .map(|body| {
+                let displaced = |frame: &Frame| frame.bodies.get(body).map_or(0.0, |body| body.max_displacement);
+                self.schema.bodies[body].radius + displaced(&self.before).max(displaced(now))
+            })
+            .iter()
+            .sum();
+        if !before.is_touching && distance > reach * (1.0 + 1e-9) {
+            return Vec::new();
+        }
+        let smaller = bodies.map(|body| self.schema.bodies[body].radius).into_iter().fold(f64::INFINITY, f64::min);
+        let parts = ((to.apart - from.apart).length() / (FAR * smaller)).min(MAX_LOOKS) as u32;
+        let looks = (1..=parts).map(|k| ends[0] + f64::from(k) / f64::from(parts + 1) * (ends[1] - ends[0]));
+        let is_turning = ends[0] < time && time < ends[1];
+        let mut instants: Vec<f64> = looks.chain(is_turning.then_some(time)).collect();
+        instants.sort_by(f64::total_cmp);
+        instants
     }
 
-    /// Time at which the surfaces of a pair touched or parted in the step that ends at `end` [s], and q at that time.
-    fn when(&mut self, simulation: &dyn Simulation, bodies: [usize; 2], before: Known, end: f64) -> (f64, f64) {
-        let (mut low, mut high) = (self.before.at.time, end);
+    /// The state of a pair at a time within the step [s].
+    fn known_at(&mut self, simulation: &dyn Simulation, bodies: [usize; 2], mut known: Known, time: f64) -> Known {
+        let mut inside = std::mem::take(&mut self.inside);
+        simulation.within(&self.before, time, &bodies, &mut inside);
+        for body in bodies {
+            self.placed.remove(&body);
+            self.place(body, &inside);
+        }
+        self.update_contact(bodies, &mut known);
+        self.placed.retain(|body, _| !bodies.contains(body)); // their positions are of another time
+        self.inside = inside;
+        known
+    }
+
+    /// Time at which the surfaces of a pair touched or parted between two times in the step [s], and q at that time.
+    fn when(&mut self, simulation: &dyn Simulation, bodies: [usize; 2], before: Known, ends: [f64; 2]) -> (f64, f64) {
+        let [mut low, mut high] = ends;
         let mut inside = std::mem::take(&mut self.inside);
         let mut known = before;
         for _ in 0..MAX_BISECTIONS {
@@ -379,6 +486,55 @@ mod tests {
             assert!((touch - (4.0 - 1.0 - radius)).abs() < 1e-6, "{along}: {touch}");
             assert!((part - (4.0 + 1.0 + radius)).abs() < 1e-6, "{along}: {part}");
         }
+    }
+
+    /// A small body shoots past a large one: they touch for 12 ms, between two steps of 17 ms, in every model.
+    #[test]
+    fn a_visit_within_a_step_is_a_touch_and_a_part() {
+        use crate::{models::SceneRun, observe::Experiment, scene::Model, sim::Options};
+        // metaballs join at a distance
+        let side = |model| if model == Model::Metaballs { 2.1 } else { 1.3 };
+        for model in Model::ALL {
+            let side = side(model);
+            let text = format!(
+                "duration = 0.2\nmodel = \"{model}\"\n[influence]\nalpha = 0\nbeta = 0\nreach = 3\n[[body]]\nname = \"a\"\n\
+                 radius = 1.0\nmotion = {{ fixed = [0, 0, 0] }}\n[[body]]\nname = \"b\"\nradius = 0.5\n\
+                 motion = {{ line = {{ from = [-11, {side}, 0], velocity = [120, 0, 0] }} }}\n"
+            );
+            let scene = Scene::parse(&text, "visit").unwrap();
+            let steps = scene.steps();
+            let mut simulation = SceneRun { scene, options: Options::default() }.start().unwrap();
+            let (mut touches, mut all, mut of_step) = (Touches::new(&*simulation), Vec::new(), Vec::new());
+            let (mut summary, mut frame) = (crate::observe::StepSummary::default(), Frame::default());
+            for _ in 0..steps {
+                simulation.step();
+                simulation.summary(&mut summary);
+                simulation.observe(Want::default(), &mut frame);
+                touches.step(&*simulation, &frame, &summary.events, &mut of_step);
+                all.extend(of_step.drain(..).filter(SurfaceEvent::is_contact));
+            }
+            let [touch, part] = all[..] else { panic!("{model}: {all:?}") };
+            assert_eq!(
+                (touch.what, part.what, touch.step, part.step),
+                (Finding::Touch, Finding::Part, 6, 6),
+                "{model}"
+            );
+            let middle = 11.0 / 120.0;
+            assert!(touch.time < middle && middle < part.time && part.time - touch.time < 0.0167, "{model}: {all:?}");
+        }
+    }
+
+    /// Merged where the surfaces begin to touch: the remark does not say that they touch before they do.
+    #[test]
+    fn surfaces_that_do_not_touch_yet_are_apart() {
+        let text = "duration = 4.0\n[influence]\nalpha = 0\nbeta = 0\nreach = 3\nmerge_at = 1.0\n[[body]]\nname = \"a\"\n\
+                    radius = 1.0\nmotion = { fixed = [0, 0, 0] }\n[[body]]\nname = \"b\"\nradius = 0.5\n\
+                    motion = { line = { from = [-4.003, 0, 0], velocity = [1, 0, 0] } }\n";
+        let events = found(text, 1.0 / 60.0);
+        let of = |name: &str| events.iter().find(|event| event.name() == name).unwrap();
+        let (merge, touch) = (of("merge"), of("touch"));
+        assert!(merge.time <= touch.time, "{merge:?} {touch:?}");
+        assert_eq!(merge.findings().as_deref(), Some("surfaces 0.000 R apart"));
     }
 
     #[test]

@@ -51,7 +51,7 @@ pub struct Deviation {
     pub step: u64,
     /// Simulated time of that step [s].
     pub time: f64,
-    /// Its values at that step in the first and second run.
+    /// Its values at that step in the first and second run; NaN where a run has none.
     pub values: [f64; 2],
     /// The largest difference, and its step.
     pub largest: (f64, u64),
@@ -62,7 +62,8 @@ pub struct Deviation {
 impl fmt::Display for Deviation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Deviation { what, step, time, values: [first, second], largest: (largest, at), .. } = self;
-        write!(f, "{what}: {first} and {second} at step {step} (t = {time:.6} s)")?;
+        let value = |value: &f64| if value.is_nan() { "none".to_owned() } else { value.to_string() };
+        write!(f, "{what}: {} and {} at step {step} (t = {time:.6} s)", value(first), value(second))?;
         if at == step { Ok(()) } else { write!(f, ", up to {largest:.3e} apart, at step {at}") }
     }
 }
@@ -113,7 +114,7 @@ impl Deviations {
             largest: (difference, step),
             excess,
         });
-        if difference > known.largest.0 {
+        if difference > known.largest.0 || known.largest.0.is_nan() && !difference.is_nan() {
             known.largest = (difference, step);
         }
         known.excess = known.excess.max(excess);
@@ -204,5 +205,23 @@ impl Cursor<'_> {
             self.next += 1;
         }
         self.next.checked_sub(1).and_then(|last| self.line[last].1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A quantity that one run lacks is not a number that differs.
+    #[test]
+    fn a_missing_quantity_is_named_as_none() {
+        let mut deviations = Deviations::new(1e-6, 1.0);
+        deviations.compare("/groups/a/components", 3, 0.05, [2.0, f64::NAN]);
+        deviations.compare("/groups/a/components", 4, 0.06, [2.0, 1.0]);
+        let found: Vec<String> = deviations.finish().iter().map(ToString::to_string).collect();
+        assert_eq!(
+            found,
+            ["components of a's group: 2 and none at step 3 (t = 0.050000 s), up to 1.000e0 apart, at step 4"]
+        );
     }
 }

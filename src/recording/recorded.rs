@@ -331,6 +331,9 @@ fn events_of(chunk: &Chunk) -> Result<Vec<RecordedEvent>, String> {
         };
         let number = |component: &str| cell::<Float64>(chunk, component, row).first().map(|number| number.0);
         let Some(name) = texts("TextLog:level").pop() else { continue };
+        if !texts(event::BODIES).is_empty() && texts(event::PHASES).is_empty() {
+            continue; // surfaces that touch or part, in a thin recording
+        }
         let pair = match texts(event::BODIES).as_slice() {
             [a, b] => format!("{a}~{b}"),
             // older golden recordings have only the line: "NAME A~B at t = …"

@@ -20,8 +20,8 @@ use crate::{
         phase::{Phase, Thresholds},
     },
     observe::{
-        BodyFrame, Frame, Instant, MotionFrame, PairEvent, Schema, Simulation, StageFrame, StepFailure, StepSummary,
-        Want, between,
+        BodyFrame, Frame, Instant, MotionFrame, NearPair, PairEvent, Schema, Simulation, StageFrame, StepFailure,
+        StepSummary, Want, between,
         colors::{self, Rgb},
         schema::{
             self, BodySchema, OwnLevels, OwnSurfaces, PhaseSchema, PlaneSchema, ScalarOf, ScalarSchema, TermSchema,
@@ -346,6 +346,24 @@ impl Simulation for World {
         }
     }
 
+    fn near(&self, pairs: &mut Vec<NearPair>) {
+        pairs.clear();
+        pairs.extend(self.pairs().map(|pair| {
+            let (a, b) = (self.body(pair.a), self.body(pair.b));
+            NearPair {
+                a: pair.a,
+                b: pair.b,
+                phase: pair.phase as usize,
+                apart: b.centre() - a.centre(),
+                rate: b.centre_velocity() - a.centre_velocity(),
+            }
+        }));
+    }
+
+    fn apart(&self, a: usize, b: usize, time: f64) -> Option<DVec3> {
+        apart_on_paths(self.scene(), a, b, time)
+    }
+
     fn stages(&self, before: &Frame) -> Vec<StageFrame> {
         stages::inside(before, self)
     }
@@ -369,6 +387,11 @@ impl Simulation for World {
     fn framing(&self, only_affected_bodies: bool) -> Vec<(DVec3, f64)> {
         framing(self.scene(), only_affected_bodies)
     }
+}
+
+/// Centre of body `b` as seen from that of body `a` [scene unit], if both are on paths.
+pub fn apart_on_paths(scene: &Scene, a: usize, b: usize, time: f64) -> Option<DVec3> {
+    Some(scene.bodies[b].path()?.position(time) - scene.bodies[a].path()?.position(time))
 }
 
 /// What a camera should have in view, see [`Simulation::framing`].

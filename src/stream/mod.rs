@@ -46,7 +46,7 @@
 //! | `/pairs/A~B/gap`, `…/overlap`, `…/neck`, `…/contact` | for the same pairs: smallest distance between the surfaces or minus the penetration depth, volume of the intersection, radius of the seam (in radii of the smaller body); where these and the phase disagree |
 //! | `/events` | one line per merge, split and core event, with the components `bodies`, `phases` (before and after), `time` (s, exact), `q` and its `rate` (1/s); with free bodies also the `energy` that they gained |
 //! | `/events/accuracy` | one line per step in which the error of a body exceeds the tolerance: which body, and by how much |
-//! | `/events/surfaces` | one line when surfaces touch or part, and one per merge, split and core event that describes the surfaces |
+//! | `/events/surfaces` | one line when surfaces touch or part; a thin recording has it in `/events` |
 //! | `/events/bodies` | one line per cell of a body that was cut, or would have torn, and per node that was split, with its position |
 //! | `/timings/STAGE`, `/timings/stacked/STAGE`, `/timings/speed`, `/timings/lag`, `/diagnostics/…` | scalars over time; `stacked`: with the stages before it on the same thread |
 //! | `/marks/axis/KIND`, `/marks/q/KIND` | events as markers in plots: at 0, and at q |

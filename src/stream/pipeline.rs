@@ -51,7 +51,7 @@ pub struct Pipeline {
     handed_over: Clock,
     /// Time spent waiting since the last step.
     waiting: Duration,
-    /// Geometric findings since the last [`Pipeline::surface_events`].
+    /// Findings about surfaces since the last [`Pipeline::surface_events`].
     surfaces: Vec<SurfaceEvent>,
     full: Option<Sender<Packet>>,
     empty: Receiver<Packet>,
@@ -174,7 +174,7 @@ impl Pipeline {
         }
     }
 
-    /// Geometric findings about pairs since the last call.
+    /// Findings about the surfaces of pairs since the last call.
     pub fn surface_events(&mut self) -> Vec<SurfaceEvent> {
         take(&mut self.surfaces)
     }
@@ -192,7 +192,8 @@ impl Pipeline {
         let handed_over = self.hand_over();
         self.full = None;
         match self.thread.take().map(JoinHandle::join) {
-            Some(Ok((recorder, sinks))) => {
+            Some(Ok((mut recorder, sinks))) => {
+                recorder.watched_by(take(&mut self.watch));
                 let Shared { notes, failure } = take(&mut *self.lock());
                 Ok(PipelineEnd { recorder, sinks, notes, failure: failure.or(handed_over.err()) })
             }

@@ -33,7 +33,7 @@ pub use super::{
     settings::{Detail, Entities, MOST_PAIRS, Settings, file_stem},
 };
 use crate::{
-    observe::{Approaches, Frame, Schema, Simulation, StageFrame, StepFailure, StepSummary},
+    observe::{Frame, Schema, Simulation, StageFrame, StepFailure, StepSummary, row::rows},
     sdk::{
         self, AnyValues, ApplicationId, AsComponents, LogMsg, Scalars, StoreId, StoreKind, TextDocument, TextLog,
         ViewCoordinates,
@@ -81,7 +81,6 @@ struct FrameParts {
     /// Paths of free bodies; not in a batch, where they would hide everything.
     trails: Option<Trails>,
     series: Series,
-    approaches: Approaches,
     focus: FocusFinder,
     /// Colours of displacements, with forces.
     heat: Option<Heat>,
@@ -279,23 +278,16 @@ impl Recorder {
         let start = Clock::now();
         let at = step.summary.at;
         self.checksums.push(at, step.checksum);
-        let Some(parts) = &mut self.parts else {
-            step.summary.events.iter().for_each(|event| pairs::log_event_line(&self.schema, event, &mut self.chunks));
-            return;
-        };
+        for row in rows(&step.summary.events, &step.surfaces, &step.bodies) {
+            pairs::log_row(&self.schema, &row, self.settings.frames == Frames::Thin, &mut self.chunks);
+        }
+        let Some(parts) = &mut self.parts else { return };
         parts.numbers.add(step);
         for event in &step.summary.events {
             parts.pairs.log_event(&self.schema, event, &mut parts.series, &mut self.chunks);
-            parts.approaches.change(event);
             parts.changed = Some(Instant { step: event.step, time: event.time });
             parts.focus.event(&self.schema, event);
             parts.state.lines.event(&self.schema, event);
-        }
-        for event in &step.surfaces {
-            pairs::log_surface_event(&self.schema, event, &mut self.chunks);
-        }
-        for event in &step.bodies {
-            pairs::log_body_event(&self.schema, event, &mut self.chunks);
         }
         if let Some(shortfall) = &step.summary.shortfall {
             pairs::log_shortfall(&self.schema, shortfall, at, &mut self.chunks);
@@ -401,8 +393,12 @@ impl Recorder {
 
     /// Describes the closest approaches of pairs that stayed in their first phase, closest first.
     pub fn approaches(&self) -> Vec<String> {
-        let closest = self.parts.as_ref().map(|parts| parts.approaches.closest()).unwrap_or_default();
-        closest.iter().map(|approach| approach.describe(&self.schema)).collect()
+        self.watch.approaches()
+    }
+
+    /// Takes over from who observed the steps of this recording in its place.
+    pub fn watched_by(&mut self, watch: StepWatch) {
+        self.watch = watch;
     }
 
     /// Ends the recording: extends plot lines to its end, and logs the final number of steps and near misses.
@@ -463,7 +459,6 @@ impl FrameParts {
             numbers,
             trails,
             series,
-            approaches: Approaches::default(),
             focus: FocusFinder::new(settings),
             heat: (settings.detail != Detail::Surface)
                 .then(|| Heat::new(blueprint::surfaces(schema, settings), chunks)),
@@ -474,8 +469,7 @@ impl FrameParts {
     /// Logs changed values; `number` is the number of the frame.
     fn log(&mut self, view: FrameView<'_>, number: u64, chunks: &mut Chunks) {
         let start = Clock::now();
-        let FrameParts { state, pairs, groups, numbers, trails, series, approaches, focus, heat, changed } = self;
-        approaches.add(view.frame);
+        let FrameParts { state, pairs, groups, numbers, trails, series, focus, heat, changed } = self;
         focus.frame(view);
         let [extracting, ahead] = state.log(view, pairs.choose(view, series, chunks), chunks);
         if let Some(trails) = trails {

@@ -2,8 +2,10 @@
 
 use std::time::{Duration, Instant as Clock};
 
-use super::settings::{Frames, Settings};
-use crate::observe::{BodyEvent, Frame, Simulation, StageFrame, StepSummary, SurfaceEvent, touch::Touches};
+use super::settings::Settings;
+use crate::observe::{
+    Approaches, BodyEvent, Frame, Schema, Simulation, StageFrame, StepSummary, SurfaceEvent, Want, touch::Touches,
+};
 
 /// The data of a step to be recorded, apart from its frame. Reused.
 #[derive(Clone, Debug, Default)]
@@ -20,7 +22,7 @@ pub struct StepRecord {
     pub lag: Option<Duration>,
     /// When the step was completed.
     pub end: Option<Clock>,
-    /// Geometric findings in the step.
+    /// Surfaces that touch or part in the step, and remarks on its phase changes.
     pub surfaces: Vec<SurfaceEvent>,
     /// Events of single bodies in the step.
     pub bodies: Vec<BodyEvent>,
@@ -32,8 +34,16 @@ pub struct StepRecord {
 #[derive(Default)]
 pub struct StepWatch {
     before: Option<Frame>,
-    /// The surfaces of pairs, if frames are recorded.
-    touches: Option<Touches>,
+    /// What happens between bodies, if there are several: the same whatever is recorded.
+    pairs: Option<PairWatch>,
+}
+
+struct PairWatch {
+    schema: Schema,
+    touches: Touches,
+    approaches: Approaches,
+    /// The state after a step without a recorded frame; reused.
+    frame: Frame,
 }
 
 impl StepWatch {
@@ -41,9 +51,20 @@ impl StepWatch {
     pub fn new(simulation: &dyn Simulation, settings: &Settings) -> StepWatch {
         let mut watch = StepWatch::default();
         watch.stages(simulation, settings);
-        let has_pairs = simulation.schema().bodies.len() > 1;
-        watch.touches = (settings.frames != Frames::Thin && has_pairs).then(|| Touches::new(simulation));
+        let schema = simulation.schema();
+        watch.pairs = (schema.bodies.len() > 1).then(|| PairWatch {
+            touches: Touches::new(simulation),
+            approaches: Approaches::new(simulation, &schema),
+            frame: Frame::default(),
+            schema,
+        });
         watch
+    }
+
+    /// The closest approaches of pairs that stayed in their first phase, closest first.
+    pub fn approaches(&self) -> Vec<String> {
+        let Some(PairWatch { schema, approaches, .. }) = &self.pairs else { return Vec::new() };
+        approaches.closest().iter().map(|approach| approach.describe(schema)).collect()
     }
 
     /// Writes the last step to `record`, and its frame to `frame` if one is due.
@@ -60,12 +81,13 @@ impl StepWatch {
         }
         simulation.summary(&mut record.summary);
         record.surfaces.clear();
-        match (&mut self.touches, frame) {
-            (Some(touches), Some(frame)) => {
-                touches.step(simulation, frame, &record.summary.events, &mut record.surfaces);
-            }
-            (Some(touches), None) => touches.between_frames(simulation, &mut record.surfaces),
-            (None, _) => {}
+        if let Some(PairWatch { schema, touches, approaches, frame: own }) = &mut self.pairs {
+            let frame = frame.unwrap_or_else(|| {
+                simulation.observe(Want::default(), own);
+                own
+            });
+            touches.step(simulation, frame, &record.summary.events, &mut record.surfaces);
+            approaches.step(simulation, schema, &record.summary.events);
         }
         record.bodies.clear();
         record.bodies.extend_from_slice(simulation.body_events());

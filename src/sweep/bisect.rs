@@ -1,4 +1,4 @@
-//! Thresholds: where the outcome changes along one axis.
+//! Thresholds: where the outcome changes along one axis, between neighbours of the grid that differ.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -32,8 +32,8 @@ pub struct Threshold {
     pub classes: [u8; 2],
 }
 
-/// Finds every change of outcome between neighbours of the grid along an axis; `outcome` returns the class of a grid
-/// point. `None` if interrupted.
+/// Finds changes of outcome along an axis, between neighbours of the grid whose outcomes differ; `outcome` returns the
+/// class of a grid point. An even number of changes between two neighbours is not seen. `None` if interrupted.
 pub fn thresholds(
     runner: &Runner<'_>,
     design: &Design,

@@ -77,6 +77,10 @@ struct Seen {
     value: f64,
 }
 
+/// What a map cannot show, for its readers.
+pub const MISSABLE: &str = "a region smaller than a cell of the first grid may be missing: --refine divides only cells with a \
+                            boundary in sight";
+
 impl Map {
     /// The maps of the rows in a folder; `None` if the sweep has no numeric axis, or combinations that cannot be drawn.
     ///

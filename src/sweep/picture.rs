@@ -15,7 +15,7 @@ use std::path::Path;
 
 use super::{
     Sweep, bisect,
-    map::{COLORS, Map, Slice, boundary, ticks},
+    map::{COLORS, MISSABLE, Map, Slice, boundary, ticks},
     refine::FAILED,
     row::Cell,
     store::{Store, StoreError},
@@ -82,7 +82,8 @@ pub fn save(map: &Map, sweep: &Sweep, store: &Store, title: &str, path: &Path) -
         None => String::new(),
     };
     let about = format!(
-        "**{title}**: {}; {}.  \n{colored}{}. Select a point to see its row: `meldscope sweep … --open ROW` records it.",
+        "**{title}**: {}; {}.  \n{colored}{}. Select a point to see its row: `meldscope sweep … --open ROW` records it.  \n\
+         Note: {MISSABLE}.",
         counted(map.rows, "run"),
         axes.join(", "),
         classes.join(", "),

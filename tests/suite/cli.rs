@@ -11,7 +11,9 @@ use std::{
     time::{Duration, Instant},
 };
 
-use meldscope::{Scene, World, recording::read::Reader, scene::builtin, sim::Event, stream::Settings, text};
+use meldscope::{
+    Scene, World, recording::read::Reader, scene::builtin, sdk::EntityPath, sim::Event, stream::Settings, text,
+};
 use proptest::prelude::*;
 
 use crate::{
@@ -249,7 +251,7 @@ fn a_run_reports_its_results_and_how_to_open_the_recording() {
         format!("{steps} steps"),
         "exponential".to_owned(),
         format!("{:.3} s simulated in ", world.time()),
-        format!("{} events", events.len()),
+        format!("{} events", events.len() + 2), // the surfaces touch and part
         format!("saved x.rrd: {} frames, {}", steps + 1, text::bytes(size(&dir.file("x.rrd")))),
         "`rerun x.rrd`".to_owned(),
         "--serve".to_owned(),
@@ -647,7 +649,7 @@ fn standard_output_can_be_the_recording() {
     let dir = scene_dir();
     let ran = run(&dir, &["run", "small.toml", "--stdout"]);
     assert_eq!(ran.status, 0, "{}", ran.err);
-    assert!(ran.err.contains("small: 2 bodies") && ran.err.contains("2 events"), "{}", ran.err);
+    assert!(ran.err.contains("small: 2 bodies") && ran.err.contains("4 events"), "{}", ran.err);
     assert!(!ran.err.contains(['\u{1b}', '\r']), "{:?}", ran.err);
     assert_eq!(dir.names(), ["small.toml"]);
     let piped = Recording::read(&ran.bytes[..]);
@@ -1109,6 +1111,87 @@ fn options_without_effect_are_rejected_with_the_missing_option() {
     assert!(printed.contains("; 1 step of "), "{printed}");
 }
 
+// ---- events --------------------------------------------------------------------------------------------------------
+
+/// One row for each event, in order of time, with the remark on the surfaces: the same in the summary, in the recording
+/// and in the table, whatever is recorded. The closest approach is the same too.
+#[test]
+fn events_are_the_same_in_summaries_recordings_and_tables() {
+    let dir = Dir::new();
+    let scene = "name = \"s\"\nduration = 5.0\n[[body]]\nname = \"a\"\nradius = 1.0\nshape = { sphere = { stacks = 8, slices = 12 } }\n\
+                 motion = { fixed = [0, 0, 0] }\n[[body]]\nname = \"b\"\nradius = 1.0\nshape = { sphere = { stacks = 8, slices = 12 } }\n\
+                 motion = { sine = { center = [2.2, 0, 0], amplitude = [0.4, 0, 0], frequency = 0.4 } }\n[[body]]\nname = \"c\"\n\
+                 radius = 1.0\nmotion = { line = { from = [-1.4, 2.14, 0], velocity = [0.5, 0, 0] } }\n";
+    fs::write(dir.path().join("s.toml"), scene).expect("a file");
+    let mut others: Option<(Vec<String>, Vec<String>)> = None;
+    for options in [&[][..], &["--every", "7"], &["--thin"], &["--keep", "3"]] {
+        let printed = run(&dir, &[&["run", "s.toml", "--save", "s.rrd"], options].concat()).succeeded().out;
+        let lines = |what: &str| -> Vec<String> {
+            printed.lines().filter(|line| line.starts_with("  ") && line.contains(what)).map(str::to_owned).collect()
+        };
+        let (events, misses) = (lines(", step "), lines(" short of "));
+        assert!(printed.contains(&format!("{} events:", events.len())), "{printed}");
+        assert!(events.iter().any(|line| line.contains("touch a~b")) && !misses.is_empty(), "{printed}");
+        if let Some((others, misses_then)) = &others {
+            assert_eq!((others, misses_then), (&events, &misses), "{options:?}");
+        }
+        let recording = Recording::open(&dir.path().join("s.rrd"));
+        let entities = ["/events", "/events/surfaces", "/events/bodies"];
+        let all = entities.iter().flat_map(|&entity| recording.rows(&EntityPath::from(entity)));
+        let mut rows: Vec<_> = all.map(|(_, row)| row).collect();
+        rows.sort_by_key(|row| row.time);
+        let texts: Vec<String> = rows.iter().map(|row| row.text("TextLog:text")).collect();
+        assert_eq!(texts.len(), events.len(), "{options:?}: {texts:?}");
+        for (line, text) in events.iter().zip(&texts) {
+            let (head, remark) = text.split_once("; ").unwrap_or((text, ""));
+            assert!(line.contains(head) && line.contains(remark), "{line}: {text}");
+        }
+        let merge = texts.iter().find(|text| text.starts_with("merge a~b")).expect("a merge");
+        assert!(merge.contains("; surfaces "), "{merge}");
+        run(&dir, &["export", "s.rrd", "--events", "events.csv"]).succeeded();
+        let table = fs::read_to_string(dir.path().join("events.csv")).expect("a table");
+        let times: Vec<f64> = table
+            .lines()
+            .skip(1)
+            .map(|line| line.split(',').nth(1).and_then(|time| time.parse().ok()).expect("a time"))
+            .collect();
+        assert!(times.len() == events.len() && times.is_sorted(), "{table}");
+        others = Some((events, misses));
+        for name in ["s.rrd", "events.csv"] {
+            fs::remove_file(dir.path().join(name)).expect("it exists");
+        }
+    }
+}
+
+/// A rate of steps from a few milliseconds is noise: none is given.
+#[test]
+fn a_rate_of_steps_is_given_only_for_runs_that_take_a_while() {
+    let dir = Dir::new();
+    let printed = run(&dir, &["run", "push", "--steps", "3", "--save", "x.rrd"]).succeeded().out;
+    assert!(printed.contains("s, recorded in") && !printed.contains("steps/s"), "{printed}");
+}
+
+#[test]
+fn thin_recordings_say_that_they_hold_events() {
+    let dir = Dir::new();
+    let printed = run(&dir, &["run", "two", "--thin", "--save", "x.rrd"]).succeeded().out;
+    assert!(printed.contains("the scene, ") && printed.contains(" events and 301 checksums"), "{printed}");
+    let printed = run(&dir, &["replay", "x.rrd", "--integrator", "rk4"]).succeeded().out;
+    assert!(printed.contains("2 phase changes, 2 recorded:"), "{printed}");
+}
+
+/// A file that lacks nothing but its end is not said to be cut short after the last of its steps.
+#[test]
+fn a_recording_without_its_end_names_what_it_lacks() {
+    let dir = Dir::new();
+    run(&dir, &["run", "push", "--save", "x.rrd"]).succeeded();
+    let path = dir.path().join("x.rrd");
+    let bytes = fs::read(&path).expect("the file");
+    fs::write(&path, &bytes[..bytes.len() - 10]).expect("a file");
+    let Ran { status, err, .. } = run(&dir, &["replay", "x.rrd"]);
+    assert!(status == 2 && err.contains("has all 180 steps but lacks its end"), "{err}");
+}
+
 // ---- tables --------------------------------------------------------------------------------------------------------
 
 #[test]
@@ -1133,7 +1216,10 @@ fn exported_tables_match_the_run_bit_by_bit() {
         }
         events.extend(world.step().events.iter().map(|event| (event.step, event.name(), event.time, event.q)));
     }
-    let found: Vec<_> = rows("events.csv");
+    let all = rows("events.csv");
+    assert!(all.is_sorted_by_key(|row| row[1].parse::<f64>().expect("a time")), "{all:?}");
+    assert_eq!(all.iter().filter(|row| row[2] == "touch").count(), 1, "{all:?}");
+    let found: Vec<_> = all.iter().filter(|row| !["touch", "part"].contains(&row[2].as_str())).collect();
     assert_eq!(found.len(), events.len());
     for (row, (step, name, time, q)) in found.iter().zip(events) {
         assert_eq!(row[..3], [step.to_string(), format!("{time:?}"), name.to_owned()]);
@@ -1326,7 +1412,9 @@ fn a_thin_recording_shows_its_events_and_the_next_command() {
     let dir = Dir::new();
     run(&dir, &["run", "two", "--thin", "--save", "x.rrd"]).succeeded();
     let recording = Recording::open(&dir.file("x.rrd"));
-    assert_eq!(recording.changes("/events").len(), 2);
+    let events: Vec<String> =
+        recording.rows(&EntityPath::from("/events")).iter().map(|(_, row)| row.text("TextLog:level")).collect();
+    assert_eq!(events, ["merge", "touch", "split", "part"]);
     let about = recording.fixed("/about").text("TextDocument:text");
     assert!(about.contains("meldscope replay F.rrd --save full.rrd"), "{about}");
 }

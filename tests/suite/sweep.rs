@@ -101,6 +101,10 @@ fn broken_sweeps_are_rejected_with_their_position() {
             "s.toml:4:10: axis[0].values: influence.merge_at = 1.3 makes the scene invalid: influence.split_at: expected a number of at least merge_at (1.3), found 1.2",
         ),
         (
+            "[[axis]]\nkey = 'body.a.motion.fixed'\nvalues = [0.3]\n",
+            "body.a.motion.fixed = 0.3 makes the scene invalid: body[\"a\"].motion.fixed: expected an array of 3 numbers [x, y, z], found 0.3",
+        ),
+        (
             "[[axis]]\nkey = 'influence.weight'\nvalues = ['linear', 'cubic']\n",
             "influence.weight = \"cubic\" makes the scene invalid: influence.weight: expected one of",
         ),
@@ -143,7 +147,10 @@ fn a_boundary_in_closed_form_is_found_to_1e_9() {
     let dir = folder(OVER_OFFSETS);
     let output = succeeds(&dir, "s.toml --out out --bisect influence.merge_at");
     assert!(output.contains("81 runs"), "{output}");
+    assert!(output.contains("a region smaller than a cell of the first grid may be missing"), "{output}");
+    assert!(output.contains("two changes between neighbours of the same outcome are not found"), "{output}");
     let svg = fs::read_to_string(dir.file("out/map.svg")).unwrap();
+    assert!(svg.contains("a region smaller than a cell of the first grid may be missing"), "{svg}");
     assert!(svg.contains("influence.merge_at") && svg.contains(">split<") && svg.contains(">apart<"), "{svg}");
     let column = |name: &str, kind| Column { name: name.to_owned(), kind, about: "", is_nullable: false };
     let columns = [

@@ -5,7 +5,7 @@ use std::path::Path;
 use crate::{
     cli::Failure,
     geometry::Vectors,
-    observe::{Frame, Instant, PairEvent, Schema, StepSummary, schema::ScalarOf},
+    observe::{EventRow, Frame, Instant, Schema, StepSummary, schema::ScalarOf},
     table::{Cell, Column, Kind, Table, TableError},
 };
 
@@ -26,7 +26,9 @@ fn columns(columns: &[(&str, Kind)]) -> Vec<Column> {
 pub struct Events(pub Table);
 
 impl Events {
-    /// `step`, `time` [s], `event`, the bodies `a` and `b`, `q` and its `rate` [1/s], the phases `from` and `to`.
+    /// `step`, `time` [s], `event`, the bodies `a` and `b`, `q` and its `rate` [1/s], the phases `from` and `to`, and a
+    /// remark on the `surfaces` at a phase change. Empty cells do not apply: surfaces that touch and part change no
+    /// phase, and an event of a single body has no `b`.
     pub fn create(path: &Path) -> Result<Events, Failure> {
         use Kind::{Count, Float, Text};
         let columns = columns(&[
@@ -39,24 +41,28 @@ impl Events {
             ("rate", Float),
             ("from", Text),
             ("to", Text),
+            ("surfaces", Text),
         ]);
         Ok(Events(Table::create(path, columns)?))
     }
 
     /// Adds an event.
-    pub fn add(&mut self, schema: &Schema, event: &PairEvent) -> Result<(), Failure> {
-        let phase = |phase: usize| Cell::Text(schema.phases[phase].name);
-        Ok(self.0.row(&[
-            Cell::Count(event.step),
-            Cell::Float(event.time),
-            Cell::Text(event.name),
-            body(schema, event.a),
-            body(schema, event.b),
-            Cell::Float(event.q),
-            Cell::Float(event.rate),
-            phase(event.from),
-            phase(event.to),
-        ])?)
+    pub fn add(&mut self, schema: &Schema, row: &EventRow<'_>) -> Result<(), Failure> {
+        let head = |name| [Cell::Count(row.step()), Cell::Float(row.time()), Cell::Text(name)];
+        let pair = |a, b, q| [body(schema, a), body(schema, b), Cell::Float(q)];
+        let cells = match row {
+            EventRow::Phase(event, surfaces) => {
+                let phase = |phase: usize| Cell::Text(schema.phases[phase].name);
+                let surfaces = surfaces.as_deref().map_or(Cell::Null, Cell::Text);
+                let rest = [Cell::Float(event.rate), phase(event.from), phase(event.to), surfaces];
+                [&head(event.name)[..], &pair(event.a, event.b, event.q), &rest].concat()
+            }
+            EventRow::Contact(event) => {
+                [&head(event.name())[..], &pair(event.a, event.b, event.q), &[Cell::Null; 4]].concat()
+            }
+            EventRow::Body(event) => [&head(event.name)[..], &[body(schema, event.body)], &[Cell::Null; 6]].concat(),
+        };
+        Ok(self.0.row(&cells)?)
     }
 }
 

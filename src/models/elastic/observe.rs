@@ -15,8 +15,8 @@ use crate::{
     model::phase::Phase,
     models::lattice::Constants,
     observe::{
-        BodyEvent, BodyFrame, Frame, Instant, MotionFrame, NetForce, PairFrame, Schema, Simulation, StepSummary, Want,
-        checksum,
+        BodyEvent, BodyFrame, Frame, Instant, MotionFrame, NearPair, NetForce, PairFrame, Schema, Simulation,
+        StepSummary, Want, checksum,
         schema::{ScalarOf, ScalarSchema},
     },
     scene::{Integrator, Model, Scene, TearMode},
@@ -448,6 +448,28 @@ impl Simulation for Elastic {
         let own: usize = self.bodies.iter().map(Body::memory).sum();
         let world = self.world.as_ref().map_or(0, World::memory);
         Some((own + self.shared + self.grid.memory() + world) as u64)
+    }
+
+    fn near(&self, pairs: &mut Vec<NearPair>) {
+        if let Some(world) = &self.world {
+            return world.near(pairs);
+        }
+        let mut found = Vec::new();
+        self.near_pairs(&mut found);
+        let time = self.time_of(self.step);
+        let velocity = |body: usize| {
+            let free = self.bodies[body].free.as_ref().map(|free| free.velocity);
+            free.or(self.path(body).map(|path| path.at(time).velocity)).unwrap_or_default()
+        };
+        pairs.clear();
+        pairs.extend(found.iter().map(|&PairFrame { a, b, phase, .. }| {
+            let apart = self.centre(b) - self.centre(a);
+            NearPair { a, b, phase, apart, rate: velocity(b) - velocity(a) }
+        }));
+    }
+
+    fn apart(&self, a: usize, b: usize, time: f64) -> Option<DVec3> {
+        simulation::apart_on_paths(&self.scene, a, b, time)
     }
 
     fn framing(&self, only_what_happens: bool) -> Vec<(DVec3, f64)> {

@@ -30,6 +30,7 @@ mod tests;
 
 use std::{
     collections::BTreeMap,
+    mem::replace,
     time::{Duration, Instant as Clock},
 };
 
@@ -39,7 +40,7 @@ use super::Unsupported;
 use crate::{
     geometry::Rest,
     observe::{
-        BodyFrame, Frame, Instant, Schema, Simulation, StepSummary, SurfaceEvent, Want, checksum, colors,
+        BodyFrame, Frame, Instant, NearPair, Schema, Simulation, StepSummary, SurfaceEvent, Want, checksum, colors,
         schema::{OwnSurfaces, ScalarOf, ScalarSchema, TermSchema},
         touch::Finding,
     },
@@ -144,35 +145,50 @@ impl Metaballs {
         if centres == self.centres {
             return;
         }
-        self.centres = centres;
+        let before = replace(&mut self.centres, centres);
         let mut ones: BTreeMap<[usize; 2], bool> = BTreeMap::new();
         let known = self.ones.iter().filter(|(_, is_one)| **is_one).map(|(pair, _)| *pair);
-        for pair in self.near().into_iter().chain(known) {
+        let met = self.world.report().events.iter().map(|event| [event.a as usize, event.b as usize]);
+        let pairs: Vec<[usize; 2]> = self.near().into_iter().chain(known).chain(met).collect();
+        for pair in pairs {
             if ones.contains_key(&pair) {
                 continue;
             }
             let was = self.ones.get(&pair).copied().unwrap_or(false);
             let is_one = self.are_one(pair, &self.centres);
             ones.insert(pair, is_one);
-            if was == is_one {
+            if was != is_one {
+                self.find_contact(pair, was, [start, end], step);
                 continue;
             }
-            let (mut low, mut high) = (start, end);
-            for _ in 0..MAX_HALVINGS {
-                let middle = 0.5 * (low + high);
-                if middle <= low || middle >= high {
-                    break;
-                }
-                if self.are_one(pair, &self.centres_at(middle)) == was { low = middle } else { high = middle }
-            }
+            // a visit that is shorter than the step is found where the centres are nearest or farthest
             let [a, b] = pair;
-            let [one, other] = pair.map(|body| path(&self.scene.bodies[body]).position(high));
-            let q = one.distance(other) / (self.scene.bodies[a].radius + self.scene.bodies[b].radius);
-            let what = if is_one { Finding::Touch } else { Finding::Part };
-            self.contacts.push(SurfaceEvent { what, time: high, step, a, b, q });
+            let near =
+                |centres: &[DVec3]| NearPair { a, b, phase: 0, apart: centres[b] - centres[a], rate: DVec3::ZERO };
+            let [turn, _] = near(&before).extremum(&near(&self.centres), &self.world, [start, end], was);
+            if start < turn && turn < end && self.are_one(pair, &self.centres_at(turn)) != was {
+                self.find_contact(pair, was, [start, turn], step);
+                self.find_contact(pair, !was, [turn, end], step);
+            }
         }
         self.ones = ones;
         self.contacts.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
+    }
+
+    /// Adds the event in which a pair, one or not at the first of two times in the step, becomes the other by the second.
+    fn find_contact(&mut self, pair: [usize; 2], was: bool, [mut low, mut high]: [f64; 2], step: u64) {
+        for _ in 0..MAX_HALVINGS {
+            let middle = 0.5 * (low + high);
+            if middle <= low || middle >= high {
+                break;
+            }
+            if self.are_one(pair, &self.centres_at(middle)) == was { low = middle } else { high = middle }
+        }
+        let [a, b] = pair;
+        let [one, other] = pair.map(|body| path(&self.scene.bodies[body]).position(high));
+        let q = one.distance(other) / (self.scene.bodies[a].radius + self.scene.bodies[b].radius);
+        let what = if was { Finding::Part } else { Finding::Touch };
+        self.contacts.push(SurfaceEvent { what, time: high, step, a, b, q });
     }
 
     fn record_changes(&mut self) {
@@ -388,6 +404,14 @@ impl Simulation for Metaballs {
             now.centre = *centre; // all contribute to the density
         }
         bodies.iter().for_each(|&body| self.deform(body, &centres, time, &mut frame.bodies[body]));
+    }
+
+    fn near(&self, pairs: &mut Vec<NearPair>) {
+        self.world.near(pairs);
+    }
+
+    fn apart(&self, a: usize, b: usize, time: f64) -> Option<DVec3> {
+        self.world.apart(a, b, time)
     }
 
     fn contacts(&self) -> Option<&[SurfaceEvent]> {

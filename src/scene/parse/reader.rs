@@ -228,7 +228,11 @@ impl<'a> Value<'a> {
         let as_written = || clip(self.source.text.get(self.span.clone()).unwrap_or_default());
         match self.value {
             DeValue::String(text) => format!("the string \"{}\"", clip(text)),
-            DeValue::Integer(_) | DeValue::Float(_) | DeValue::Boolean(_) => as_written(),
+            // the value itself: a sweep may have put it in the place of what is written there
+            DeValue::Float(number) => clip(number.as_str()),
+            DeValue::Integer(number) if number.radix() == 10 => clip(number.as_str()),
+            DeValue::Boolean(word) => word.to_string(),
+            DeValue::Integer(_) => as_written(),
             DeValue::Datetime(_) => format!("the date-time {}", as_written()),
             DeValue::Array(items) => match items.len() {
                 0 => "an empty array".to_owned(),

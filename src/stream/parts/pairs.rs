@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use super::{FrameView, marks::Marks};
 use crate::{
     observe::{
-        BodyEvent, Frame, PairEvent, PairFrame, Schema, Shortfall, SurfaceEvent, colors, surface::PairMeasures,
-        touch::Finding,
+        BodyEvent, EventRow, Frame, PairEvent, PairFrame, Schema, Shortfall, SurfaceEvent, colors,
+        surface::PairMeasures, touch::Finding,
     },
     sdk::{
         AnyValues, AsComponents, SerializedComponentBatch, SeriesLines, StateChange, StateConfiguration, TextLog,
@@ -283,7 +283,7 @@ impl PairPlots {
         self.known.get(&(a, b)).map(|pair| pair.phase.as_str())
     }
 
-    /// Logs an event as a line and as a change of phase, at its exact time.
+    /// Logs an event as a change of phase, at its exact time.
     pub fn log_event(&mut self, schema: &Schema, event: &PairEvent, series: &mut Series, chunks: &mut Chunks) {
         let at = Instant { step: event.step, time: event.time };
         let pair = PairFrame { a: event.a, b: event.b, q: event.q, phase: event.from };
@@ -293,7 +293,6 @@ impl PairPlots {
             chunks.log(entity, at, &StateChange::single(schema.phases[event.to].name));
         }
         self.marks.log(schema, event, is_plotted, chunks);
-        log_event_line(schema, event, chunks);
     }
 }
 
@@ -370,45 +369,74 @@ pub mod event {
     pub const RATE: &str = "rate";
 }
 
-/// Logs the line of an event, with its components in the same row.
-pub fn log_event_line(schema: &Schema, event: &PairEvent, chunks: &mut Chunks) {
-    let at = Instant { step: event.step, time: event.time };
-    let color = color(schema.phases[event.to].color);
-    let line = TextLog::new(schema.describe(event)).with_level(event.name).with_color(color);
-    let [before, after] = [event.from, event.to].map(|phase| schema.phases[phase].name);
-    let typed = AnyValues::default()
-        .with_component::<Text>(event::BODIES, [event.a, event.b].map(|body| schema.bodies[body].name.as_str()))
-        .with_component::<Text>(event::PHASES, [before, after])
-        .with_component::<Scalar>(event::TIME, [event.time])
-        .with_component::<Scalar>(event::Q, [event.q])
-        .with_component::<Scalar>(event::RATE, [event.rate]);
-    let typed = match event.energy {
-        Some(energy) => typed.with_component::<Scalar>(event::ENERGY, [energy]),
-        None => typed,
-    };
-    chunks.log("/events", at, &Together(&[&line, &typed]));
+/// Logs an event as a line, at its exact time. In a thin recording, surfaces that touch and part are among the phase
+/// changes, in rows without phases: another entity would be a tenth of the file.
+pub fn log_row(schema: &Schema, row: &EventRow<'_>, is_thin: bool, chunks: &mut Chunks) {
+    match row {
+        EventRow::Phase(event, _) => {
+            let phases = [event.from, event.to].map(|phase| schema.phases[phase].name);
+            let rgb = schema.phases[event.to].color;
+            let line =
+                line(schema, row, event.name, rgb, [event.a, event.b], &phases, [event.time, event.q, event.rate]);
+            let at = Instant { step: event.step, time: event.time };
+            match event.energy {
+                Some(energy) => {
+                    let energy = AnyValues::default().with_component::<Scalar>(event::ENERGY, [energy]);
+                    chunks.log("/events", at, &Together(&[&line.0, &line.1, &energy]));
+                }
+                None => chunks.log("/events", at, &Together(&[&line.0, &line.1])),
+            }
+        }
+        EventRow::Contact(event) if is_thin => {
+            let rgb = contact_color(event);
+            let line = line(schema, row, event.name(), rgb, [event.a, event.b], &[], [event.time, event.q, f64::NAN]);
+            let at = Instant { step: event.step, time: event.time };
+            chunks.log("/events", at, &Together(&[&line.0, &line.1]));
+        }
+        EventRow::Contact(event) => log_surface_event(schema, event, chunks),
+        EventRow::Body(event) => log_body_event(schema, event, chunks),
+    }
 }
 
-/// The entity of geometric findings: separate from phase changes, which they do not cause.
+/// The line of an event of a pair, and its components for the same row: time, q and its rate.
+fn line(
+    schema: &Schema,
+    row: &EventRow<'_>,
+    name: &str,
+    rgb: palette::Rgb,
+    bodies: [usize; 2],
+    phases: &[&str],
+    [time, q, rate]: [f64; 3],
+) -> (TextLog, AnyValues) {
+    let line = TextLog::new(row.describe(schema)).with_level(name).with_color(color(rgb));
+    let typed = AnyValues::default()
+        .with_component::<Text>(event::BODIES, bodies.map(|body| schema.bodies[body].name.as_str()))
+        .with_component::<Text>(event::PHASES, phases.iter().copied())
+        .with_component::<Scalar>(event::TIME, [time])
+        .with_component::<Scalar>(event::Q, [q])
+        .with_component::<Scalar>(event::RATE, [rate]);
+    (line, typed)
+}
+
+/// The entity of surfaces that touch and part: separate from phase changes, which they do not cause.
 pub const SURFACE_EVENTS: &str = "/events/surfaces";
 
 /// Logs the line of a surface event.
-pub fn log_surface_event(schema: &Schema, event: &SurfaceEvent, chunks: &mut Chunks) {
+fn log_surface_event(schema: &Schema, event: &SurfaceEvent, chunks: &mut Chunks) {
     let at = Instant { step: event.step, time: event.time };
-    let rgb = match event.what {
-        Finding::Touch => Contact::Together.color(),
-        Finding::Part => Contact::Apart.color(),
-        Finding::Phase { .. } => colors::SILVER,
-    };
-    let line = TextLog::new(event.describe(schema)).with_level(event.name()).with_color(color(rgb));
+    let line = TextLog::new(event.describe(schema)).with_level(event.name()).with_color(color(contact_color(event)));
     chunks.log(SURFACE_EVENTS, at, &line);
+}
+
+fn contact_color(event: &SurfaceEvent) -> palette::Rgb {
+    if event.what == Finding::Touch { Contact::Together.color() } else { Contact::Apart.color() }
 }
 
 /// The entity of events of single bodies.
 pub const BODY_EVENTS: &str = "/events/bodies";
 
 /// Logs the line of a body event.
-pub fn log_body_event(schema: &Schema, event: &BodyEvent, chunks: &mut Chunks) {
+fn log_body_event(schema: &Schema, event: &BodyEvent, chunks: &mut Chunks) {
     let at = Instant { step: event.step, time: event.time };
     let line = TextLog::new(event.describe(schema)).with_level(event.name).with_color(color(colors::VERMILION));
     chunks.log(BODY_EVENTS, at, &line);
