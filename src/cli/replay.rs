@@ -171,7 +171,9 @@ fn check_end(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> 
     let (path, last) = (recorded.path.display(), thousands(recorded.last()));
     let what = match recorded.settings.steps {
         Some(steps) if steps == recorded.last() => {
-            format!("{path} has all {last} steps but lacks its end: the run was killed, or the file is incomplete")
+            format!(
+                "{path} is cut short: it has all {last} steps but lacks its end: the run was killed, or the file is incomplete"
+            )
         }
         steps => {
             let planned = steps.map_or(String::new(), |steps| format!(" of {}", thousands(steps)));

@@ -18,7 +18,7 @@ use super::{
     approach::NearPair,
     event::PairEvent,
     frame::{PairFrame, Want},
-    simulation::Simulation,
+    simulation::{Simulation, between},
     surface::{Merger, PairMeasures},
 };
 use crate::geometry::{
@@ -36,8 +36,10 @@ const MAX_PAIRS: usize = 64;
 const FEW_BODIES: usize = 64;
 /// Surfaces are compared within a step each time that a pair has moved by this much [radii of the smaller body] …
 const FAR: f64 = 0.1;
-/// … but at most this often.
+/// … but at most this often …
 const MAX_LOOKS: f64 = 8.0;
+/// … and where the centre distance turns by more than this [radii of the smaller body].
+const TREMBLE: f64 = 1e-6;
 /// Upper limit on the phase changes of a step for which the surfaces are compared.
 const MAX_CHANGES: usize = 16;
 
@@ -245,7 +247,7 @@ impl Touches {
                 };
                 let mut start = ends[0];
                 for end in visits.into_iter().chain([ends[1]]) {
-                    let state = if end == ends[1] { known } else { self.known_at(simulation, bodies, last, end) };
+                    let state = if end == ends[1] { known } else { self.known_at(simulation, bodies, last, now, end) };
                     if state.is_touching != last.is_touching {
                         let (time, q) = self.when(simulation, bodies, last, [start, end]);
                         if is_raised(self.interrupt) {
@@ -332,21 +334,46 @@ impl Touches {
         let smaller = bodies.map(|body| self.schema.bodies[body].radius).into_iter().fold(f64::INFINITY, f64::min);
         let parts = ((to.apart - from.apart).length() / (FAR * smaller)).min(MAX_LOOKS) as u32;
         let looks = (1..=parts).map(|k| ends[0] + f64::from(k) / f64::from(parts + 1) * (ends[1] - ends[0]));
-        let is_turning = ends[0] < time && time < ends[1];
+        // bodies at rest on each other tremble by less than any visit
+        let far = [from, to].map(|pair| (pair.apart.length() - distance).abs()).into_iter().fold(f64::MAX, f64::min);
+        let is_turning = ends[0] < time && time < ends[1] && far > TREMBLE * smaller;
         let mut instants: Vec<f64> = looks.chain(is_turning.then_some(time)).collect();
         instants.sort_by(f64::total_cmp);
         instants
     }
 
-    /// The state of a pair at a time within the step [s].
-    fn known_at(&mut self, simulation: &dyn Simulation, bodies: [usize; 2], mut known: Known, time: f64) -> Known {
+    /// The state of a pair at a time within the step to `now` [s], given that before that time. It is found by
+    /// interpolation, which costs little; a change is confirmed by the simulation.
+    fn known_at(
+        &mut self,
+        simulation: &dyn Simulation,
+        bodies: [usize; 2],
+        before: Known,
+        now: &Frame,
+        time: f64,
+    ) -> Known {
         let mut inside = std::mem::take(&mut self.inside);
-        simulation.within(&self.before, time, &bodies, &mut inside);
-        for body in bodies {
-            self.placed.remove(&body);
-            self.place(body, &inside);
+        let mut known = before;
+        for is_exact in [false, true] {
+            if is_exact {
+                simulation.within(&self.before, time, &bodies, &mut inside);
+            } else {
+                between(&self.schema, [&self.before, now], time, &bodies, &mut inside);
+                let [a, b] = bodies;
+                if let Some(apart) = simulation.apart(a, b, time) {
+                    inside.bodies[b].centre = inside.bodies[a].centre + apart; // paths need no interpolation
+                }
+            }
+            for body in bodies {
+                self.placed.remove(&body);
+                self.place(body, &inside);
+            }
+            known = before;
+            self.update_contact(bodies, &mut known);
+            if known.is_touching == before.is_touching {
+                break;
+            }
         }
-        self.update_contact(bodies, &mut known);
         self.placed.retain(|body, _| !bodies.contains(body)); // their positions are of another time
         self.inside = inside;
         known

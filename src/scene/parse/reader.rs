@@ -225,14 +225,18 @@ impl<'a> Value<'a> {
 
     /// This value as quoted in messages.
     pub fn found(&self) -> String {
-        let as_written = || clip(self.source.text.get(self.span.clone()).unwrap_or_default());
+        let written = || self.source.text.get(self.span.clone()).unwrap_or_default();
+        let as_written = || clip(written());
+        // a sweep may have put another number in the place of what is written there
+        let as_number = |number: &str| {
+            let parsed = |text: &str| text.replace('_', "").parse::<f64>().map(f64::to_bits);
+            if parsed(written()) == parsed(number) { as_written() } else { clip(number) }
+        };
         match self.value {
             DeValue::String(text) => format!("the string \"{}\"", clip(text)),
-            // the value itself: a sweep may have put it in the place of what is written there
-            DeValue::Float(number) => clip(number.as_str()),
-            DeValue::Integer(number) if number.radix() == 10 => clip(number.as_str()),
-            DeValue::Boolean(word) => word.to_string(),
-            DeValue::Integer(_) => as_written(),
+            DeValue::Float(number) => as_number(number.as_str()),
+            DeValue::Integer(number) if number.radix() == 10 => as_number(number.as_str()),
+            DeValue::Integer(_) | DeValue::Boolean(_) => as_written(),
             DeValue::Datetime(_) => format!("the date-time {}", as_written()),
             DeValue::Array(items) => match items.len() {
                 0 => "an empty array".to_owned(),
