@@ -348,3 +348,38 @@ fn everything_can_be_changed_before_the_first_step() {
     changed.push(known.scene().pushes[0]).expect("it exists");
     assert_identical_steps(&mut known, &mut changed, 60);
 }
+
+/// The forces of a stiff plane on a small body carry rounding of the positions that no shorter step removes.
+#[test]
+fn a_small_body_on_a_stiff_plane_is_followed_at_a_tight_tolerance() {
+    let mut world = world(
+        "dt = 0.0010416666666666667
+tolerance = 1e-9
+gravity = [0, 0, -9.81]
+[material]
+omega = 12
+damping = 6
+[influence]
+weight = \"wendland\"
+core_at = 0.8
+core_width = 0.4
+[[plane]]
+normal = [0, 0, 1]
+stiffness = 100000
+friction = 0
+[[body]]
+name = \"b0\"
+radius = 1.0
+mass = 1.0
+shape = { sphere = { stacks = 4, slices = 6 } }
+motion = { free = { from = [0, 0, 1.12], velocity = [0, 0, -1.593], spin = [0.925, 0, -0.882] } }
+[[body]]
+name = \"b1\"
+radius = 0.0333
+mass = 0.01
+shape = { sphere = { stacks = 4, slices = 6 } }
+motion = { free = { from = [1.1510962, -0.239, 1.12], velocity = [-1.373, 0, 0], spin = [0, 0, -1.445] } }
+",
+    );
+    run(&mut world, 480);
+}

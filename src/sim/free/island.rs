@@ -820,7 +820,10 @@ impl Island {
             let found = course.error(arch, body, &self.field) / body.radius;
             let estimate = found + left * settled(self.tolerance, 1.0, span.h);
             let turned = course.frames[3].turned.length();
-            let error = estimate / (self.tolerance * span.h);
+            // Rounding of position and velocity adds as much to the estimate of a shorter step.
+            let rounded = body.centre.length() + body.shape.extent + body.velocity.length();
+            let rounding = 2.0 * f64::EPSILON * rounded / body.radius;
+            let error = estimate / (self.tolerance * span.h + rounding);
             let error = if turned > MAX_TURN { error.max(2.0) } else { error };
             if !(error <= worst.error) {
                 worst = Outcome { error, body: i, estimate };
