@@ -1,7 +1,5 @@
 //! The bodies that are not at rest: awake ones, and those that sleep because nothing acts on them.
 
-use pulp::Arch;
-
 use super::{
     body::{Active, Body},
     cached::Cached,
@@ -9,26 +7,20 @@ use super::{
 };
 use crate::scene::Scene;
 
-/// The state of fewer bodies fits into caches.
-const MIN_SORTED: usize = 1000;
-
 /// The states of the bodies that are not at rest. Only this type moves them and sets [`Body::active`], their index
 /// here, so that it knows when its cached hashes are stale.
 pub(super) struct ActiveSet {
     /// Awake bodies first, then sleeping ones.
     states: Vec<Active>,
     awake: usize,
-    /// Number of bodies that woke up or went to sleep since the awake ones were sorted.
-    changes: usize,
-    arch: Arch,
     /// Sum of the hashes of the sleeping bodies, once it has been requested.
     hash_of_sleeping: Cached,
 }
 
 impl ActiveSet {
     /// An empty set.
-    pub fn new(arch: Arch) -> ActiveSet {
-        ActiveSet { states: Vec::new(), awake: 0, changes: 0, arch, hash_of_sleeping: Cached::default() }
+    pub fn new() -> ActiveSet {
+        ActiveSet { states: Vec::new(), awake: 0, hash_of_sleeping: Cached::default() }
     }
 
     /// The bodies that are stepped.
@@ -65,11 +57,10 @@ impl ActiveSet {
             bodies[index].active = Some(slot as u32);
         }
         if slot >= self.awake {
-            let (arch, state) = (self.arch, &self.states[slot]);
-            self.hash_of_sleeping.exchange(|| hash_of(arch, state), || 0);
+            let state = &self.states[slot];
+            self.hash_of_sleeping.exchange(|| hash_of(state), || 0);
             self.swap(bodies, slot, self.awake);
             self.awake += 1;
-            self.changes += 1;
         }
     }
 
@@ -85,31 +76,14 @@ impl ActiveSet {
 
     fn sleep_one(&mut self, bodies: &mut [Body], slot: usize) {
         self.awake -= 1;
-        self.changes += 1;
         self.swap(bodies, slot, self.awake);
-        let (arch, state) = (self.arch, &self.states[self.awake]);
-        self.hash_of_sleeping.exchange(|| 0, || hash_of(arch, state));
+        let state = &self.states[self.awake];
+        self.hash_of_sleeping.exchange(|| 0, || hash_of(state));
         if self.states[self.awake].is_at_rest() {
             self.swap(bodies, self.awake, self.states.len() - 1);
             if let Some(active) = self.states.pop() {
                 bodies[active.body as usize].active = None;
             }
-        }
-    }
-
-    /// Whether sorting the awake bodies again may pay off: many have changed places, and there are too many for caches.
-    pub fn is_unsorted(&self) -> bool {
-        self.awake >= MIN_SORTED && self.changes > self.awake / 8
-    }
-
-    /// Sorts the awake bodies by their place in space, so that a step finds what it reads of a body's neighbours in
-    /// caches. Nothing but the speed depends on the order.
-    pub fn sort(&mut self, bodies: &mut [Body], place: impl Fn(&Active) -> u64) {
-        self.changes = 0;
-        let awake = &mut self.states[..self.awake];
-        awake.sort_by_cached_key(|active| (place(active), active.body));
-        for (slot, active) in (0..).zip(awake) {
-            bodies[active.body as usize].active = Some(slot);
         }
     }
 
@@ -120,25 +94,19 @@ impl ActiveSet {
         }
     }
 
-    /// Sum of the hashes of all bodies in the set, with the awake ones in the states `awake`.
-    pub fn hash(&self, awake: &[Active]) -> u64 {
-        let asleep = &self.states[self.awake..];
-        let asleep = self.hash_of_sleeping.get(|| checksum::of_bodies(self.arch, asleep));
-        checksum::of_bodies(self.arch, awake).wrapping_add(asleep)
+    /// Sum of the hashes of all bodies in the set.
+    pub fn hash(&self) -> u64 {
+        let (awake, asleep) = self.states.split_at(self.awake);
+        let asleep = self.hash_of_sleeping.get(|| checksum::of_bodies(asleep));
+        checksum::of_bodies(awake).wrapping_add(asleep)
     }
 
     /// Memory allocated for the set [bytes].
     pub fn memory(&self) -> usize {
-        memory(&self.states)
+        self.states.iter().map(Active::memory).sum::<usize>() + self.states.capacity() * size_of::<Active>()
     }
 }
 
-/// Memory allocated for states [bytes].
-#[allow(clippy::ptr_arg)] // the capacity counts
-pub(super) fn memory(states: &Vec<Active>) -> usize {
-    states.iter().map(Active::memory).sum::<usize>() + states.capacity() * size_of::<Active>()
-}
-
-fn hash_of(arch: Arch, state: &Active) -> u64 {
-    checksum::of_bodies(arch, std::slice::from_ref(state))
+fn hash_of(state: &Active) -> u64 {
+    checksum::of_bodies(std::slice::from_ref(state))
 }

@@ -20,7 +20,6 @@ use super::{
     pairs::Pairs,
     span::Span,
     state::{Common, State},
-    stride::Stride,
     terms::{Acting, Moment, On, Phases, Steady, Surroundings, carry},
     tracks::Tracks,
     work::{Tally, Work},
@@ -63,12 +62,8 @@ pub(super) struct Context<'a> {
     pub arch: Arch,
     /// See [`Options::skip`](super::Options::skip).
     pub skip: bool,
-    /// Frames before the stride.
+    /// Number of steps taken.
     pub step: u64,
-    /// Frames that the bodies advance: a whole stride, or its beginning for an observer.
-    pub frames: u64,
-    /// The stride.
-    pub stride: Stride,
     /// The work budget of the step.
     pub work: &'a Work,
 }
@@ -225,7 +220,7 @@ impl<'a> Context<'a> {
         let index = active.body as usize;
         self.tracks.of(index).filter(|mover| mover.is_unresolved)?;
         let body = self.body(active.body);
-        let steady = Steady::of(&body.material, self.tracks.track(index), self.stride.length)?;
+        let steady = Steady::of(&body.material, self.tracks.track(index), self.scene.dt)?;
         let pushes = body.pushes.bound(span);
         Some(body.radius + active.farthest_of_steady(&steady, pushes, span.start, span.length()))
     }
@@ -286,7 +281,7 @@ impl<'a> Context<'a> {
         inside.map(|&t| self.kick(body, t)).sum()
     }
 
-    /// The jump of the velocities of a body's vertices at time `t`, within the stride [scene unit/s].
+    /// The jump of the velocities of a body's vertices at time `t`, within the step [scene unit/s].
     fn kick(&self, body: u32, t: f64) -> DVec3 {
         match self.tracks.of(body as usize) {
             Some(mover) if mover.kicks > 0.0 => {
@@ -326,7 +321,7 @@ impl<'a> Context<'a> {
         if active.state.common_as_of < self.step {
             active.state.common = active.common_at(now);
         }
-        active.state.common_as_of = self.step + self.frames;
+        active.state.common_as_of = self.step + 1;
 
         scratch.contributing.clear();
         if self.skip && (all || !(active.bounds.reachable.is_empty() && active.can_sleep())) {
@@ -361,7 +356,7 @@ impl<'a> Context<'a> {
             }
             work.spend((contributing.len() + body.pushes.shared().len()) as u64);
             self.on(active.body).over(contributing, part, acting);
-            let is_whole = breaks.len() == 2 && self.frames == self.stride.frames;
+            let is_whole = breaks.len() == 2;
             let field = body.pushes.many_act(part).then(|| {
                 let BodyState { push_field, deformation, .. } = &mut active.state;
                 let push_field = push_field.get_or_insert_default();
@@ -376,8 +371,8 @@ impl<'a> Context<'a> {
                 radius: body.radius,
                 mesh: &body.mesh,
                 start: part.start,
-                // All whole strides have bit-identical lengths, so that weights are computed once.
-                length: if is_whole { self.stride.length } else { part.length() },
+                // All whole steps have bit-identical lengths, so that weights are computed once.
+                length: if is_whole { scene.dt } else { part.length() },
                 tracks: self.tracks,
                 is_whole,
                 spheres: &acting.spheres,

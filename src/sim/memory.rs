@@ -6,7 +6,6 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::stride::Stride;
 use crate::{geometry::Shape, scene::Scene, text::bytes};
 
 /// State of a vertex: displacement and velocity, three doubles each [bytes].
@@ -94,8 +93,6 @@ pub fn needed(scene: &Scene) -> u64 {
         })
         .fold(0, u64::saturating_add);
     let (per_vertex, per_body) = match (scene.is_coupled(), scene.planes.is_empty()) {
-        // an observer within a stride looks at a copy
-        (false, _) if Stride::of(scene).frames > 1 => (2 * STATE_BYTES, 2 * BODY_BYTES),
         (false, _) => (STATE_BYTES, BODY_BYTES),
         (true, true) => (STATE_BYTES + COUPLED_BYTES, BODY_BYTES + COUPLED_BODY_BYTES),
         (true, false) => (STATE_BYTES + COUPLED_BYTES + PLANE_BYTES, BODY_BYTES + COUPLED_BODY_BYTES),

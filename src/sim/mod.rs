@@ -4,8 +4,7 @@
 //! | --- | --- |
 //! | the world and its step | `world` |
 //! | the state of one body and how a step advances it | `body`, `advance` |
-//! | the bodies that are not at rest, in space order | `active_set`, `morton` |
-//! | how many frames a step of the integrator spans | `stride` |
+//! | the bodies that are not at rest | `active_set` |
 //! | per-vertex state beyond the motion that all vertices share | `deformation` |
 //! | what acts on vertices, one file per force term | `terms` |
 //! | the frame of a body during a step, and the frames of all moving bodies | `track`, `tracks` |
@@ -57,7 +56,6 @@ pub mod free;
 #[doc(hidden)]
 pub mod integrator;
 pub(crate) mod memory;
-mod morton;
 mod neighbours;
 mod nodes;
 mod observe;
@@ -72,7 +70,6 @@ pub mod simulation;
 mod span;
 mod stages;
 mod state;
-mod stride;
 mod terms;
 mod track;
 mod tracks;

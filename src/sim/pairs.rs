@@ -182,7 +182,7 @@ impl Pairs {
     fn place(&mut self, of: &mut Surrounded<'_>, i: usize, vertices: f64, t: f64) {
         let scene = of.scene;
         let (this, track) = (&scene.bodies[i], of.tracks.track(i));
-        let (skin, until) = stay(track, SKIN * this.radius, t, of.tracks.stride());
+        let (skin, until) = stay(track, SKIN * this.radius, t, scene.dt);
         let merging = self.max_merge_at * this.radius;
         let reach = scene.influence.sphere_radius(this.radius).max(vertices).max(merging) + skin;
         let centre = track.position(t);
@@ -261,8 +261,7 @@ impl Pairs {
         self.pairs.len() as u32 - 1
     }
 
-    /// Finds the exact times at which pairs change phase during `span`: adds them to `events`, the last one first. Their
-    /// step is left open.
+    /// Finds the exact times at which pairs change phase during `span`, in step `step`: adds them to `events`, in order.
     ///
     /// # Errors
     /// If that takes too much work: the pair that took the most.
@@ -270,6 +269,7 @@ impl Pairs {
         &mut self,
         among: Moving<'_>,
         span: Span,
+        step: u64,
         events: &mut Vec<Event>,
     ) -> Result<(), (Stop, [u32; 2])> {
         let Moving { scene, bodies, tracks, work } = among;
@@ -303,7 +303,7 @@ impl Pairs {
                 pair.advance(search, span, horizon, |time, to| {
                     self.changes.push((time, to));
                     let (q, rate) = (both.q(time), both.rate(time));
-                    events.push(Event { time, step: 0, a, b, q, rate, from, to, energy: 0.0 });
+                    events.push(Event { time, step, a, b, q, rate, from, to, energy: 0.0 });
                     from = to;
                 });
                 busiest = busiest.max((tally.done() - before, [a, b]));
@@ -319,7 +319,6 @@ impl Pairs {
             bodies[body as usize].calm_until = calm_until;
         }
         events.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
-        events.reverse();
         Ok(())
     }
 
@@ -345,14 +344,9 @@ impl Pairs {
         self.pairs.capacity() * size_of::<Pair>() + self.free.capacity() * size_of::<u32>() + self.grid.memory()
     }
 
-    /// The sum of the hashes of all pairs that are not apart at `t`, within the current stride.
-    pub fn hash_at(&self, t: f64) -> u64 {
-        let before = self.hash.get(|| self.pairs.iter().map(Pair::hash).fold(0, u64::wrapping_add));
-        let changed = self.changed.iter().map(|&index| self.get(index)).filter(|pair| !pair.changes.is_empty());
-        changed.fold(before, |sum, pair| {
-            let now = Pair { phase: self.phase_of(pair, t), ..pair.clone() };
-            sum.wrapping_sub(pair.hash()).wrapping_add(now.hash())
-        })
+    /// The sum of the hashes of all pairs that are not apart.
+    pub fn hash(&self) -> u64 {
+        self.hash.get(|| self.pairs.iter().map(Pair::hash).fold(0, u64::wrapping_add))
     }
 
     /// The pair with an index.
@@ -362,23 +356,15 @@ impl Pairs {
 
     /// The phase changes of a pair in the current step, in order: time and new phase.
     pub fn changes(&self, index: u32) -> &[(f64, Phase)] {
-        self.changes_of(self.get(index))
-    }
-
-    fn changes_of(&self, pair: &Pair) -> &[(f64, Phase)] {
+        let pair = self.get(index);
         &self.changes[pair.changes.start as usize..pair.changes.end as usize]
     }
 
-    /// The phase of a pair from `t` on, within the current stride.
+    /// The phase of a pair from `t` on, within the current step.
     pub fn phase_at(&self, index: u32, t: f64) -> Phase {
-        self.phase_of(self.get(index), t)
-    }
-
-    /// Like [`Pairs::phase_at`].
-    pub fn phase_of(&self, pair: &Pair, t: f64) -> Phase {
-        let changes = self.changes_of(pair);
+        let changes = self.changes(index);
         let passed = changes.partition_point(|&(time, _)| time <= t);
-        changes[..passed].last().map_or(pair.phase, |&(_, phase)| phase)
+        changes[..passed].last().map_or(self.get(index).phase, |&(_, phase)| phase)
     }
 }
 

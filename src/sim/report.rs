@@ -202,7 +202,7 @@ pub struct StepReport {
 }
 
 impl StepReport {
-    /// Clears the report of the previous step, but for what is known only at the end of a stride.
+    /// Clears the report of the previous step, but for what is known only at the end of the step.
     pub(super) fn begin(&mut self, step: u64, time: f64) {
         let StepReport { events, error, sleeping_bodies, .. } = self;
         let (mut events, error, sleeping_bodies) = (std::mem::take(events), *error, *sleeping_bodies);

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{events::PairTracks, nodes::SAMPLES, span::Span, stride::Stride, terms, terms::Steady, track::Track};
+use super::{events::PairTracks, nodes::SAMPLES, span::Span, terms, terms::Steady, track::Track};
 use crate::scene::{
     Body, Material, Motion, Path, Scene,
     path::{Bounds, Turns},
@@ -16,8 +16,6 @@ const STILL: u32 = u32::MAX;
 
 /// The tracks of all bodies.
 pub struct Tracks {
-    /// Their stride.
-    stride: Stride,
     /// The path of each body.
     paths: Vec<Path>,
     /// The bodies that move, ascending.
@@ -79,7 +77,7 @@ pub struct Mover {
     has_breaks: bool,
     /// Whether steps do not resolve the motion, and the response to it is known in closed form: [`Steady`].
     pub is_unresolved: bool,
-    /// The body's motion over the stride.
+    /// The body's motion over the step.
     samples: Samples,
     /// Bounds of the motion over the step.
     pub bounds: Bounds,
@@ -89,7 +87,7 @@ pub struct Mover {
 
 impl Tracks {
     /// The tracks of a scene before the first step. Free bodies count as fixed, because tracks know no forces.
-    pub(super) fn new(scene: &Scene, stride: Stride) -> Tracks {
+    pub(super) fn new(scene: &Scene) -> Tracks {
         let path = |body: &Body| match &body.motion {
             Motion::Prescribed(path) => path.clone(),
             Motion::Free(free) => Path::Fixed(free.from),
@@ -108,11 +106,11 @@ impl Tracks {
             let path = &paths[body as usize];
             if !path.is_fixed() {
                 *mover = movers.len() as u32;
-                let turns = path.turns(&SAMPLES.map(|theta| theta * stride.length));
+                let turns = path.turns(&SAMPLES.map(|theta| theta * scene.dt));
                 let bounds = Bounds { speed: 0.0, acceleration: 0.0 };
                 let samples = Samples { positions: [path.position(0.0); 5], uniform: [DVec3::ZERO; 5] };
                 let material = scene.bodies[body as usize].material;
-                let is_unresolved = Steady::of(&material, path.into(), stride.length).is_some();
+                let is_unresolved = Steady::of(&material, path.into(), scene.dt).is_some();
                 movers.push(Mover {
                     body,
                     is_watched: false,
@@ -129,15 +127,10 @@ impl Tracks {
                 });
             }
         }
-        Tracks { stride, paths, movers, motion_bounds, of_body }
+        Tracks { paths, movers, motion_bounds, of_body }
     }
 
-    /// Length of a stride [s].
-    pub fn stride(&self) -> f64 {
-        self.stride.length
-    }
-
-    /// Evaluates the motion of all movers over a stride.
+    /// Evaluates the motion of all movers over a step.
     pub(super) fn follow(&mut self, span: Span) {
         let paths = &self.paths;
         let follow = |track: &mut Mover| {
@@ -255,7 +248,7 @@ mod tests {
             let mut scene = Scene::builtin(name).unwrap();
             // so that velocities count
             scene.bodies.iter_mut().for_each(|body| body.material.response = crate::scene::Response::World);
-            let mut tracks = Tracks::new(&scene, Stride { frames: 1, length: scene.dt });
+            let mut tracks = Tracks::new(&scene);
             for step in 0..scene.steps() {
                 let span = Span { start: step as f64 * scene.dt, end: (step + 1) as f64 * scene.dt };
                 tracks.follow(span);

@@ -40,8 +40,6 @@ pub(super) struct Work {
     debt: u64,
     /// [Base](super::integrator::exponential::StepStatistics::base) of the last step; before the first, an estimate.
     base: u64,
-    /// Frames of this step.
-    frames: u64,
     /// Limit of this step.
     limit: u64,
     /// Work of this step so far. Tallies of running bodies are added in grains, so it lags slightly.
@@ -74,24 +72,13 @@ impl Work {
         Work { limit, ..Work::new(interrupt) }
     }
 
-    /// The limit of this step [units].
-    pub fn limit(&self) -> u64 {
-        self.limit
-    }
-
-    /// The same limit as that of this step, without interruption: an observer needs the result.
-    pub fn once_more(&self) -> Work {
-        Work::limited(self.limit, None)
-    }
-
     /// Sets the expected base of the first step.
     pub fn expect(&mut self, base: u64) {
         self.base = base;
     }
 
-    /// Begins a step of a scene of `vertices` over a number of frames.
-    pub fn begin(&mut self, vertices: u64, frames: u64) {
-        self.frames = frames;
+    /// Begins a step of a scene of `vertices`.
+    pub fn begin(&mut self, vertices: u64) {
         self.limit = MAX_DEBT.saturating_sub(self.debt).saturating_add(self.allowance(vertices));
         self.total = AtomicU64::new(0);
         self.before = 0;
@@ -116,8 +103,7 @@ impl Work {
     /// The allowance of a step of `vertices`.
     fn allowance(&self, vertices: u64) -> u64 {
         let from_base = self.base.saturating_mul(2).min(MAX_BASE);
-        let of_frame = FREE.saturating_add(from_base).saturating_add(FREE_PER_VERTEX.saturating_mul(vertices));
-        of_frame.saturating_mul(self.frames)
+        FREE.saturating_add(from_base).saturating_add(FREE_PER_VERTEX.saturating_mul(vertices))
     }
 
     /// Whether the step can continue.

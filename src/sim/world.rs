@@ -13,23 +13,20 @@ use pulp::Arch;
 use rayon::prelude::*;
 
 use super::{
-    active_set::{self, ActiveSet},
+    active_set::ActiveSet,
     advance::Context,
     arrays::Vectors,
     body::{Active, Body},
     checksum,
     coupled::{Coupled, member::Member},
     deformation::Now,
-    events::Event,
     free::Ledger,
     integrator::exponential,
     memory::{self, TooLarge},
-    morton::Curve,
     pairs::{Moving, Pair, Pairs, Surrounded},
     report::{Diverged, EditError, Failure, Overworked, Stage, StepReport, Toil},
     span::Span,
     state::State,
-    stride::Stride,
     terms::{self, Moment, Surroundings},
     track::Track,
     tracks::Tracks,
@@ -74,17 +71,6 @@ pub struct World {
     scene: Scene,
     pub(super) options: Options,
     pub(super) step: u64,
-    stride: Stride,
-    /// The awake bodies as they are now, within a stride, once somebody has looked.
-    seen: OnceLock<Vec<Active>>,
-    /// Whether somebody has looked at this frame within a stride …
-    has_looked: AtomicBool,
-    /// … and whether at the last one, and so probably at the next.
-    is_watched: bool,
-    /// Steps of the integrator that are still to be reported.
-    unreported: u64,
-    /// Events of this stride that have not been reported yet, the next one last.
-    coming: Vec<Event>,
     pub(super) bodies: Vec<Body>,
     /// Bodies that are not at rest.
     pub(super) actives: ActiveSet,
@@ -128,23 +114,15 @@ impl World {
         let mut pushes = vec![Vec::new(); scene.bodies.len()];
         scene.pushes.iter().for_each(|push| pushes[push.body].push(*push));
         let bodies = pushes.into_iter().enumerate().map(|(index, pushes)| Body::new(&scene, index, pushes)).collect();
-        let stride = Stride::of(&scene);
         let mut world = World {
-            stride,
-            seen: OnceLock::new(),
-            has_looked: AtomicBool::new(false),
-            // whoever can interrupt a run watches it: without a look ahead, the first look could not be interrupted
-            is_watched: options.interrupt.is_some(),
-            unreported: 0,
-            coming: Vec::new(),
             coupled: None,
             ledger: Ledger::default(),
             first_energy: 0.0,
             energy_of_distant_pairs: OnceLock::new(),
             step: 0,
             bodies,
-            actives: ActiveSet::new(options.arch),
-            tracks: Tracks::new(&scene, stride),
+            actives: ActiveSet::new(),
+            tracks: Tracks::new(&scene),
             pairs: Pairs::default(),
             woken: Vec::new(),
             starts: terms::starts(&scene),
@@ -209,9 +187,6 @@ impl World {
 
     /// Advances the world by one step of the scene's Δt and reports what happened.
     ///
-    /// Where the motion and the tolerance permit it, the integrator's own steps span several of these. Then its work is done
-    /// in the last of them, and in the others by whoever looks at a body.
-    ///
     /// A step that is not completed ([`Failure::Overworked`], [`Failure::Interrupted`]) does not count as taken: from
     /// then on the state is meaningless and the world takes no further step.
     pub fn step(&mut self) -> &StepReport {
@@ -226,90 +201,33 @@ impl World {
         &self.report
     }
 
-    fn take_step(&mut self, frame: Span) -> Result<(), Failure> {
+    fn take_step(&mut self, span: Span) -> Result<(), Failure> {
+        self.work.begin(self.vertices);
         if let Some(coupled) = &mut self.coupled {
-            self.work.begin(self.vertices, 1);
             self.report.error = 0.0; // it becomes the largest of this step
-            let diverged = coupled.step(&self.scene, frame, &mut self.work, &mut self.report)?;
+            let diverged = coupled.step(&self.scene, span, &mut self.work, &mut self.report)?;
             self.step += 1;
             self.ledger += self.report.ledger;
             self.report.failure = diverged.map(|body| self.divergence(body).into());
             return Ok(());
         }
-        if self.step != self.stored_at() {
-            self.seen.take();
-            self.is_watched = std::mem::take(self.has_looked.get_mut());
-        }
-        let stride = self.stride_span();
-        if self.step == self.stored_at() {
-            self.begin_stride(stride)?;
-        }
-        if self.step + 1 < self.stored_at() + self.stride.frames {
-            let ready = Instant::now();
-            let work = Work::limited(self.work.limit(), self.options.interrupt);
-            let seen = self.is_watched.then(|| self.within_stride(self.step + 1, work, true));
-            if self.work.is_interrupted() {
-                return Err(Failure::Interrupted { step: self.step + 1 }); // before anybody waits for that state
-            }
-            self.step += 1;
-            self.report_events(frame.end);
-            self.report_substeps(self.stored_at() + self.stride.frames - self.step);
-            if let Some(seen) = seen {
-                self.seen = OnceLock::from(seen);
-                self.report.timings[Stage::Integrate as usize] = ready.elapsed();
-            }
-            return Ok(());
-        }
-        let ready = Instant::now();
-        let sum = self.integrate(stride)?;
-        self.report_events(f64::INFINITY);
-        self.step += 1;
-        self.pairs.enter_phases();
-        self.finish(&sum);
-        self.sleep(&sum, stride);
-        self.report.timings[Stage::Integrate as usize] = ready.elapsed();
-        Ok(())
-    }
-
-    /// Finds what can happen in a stride.
-    fn begin_stride(&mut self, span: Span) -> Result<(), Failure> {
-        self.work.begin(self.vertices, self.stride.frames);
         let start = Instant::now();
         self.broad_phase(span)?;
         let followed = Instant::now();
         self.find_events(span)?;
         let found = Instant::now();
         self.wake(span);
-        self.sort_awake();
         self.find_bounds(span)?;
-        self.report.timings[Stage::Reach as usize] = (followed - start) + found.elapsed();
+        let ready = Instant::now();
+        let sum = self.integrate(span)?;
+        self.step += 1;
+        self.pairs.enter_phases();
+        self.finish(&sum);
+        self.sleep(&sum, span);
+        self.report.timings[Stage::Reach as usize] = (followed - start) + (ready - found);
         self.report.timings[Stage::Events as usize] = found - followed;
+        self.report.timings[Stage::Integrate as usize] = ready.elapsed();
         Ok(())
-    }
-
-    /// The number of frames as of which the states of awake bodies are stored: those before the stride.
-    fn stored_at(&self) -> u64 {
-        self.step - self.step % self.stride.frames
-    }
-
-    /// The stride that the next frame belongs to.
-    fn stride_span(&self) -> Span {
-        let start = self.stored_at();
-        Span { start: self.time_of(start), end: self.time_of(start + self.stride.frames) }
-    }
-
-    /// Reports an equal share of the integrator's steps for this frame and those up to the last of the next stride.
-    fn report_substeps(&mut self, frames: u64) {
-        self.report.substeps = self.unreported.div_ceil(frames);
-        self.unreported -= self.report.substeps;
-    }
-
-    /// Reports the events of the stride up to `time` [s].
-    fn report_events(&mut self, time: f64) {
-        let StepReport { events, step, .. } = &mut self.report;
-        while let Some(event) = self.coming.pop_if(|event| event.time <= time) {
-            events.push(Event { step: *step, ..event });
-        }
     }
 
     /// Bounds the motion of moving bodies during `span` and finds which bodies they come near.
@@ -322,11 +240,11 @@ impl World {
 
     /// Finds the exact times at which pairs change phase during `span`.
     fn find_events(&mut self, span: Span) -> Result<(), Failure> {
-        let World { scene, bodies, tracks, pairs, coming, work, .. } = self;
-        let found = pairs.find_events(Moving { scene, bodies, tracks, work }, span, coming);
+        let World { scene, bodies, tracks, pairs, report, work, .. } = self;
+        let found = pairs.find_events(Moving { scene, bodies, tracks, work }, span, report.step, &mut report.events);
         found.map_err(|(stop, pair)| {
             let [a, b] = pair.map(|body| self.scene.bodies[body as usize].name.clone());
-            self.failure(stop, Toil::Events { a, b, found: self.coming.len() })
+            self.failure(stop, Toil::Events { a, b, found: self.report.events.len() })
         })
     }
 
@@ -384,16 +302,6 @@ impl World {
             }
         }
         Ok(())
-    }
-
-    /// Sorts the awake bodies in space, if that may pay off.
-    fn sort_awake(&mut self) {
-        let World { actives, bodies, tracks, .. } = self;
-        if actives.is_unsorted() {
-            let centre = |active: &Active| tracks.motion_bounds(active.body).centre;
-            let curve = Curve::around(actives.awake().iter().map(centre));
-            actives.sort(bodies, |active| curve.place(centre(active)));
-        }
     }
 
     /// Wakes the bodies on which something begins to act before the end of `span`.
@@ -456,45 +364,14 @@ impl World {
 
     /// What stepping a body reads.
     pub(super) fn reading(&self) -> Context<'_> {
-        self.reading_frames(self.stride.frames, &self.work)
-    }
-
-    /// What advancing a body over the first `frames` of the stride reads.
-    fn reading_frames<'a>(&'a self, frames: u64, work: &'a Work) -> Context<'a> {
-        let World { scene, bodies, tracks, pairs, options, stride, .. } = self;
-        let Options { skip, arch, .. } = *options;
-        Context { scene, bodies, pairs, tracks, arch, skip, step: self.stored_at(), frames, stride: *stride, work }
-    }
-
-    /// The awake bodies as they are now.
-    fn awake_now(&self) -> &[Active] {
-        if self.step == self.stored_at() {
-            return self.actives.awake();
-        }
-        self.has_looked.store(true, Ordering::Relaxed);
-        // Not in parallel: a thread that waits here for others could take up a task that also looks at this world.
-        self.seen.get_or_init(|| self.within_stride(self.step, self.work.once_more(), false))
-    }
-
-    /// The awake bodies after a step within a stride: advanced from its start, like its own step advances them to its
-    /// end. If that exceeds the work limit of the stride, as its own step then does, they are those at its start.
-    fn within_stride(&self, step: u64, mut work: Work, is_parallel: bool) -> Vec<Active> {
-        let mut seen = self.actives.awake().to_vec();
-        work.begin_turns(seen.len());
-        let context = self.reading_frames(step - self.stored_at(), &work);
-        let span = Span { start: self.stride_span().start, end: self.time_of(step) };
-        let is_worth_threads = is_parallel && is_worth_threads(&seen);
-        each(&mut seen, is_worth_threads, |turn, active| context.advance(active, turn, span));
-        if work.check().is_ok() { seen } else { self.actives.awake().to_vec() }
+        let World { scene, bodies, tracks, pairs, options: Options { skip, arch, .. }, step, work, .. } = self;
+        Context { scene, bodies, pairs, tracks, arch: *arch, skip: *skip, step: *step, work }
     }
 
     /// What stepping a body reads, and the awake bodies.
     fn context(&mut self) -> (Context<'_>, &mut [Active]) {
-        let step = self.stored_at();
-        let World { scene, bodies, tracks, pairs, options, stride, actives, work, .. } = self;
-        let (Options { skip, arch, .. }, stride) = (*options, *stride);
-        let frames = stride.frames;
-        (Context { scene, bodies, pairs, tracks, arch, skip, step, frames, stride, work }, actives.awake_mut())
+        let World { scene, bodies, tracks, pairs, options: Options { skip, arch, .. }, step, actives, work, .. } = self;
+        (Context { scene, bodies, pairs, tracks, arch: *arch, skip: *skip, step: *step, work }, actives.awake_mut())
     }
 
     /// Integrates the equation of motion of every awake body.
@@ -504,7 +381,7 @@ impl World {
         let is_worth_threads = is_worth_threads(actives);
         let advance = |(turn, active): (usize, &mut Active)| {
             context.advance(active, turn, span);
-            Sum::of(active, context.scene, context.stride.length)
+            Sum::of(active, context.scene)
         };
         let sum = if is_worth_threads {
             actives.par_iter_mut().with_min_len(4).enumerate().map(advance).reduce(Sum::default, Sum::and)
@@ -528,8 +405,7 @@ impl World {
 
     /// Writes the results of the step to the report, and whether it led to an invalid state.
     fn finish(&mut self, sum: &Sum) {
-        self.unreported += sum.substeps;
-        self.report_substeps(self.stride.frames);
+        self.report.substeps = sum.substeps;
         self.report.error = sum.error;
         self.report.shortfall = sum.shortfall;
         self.report.sleeping_bodies = self.bodies.len() as u64 - sum.stepped;
@@ -541,12 +417,9 @@ impl World {
         if !self.options.skip || !sum.any_idle {
             return;
         }
-        let step = self.stored_at();
-        let World { scene, bodies, tracks, pairs, options, stride, actives, work, .. } = self;
-        let (Options { skip, arch, .. }, stride) = (*options, *stride);
-        let frames = stride.frames;
+        let World { scene, bodies, tracks, pairs, options: Options { skip, arch, .. }, step, actives, work, .. } = self;
         actives.sleep(bodies, |bodies, active| {
-            let context = Context { scene, bodies, pairs, tracks, arch, skip, step, frames, stride, work };
+            let context = Context { scene, bodies, pairs, tracks, arch: *arch, skip: *skip, step: *step, work };
             active.statistics.substeps == 0 && active.bounds.may_sleep && context.own_force(active.body, span) == 0.0
         });
     }
@@ -611,14 +484,14 @@ struct Sum {
 }
 
 impl Sum {
-    fn of(active: &Active, scene: &Scene, h: f64) -> Sum {
+    fn of(active: &Active, scene: &Scene) -> Sum {
         let statistics = active.statistics;
         let is_idle = statistics.substeps == 0;
         Sum {
             stepped: u64::from(!is_idle),
             substeps: statistics.substeps,
             error: f64::max(0.0, statistics.error / scene.bodies[active.body as usize].radius),
-            shortfall: shortfall(active, scene, h),
+            shortfall: shortfall(active, scene),
             work: statistics.work,
             base: statistics.base,
             vertices: active.state.deformation.active_set.vertices.len() as u64,
@@ -643,9 +516,9 @@ impl Sum {
 }
 
 /// The error of a body's step, if it exceeds the tolerance because steps cannot be made shorter.
-fn shortfall(active: &Active, scene: &Scene, h: f64) -> Option<Shortfall> {
+fn shortfall(active: &Active, scene: &Scene) -> Option<Shortfall> {
     let body = active.body as usize;
-    let (allowed, excess) = (scene.tolerance * h, active.statistics.excess / scene.bodies[body].radius);
+    let (allowed, excess) = (scene.tolerance * scene.dt, active.statistics.excess / scene.bodies[body].radius);
     (excess > 0.0).then_some(Shortfall { body, error: allowed + excess, allowed })
 }
 
@@ -693,7 +566,7 @@ impl World {
         if let Some(coupled) = &self.coupled {
             return checksum::of_world(self.step, coupled.hash());
         }
-        checksum::of_world(self.step, self.actives.hash(self.awake_now()).wrapping_add(self.pairs.hash_at(self.time())))
+        checksum::of_world(self.step, self.actives.hash().wrapping_add(self.pairs.hash()))
     }
 
     /// Number of bodies.
@@ -729,11 +602,7 @@ impl World {
     }
 
     fn active(&self, index: usize) -> Option<&Active> {
-        let body = &self.bodies[index];
-        match body.active {
-            Some(slot) if self.actives.is_awake(body) => self.awake_now().get(slot as usize),
-            _ => self.actives.get(body),
-        }
+        self.actives.get(&self.bodies[index])
     }
 
     /// The options of this world.
@@ -745,7 +614,6 @@ impl World {
     pub fn memory(&self) -> usize {
         self.bodies.iter().map(Body::memory).sum::<usize>()
             + self.actives.memory()
-            + self.seen.get().map_or(0, active_set::memory)
             + self.bodies.capacity() * size_of::<Body>()
             + self.pairs.memory()
             + self.tracks.memory()
@@ -770,7 +638,7 @@ impl World {
         self.known_pairs()
             .map(move |pair| {
                 let q = self.tracks.pair(pair.a, pair.b).q(time);
-                PairView { a: pair.a as usize, b: pair.b as usize, q, phase: self.pairs.phase_of(pair, time) }
+                PairView { a: pair.a as usize, b: pair.b as usize, q, phase: pair.phase }
             })
             .chain(coupled)
             .filter(|pair| pair.phase != Phase::Apart || pair.q <= self.reach_of(pair.a, pair.b))
@@ -792,8 +660,7 @@ impl World {
 
     /// Bodies and phase of every pair that may not be apart.
     pub(super) fn phases(&self) -> impl Iterator<Item = (usize, usize, Phase)> + '_ {
-        let time = self.time();
-        self.known_pairs().map(move |pair| (pair.a as usize, pair.b as usize, self.pairs.phase_of(pair, time)))
+        self.known_pairs().map(|pair| (pair.a as usize, pair.b as usize, pair.phase))
     }
 
     /// The q up to which one of two bodies can have vertices inside the other's influence sphere, or the two can merge
@@ -816,7 +683,7 @@ impl World {
         }
         let neighbours = &self.bodies[a].neighbours;
         let found = neighbours.binary_search_by_key(&(b as u32), |neighbour| neighbour.other);
-        found.map_or(Phase::Apart, |index| self.pairs.phase_at(neighbours[index].pair, self.time()))
+        found.map_or(Phase::Apart, |index| self.pairs.get(neighbours[index].pair).phase)
     }
 
     /// What acts on body `index` in the current state, except its own oscillators.
@@ -1019,44 +886,6 @@ pub struct PairView {
 mod tests {
     use super::*;
     use crate::sim::deformation::Deformation;
-
-    /// Pairs of bodies far from each other, in a random order in the scene: they are stepped in space order, and each
-    /// moves bit for bit like the pair alone.
-    #[test]
-    fn many_bodies_are_stepped_in_space_order() {
-        let pair = |k: u32| {
-            let (x, y) = (8 * (k % 25), 8 * (k / 25));
-            let path = format!("center = [{x}.9, {y}, 0], amplitude = [0.5, 0, 0], frequency = 0.25, phase = {k}");
-            [(0, format!("fixed = [{x}, {y}, 0]")), (1, format!("sine = {{ {path} }}"))].map(|(i, motion)| {
-                // odd multiples of any number are a permutation of the residues of a power of two
-                let place = (2 * k + i).wrapping_mul(2_654_435_761) >> 16;
-                (place, k, format!("[[body]]\nname = \"b{k}-{i}\"\nradius = 1.0\nmotion = {{ {motion} }}\n"))
-            })
-        };
-        let world = |bodies: &[(u32, u32, String)]| {
-            let bodies: String = bodies.iter().map(|(.., text)| text.as_str()).collect();
-            World::new(Scene::parse(&format!("duration = 1.0\n{bodies}"), "pairs.toml").unwrap()).unwrap()
-        };
-        let mut bodies: Vec<_> = (0..600).flat_map(pair).collect();
-        bodies.sort();
-        let mut all = world(&bodies);
-        let steps = all.stride.frames * 8;
-        (0..steps).for_each(|_| assert!(all.step().failure.is_none()));
-
-        let awake = all.actives.awake();
-        assert_eq!(awake.len(), 1200);
-        let pair_of = |active: &Active| bodies[active.body as usize].1;
-        let together = awake.windows(2).filter(|two| pair_of(&two[0]) == pair_of(&two[1])).count();
-        assert!(together > 400, "{together} of 600 pairs");
-        for k in [0, 77, 333, 599] {
-            let mut alone = world(&pair(k));
-            (0..steps).for_each(|_| _ = alone.step());
-            for body in alone.bodies() {
-                let same = all.bodies().find(|other| other.name() == body.name()).unwrap();
-                assert!(body.positions().eq(same.positions()), "{}", body.name());
-            }
-        }
-    }
 
     /// The error of single precision: a run whose state is rounded to f32 after every step, compared with the f64 run.
     #[test]

@@ -3,7 +3,6 @@
 use std::{collections::HashMap, sync::Arc};
 
 use glam::{DMat3, DVec3};
-use pulp::Arch;
 use rustc_hash::FxBuildHasher;
 
 use super::neighbours::{FatBounds, Neighbour};
@@ -323,13 +322,13 @@ impl Member {
     }
 
     /// A hash of its state; 0 for an undeformed body at rest on a path.
-    pub fn hash(&self, arch: Arch, index: u32) -> u64 {
+    pub fn hash(&self, index: u32) -> u64 {
         if !self.body.is_free() && !self.is_awake && !self.is_deformed() {
             return 0;
         }
         let is_steady = u64::from(self.steady.is_some());
         let others = [u64::from(self.calm), u64::from(self.is_awake) + 2 * is_steady, self.pace.to_bits()];
-        checksum::of_body(arch, index, &self.body, others)
+        checksum::of_body(index, &self.body, others)
     }
 
     /// Approximate work of evaluating its forces: number of vertices times one plus the number of neighbours.

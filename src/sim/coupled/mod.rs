@@ -190,7 +190,7 @@ impl Coupled {
         self.awake = (0..self.members.len() as u32).filter(|&body| self.members[body as usize].is_awake).collect();
         self.resting_hash = 0;
         for (body, member) in (0..).zip(&mut self.members).filter(|(_, member)| !member.is_awake) {
-            member.resting_hash = member.hash(self.arch, body);
+            member.resting_hash = member.hash(body);
             self.resting_hash = self.resting_hash.wrapping_add(member.resting_hash);
         }
         self.started = self.starts.partition_point(|start| start.0 < time);
@@ -611,10 +611,9 @@ impl Coupled {
 
     /// Puts a body to rest.
     fn settle(&mut self, body: u32) {
-        let arch = self.arch;
         let member = &mut self.members[body as usize];
         member.is_awake = false;
-        member.resting_hash = member.hash(arch, body);
+        member.resting_hash = member.hash(body);
         self.resting_hash = self.resting_hash.wrapping_add(member.resting_hash);
     }
 }
@@ -664,7 +663,7 @@ impl Coupled {
 
     /// A hash of the exact state.
     pub fn hash(&self) -> u64 {
-        let awake = self.awake.iter().map(|&body| self.members[body as usize].hash(self.arch, body));
+        let awake = self.awake.iter().map(|&body| self.members[body as usize].hash(body));
         awake.fold(self.resting_hash.wrapping_add(self.near.hash()), u64::wrapping_add)
     }
 

@@ -34,7 +34,7 @@ pub struct Course<'a> {
     pub length: f64,
     /// The tracks of all bodies.
     pub tracks: &'a Tracks,
-    /// Whether the interval is a whole stride, for which the tracks hold samples.
+    /// Whether the interval is a whole step, for which the tracks hold samples.
     pub is_whole: bool,
     /// Spheres that can reach the body.
     pub spheres: &'a [Sphere],

@@ -7,51 +7,18 @@
 //! | one step of several vertices side by side, and its error | [`step`], [`lanes`] |
 //! | what a step leaves out at kinks of the force | [`kinks`] |
 //! | a step of all vertices near a sphere | [`together`] |
-//! | vertices that cross rims, side by side | [`crossings`], [`series`] |
-//! | a vertex that needs shorter steps, or crosses a rim in an unusual way | [`single`], [`rim`] |
+//! | a vertex that needs shorter steps, or crosses a rim | [`single`], [`rim`] |
 //!
 //! [`advance`] takes a body over an interval without jumps. The effect of its own motion and of pushes on all vertices
 //! is a few numbers. A vertex near a sphere takes one step; if the error is too large, the step is repeated in halves.
 //! If this happens to many vertices of a body, all of its vertices take shorter steps from then on, side by side. Where
 //! a vertex crosses a rim, at which the linear weight has a kink, its step ends and another begins. All other vertices
 //! are left to the exact flow, which advances them to the time at which they are next needed.
-//!
-//! # What bounds its speed
-//! Instructions (AVX2, counted by callgrind) of a step of `tests/reference/two.toml`, of a step of the built-in `crowd`, and of
-//! a body's step in `bench scale`'s scene of 100 bodies in contact, over 1,200, 240 and 240 steps:
-//!
-//! | what | `two` | `crowd` | in contact |
-//! | --- | --- | --- | --- |
-//! | vertices side by side: about 2,300 for eight of them, half of which is arithmetic | 25,400 | 117,000 | 8,100 |
-//! | rims: about 4,000 for up to four vertices that cross one | 3,700 | 11,900 | 300 |
-//! | active sets, breaks and bounds of bodies | 8,400 | 89,000 | 4,200 |
-//! | preparing steps | 2,500 | 22,000 | 2,300 |
-//! | bookkeeping of these | 2,100 | 16,000 | 900 |
-//! | the world: broad phase, events, timers | 3,700 | 28,000 | 1,900 |
-//! | all | 45,900 | 282,900 | 17,700 |
-//!
-//! These are steps of one frame. In strides of two, which the default tolerance permits, with the error estimates of
-//! [`step`] and rims side by side, the runs take 0.61, 0.65 and 0.71 of the instructions that they took without these.
-//!
-//! A scheme with half as many force evaluations would therefore save little. Three Lobatto nodes instead of four were
-//! tried, with a fourth force as a check that falls back to full order: they saved 5 to 8 %, with errors of 1e-7 to
-//! 7e-7 R at a tolerance of 1e-6, and the kernels took many times as long to compile. Using the slope of the forces at
-//! the start of the step for their prediction costs as much as it saves. With AVX-512, eight vertices side by side
-//! instead of sixteen take a fifth longer. Selecting the active set half as often leaves its vertices less ordered,
-//! which costs as much side by side as it saves.
-//!
-//! Vertices that cross a rim are gathered from all over a body, up to four in a batch (AVX2). A batch costs the same for one
-//! as for four: a quarter to find the first crossing, a third to collocate the rest of the step; half of it is arithmetic.
-//! In `two` 1.5 vertices share a batch (2,400 instructions each), in steps three times as long 2.8 do (1,400). A vertex
-//! that is stepped alone costs 6,600 and more, on an exact path 20,000: in a step with (ω + 2κ) h > 1, under a push, or
-//! near a sphere whose path is no quartic.
 
 pub mod course;
-pub mod crossings;
 pub mod kinks;
 pub mod lanes;
 pub mod rim;
-pub mod series;
 pub mod single;
 pub mod step;
 pub mod together;
@@ -67,7 +34,6 @@ use crate::sim::{
     work::Tally,
 };
 use course::Course;
-use crossings::{Crossed, Crossings};
 use single::Single;
 use step::{Outcome, Pull, SHORTER, Step, Vertex};
 use together::{BEND, FORCES, Outcomes, START, Together};
@@ -92,7 +58,6 @@ pub struct Scratch {
     count_near: bool,
     max_steps: u32,
     known: KnownWeights,
-    crossings: crossings::Scratch,
     single: single::Scratch,
 }
 
@@ -133,7 +98,7 @@ pub fn work_of(vertices: usize, spheres: usize, pushes: usize) -> u64 {
     vertices as u64 * (FORCES * (1 + spheres as u64) + pushes as u64)
 }
 
-/// Advances the shared motion of a body's vertices, and the vertices in its active set, over `course`, in strides
+/// Advances the shared motion of a body's vertices, and the vertices in its active set, over `course`, in steps
 /// halved `halvings` times. Adjusts `halvings` to the number of vertices for which the steps were too long or
 /// would be if they were longer; vertices on which nothing acts do not count.
 pub fn advance(
@@ -148,8 +113,8 @@ pub fn advance(
     scratch.count_near = *halvings > 0;
     let steps = match *halvings {
         0 => 1.0,
-        // a part of a stride is already shorter by this ratio
-        halvings => (f64::from(1 << halvings) * (course.length / course.tracks.stride())).ceil(),
+        // a part of a step is already shorter by this ratio
+        halvings => (f64::from(1 << halvings) * (course.length / course.scene.dt)).ceil(),
     };
     scratch.max_steps = (single::MAX_STEPS / steps as u32).max(MIN_STEPS);
     let length = course.length / steps;
@@ -226,7 +191,7 @@ fn step_active_set(
     scratch: &mut Scratch,
     statistics: &mut StepStatistics,
 ) -> f64 {
-    let Scratch { whole, pulls, outcomes, inside, count_near, max_steps, known, crossings, single } = scratch;
+    let Scratch { whole, pulls, outcomes, inside, count_near, max_steps, known, single } = scratch;
     let force = course.strongest_pull();
     let wanted = control.tolerance * course.length;
     let stiff = single::is_stiff(course, course.length);
@@ -248,17 +213,11 @@ fn step_active_set(
 
     add_errors_of_kinks(course, whole, wanted, active_set, (outcomes, *count_near));
 
-    let tolerance = control.tolerance;
-    let mut crossed = Crossed::default();
-    if !outcomes.groups.is_empty() && crossings::is_usual(course, whole) {
-        let scratch = crossings;
-        crossed = control.arch.dispatch(Crossings { course, whole, tolerance, active_set, outcomes, work, scratch });
-    }
     let mut alone = Single {
         course,
         whole,
         common,
-        tolerance,
+        tolerance: control.tolerance,
         force,
         max_steps: *max_steps,
         work,
@@ -296,9 +255,9 @@ fn step_active_set(
         active_set.pad_again(); // the padding has not been updated
     }
     statistics.near += outcomes.near;
-    statistics.substeps += crossed.substeps + alone.substeps;
+    statistics.substeps += alone.substeps;
     statistics.excess += alone.excess;
-    crossed.error.max(alone.error).max(outcomes.largest_error())
+    alone.error.max(outcomes.largest_error())
 }
 
 /// Adds the errors caused by kinks within the step to those of the vertices to which they may matter.

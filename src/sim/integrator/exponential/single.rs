@@ -1,5 +1,4 @@
-//! Steps a vertex individually: one that needs shorter steps than its body, or crosses a rim where
-//! [`crossings`](super::crossings) cannot follow it.
+//! Steps a vertex individually: one that needs shorter steps than its body, or crosses a rim.
 
 use glam::DVec3;
 use pulp::Scalar;
@@ -22,7 +21,7 @@ use crate::{
     },
 };
 
-/// Upper limit on the steps of a vertex in one stride. The rest is then taken in a single step, unchecked
+/// Upper limit on the steps of a vertex in one step of the world. The rest is then taken in a single step, unchecked
 /// but bounded. After half of them the acceptable error grows: it doubles with each of `DOUBLINGS` equal shares of the
 /// others.
 pub const MAX_STEPS: u32 = 3072;

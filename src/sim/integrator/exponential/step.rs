@@ -474,7 +474,7 @@ impl Step {
         self.noise = self.rounding(course);
     }
 
-    /// Samples a whole stride, for which the tracks hold samples.
+    /// Samples a whole step, for which the tracks hold samples.
     fn sample_whole(&mut self, course: &Course<'_>) {
         let own = course.tracks.samples(course.index);
         for (moment, uniform) in self.moments.iter_mut().zip(own.uniform) {

@@ -4,7 +4,6 @@ use std::sync::LazyLock;
 
 use glam::DVec3;
 
-use super::series::Series;
 use crate::{
     model::oscillator::{Oscillator, Propagator},
     sim::{
@@ -32,46 +31,6 @@ static LAGRANGE: LazyLock<[[[f64; 4]; 4]; 5]> = LazyLock::new(|| {
     }
     all
 });
-
-/// For each sample but the first, and for [`ASIDE`] last, `SCALED[look - 1][i]` holds the coefficients of the polynomial that is 1 at node i and 0
-/// at the other nodes, in the time over that of the sample, the k-th times k! …
-static SCALED: LazyLock<[[[f64; 4]; 4]; 5]> =
-    LazyLock::new(|| [SAMPLES[1], SAMPLES[2], SAMPLES[3], SAMPLES[4], ASIDE].map(|theta| scaled(&LAGRANGE[4], theta)));
-/// … and `SCALED_BEFORE[n - 1]` those for nodes before node n, at node n.
-static SCALED_BEFORE: LazyLock<[[[f64; 4]; 4]; 3]> =
-    LazyLock::new(|| [1, 2, 3].map(|n| scaled(&LAGRANGE[n], NODES[n])));
-
-fn scaled(basis: &[[f64; 4]; 4], theta: f64) -> [[f64; 4]; 4] {
-    basis.map(|[a, b, c, d]| [a, b * theta, 2.0 * (c * theta * theta), 6.0 * (d * theta * theta * theta)])
-}
-
-/// The polynomials of the nodes, for the weights of parts of different lengths; see [`series::weigh`](super::series::weigh).
-pub struct Polynomials {
-    /// In the time over the whole part …
-    pub whole: &'static [[f64; 4]; 4],
-    /// … over the time of each sample but the first, and of [`ASIDE`] …
-    pub samples: &'static [[[f64; 4]; 4]; 5],
-    /// … and for the nodes before each node but the first, over the time of that node.
-    pub before: &'static [[[f64; 4]; 4]; 3],
-    /// Weight of each node's force in the polynomial's value in the middle …
-    pub middle: [f64; 4],
-    /// … and at [`ASIDE`] [–].
-    pub aside: [f64; 4],
-}
-
-impl Polynomials {
-    /// The polynomials.
-    pub fn get() -> Polynomials {
-        let samples = &*SCALED;
-        Polynomials {
-            whole: &samples[2],
-            samples,
-            before: &SCALED_BEFORE,
-            middle: values(&LAGRANGE[4], 0.5),
-            aside: values(&LAGRANGE[4], ASIDE),
-        }
-    }
-}
 
 /// Weights that give the displacement at an instant of the step from the state at its start and the forces at the
 /// nodes.
@@ -313,10 +272,21 @@ impl Residual {
     }
 }
 
+/// Number of terms of a series in (ω + 2κ) t ≤ 1; the next one would be below 1/17! ≈ 3e-15.
+const SERIES_TERMS: usize = 12;
+
 /// X_4 of an oscillator at `t` [s²]: the response to the force (s/t)⁴, see [`Propagator`].
 fn fourth_response(Oscillator { omega, damping }: Oscillator, t: f64, p: &Propagator) -> f64 {
     if (omega + 2.0 * damping) * t <= 1.0 {
-        return Series::new(Oscillator { omega, damping }, t).fourth();
+        // The impulse response is Σ aₙ (s/t)ⁿ/n! t with aₙ₊₂ = −2κt aₙ₊₁ − (ωt)² aₙ.
+        let (mut before, mut current) = (0.0, 1.0);
+        let (mut sum, mut per_factorial) = (0.0, 1.0 / 720.0);
+        for n in 0..SERIES_TERMS {
+            sum += current * per_factorial;
+            per_factorial /= n as f64 + 7.0;
+            (before, current) = (current, -2.0 * damping * t * current - (omega * t) * (omega * t) * before);
+        }
+        return 24.0 * t * t * sum;
     }
     if omega * t > 0.3 {
         // x″ = 1 − 2κ x′ − ω² x, with x′ = U_4 = 4 X_3/t and x″ = 12 X_2/t²
