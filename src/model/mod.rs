@@ -60,4 +60,4 @@ pub mod pair_law;
 pub mod phase;
 pub mod shape_matching;
 
-pub use pair_law::PairLaw;
+pub use pair_law::{ForFree, PairLaw};

@@ -18,6 +18,20 @@ pub struct PairLaw {
     pub thresholds: Thresholds,
     /// Width in q of the change of strength at the rim of the core [–]; 0 for a jump.
     pub core_width: f64,
+    /// What of the core holds only for pairs with a free body.
+    pub for_free: ForFree,
+}
+
+/// What of a [`PairLaw`] holds only for pairs with a free body; pairs of bodies on paths then have none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ForFree {
+    /// Nothing: all pairs have the same core.
+    #[default]
+    Nothing,
+    /// The width of the rim.
+    Width,
+    /// The core.
+    Core,
 }
 
 impl PairLaw {
@@ -28,7 +42,24 @@ impl PairLaw {
         apart_repels: true,
         thresholds: Thresholds { merge_at: 1.05, split_at: 1.15, core_at: 0.0 },
         core_width: 0.0,
+        for_free: ForFree::Nothing,
     };
+    /// Where the core of a pair with a free body begins by default [merge_at].
+    pub const FREE_CORE_AT: f64 = 0.76;
+    /// The default width of the rim of its core [core_at].
+    pub const FREE_CORE_WIDTH: f64 = 0.5;
+
+    /// The law of a pair with or without a free body.
+    pub fn of_pair(mut self, has_free: bool) -> PairLaw {
+        let for_free = std::mem::take(&mut self.for_free);
+        if !has_free && for_free == ForFree::Core {
+            self.thresholds.core_at = 0.0;
+        }
+        if !has_free && for_free != ForFree::Nothing {
+            self.core_width = 0.0;
+        }
+        self
+    }
 
     /// The gradual rim of the core in a phase, if there is one.
     pub fn rim(&self, phase: Phase) -> Option<CoreRim> {

@@ -171,6 +171,9 @@ pub fn read(name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experim
     // recordings made before other models existed do not name a model
     let model = run.get("model").map_or(Some(Model::Oscillators.name()), toml::Value::as_str).unwrap_or("none");
     scene.model = parse(model).map_err(|_| Refusal::Run(format!("this program has no model \"{model}\"")))?;
+    if !run.contains_key("free_cores") {
+        scene.drop_core_defaults();
+    }
     scene.dt = positive("dt")?;
     scene.tolerance = positive("tolerance")?;
     let skip = run.get("skip").and_then(toml::Value::as_bool).unwrap_or(true);

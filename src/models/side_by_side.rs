@@ -101,7 +101,7 @@ impl SideBySide {
             bodies: bodies.collect(),
             terms: vec![net],
             labels: vec!["as in its own recording"],
-            own_levels: if self.scene.pairs.is_empty() { OwnLevels::default() } else { own_levels },
+            own_levels: if self.scene.has_one_law() { OwnLevels::default() } else { own_levels },
             surfaces: OwnSurfaces::new(OffsetSurfaces { places: places.to_vec(), mergers: mergers(places) }),
             scalars: self.models.iter().map(|model| displacement(*model)).collect(),
             stages: self.models.iter().map(|model| model.name()).collect(),

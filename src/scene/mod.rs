@@ -29,8 +29,9 @@
 //! scaling = "relative"          # relative | absolute [relative]
 //! merge_at = 1.05               # centre distance over the sum of the radii [1.05]
 //! split_at = 1.15               # [1.15]
-//! core_at = 0.0                 # [0 = none]
-//! core_width = 0.0              # in q: width over which the strength changes around core_at [0 = it jumps]
+//! core_at = 0.0                 # 0 = none [0.76 merge_at for pairs with a free body, otherwise 0]
+//! core_width = 0.0              # in q: width over which the strength changes around core_at; 0 = it jumps
+//!                               # [core_at / 2 for pairs with a free body, otherwise 0]
 //! apart = "repel"               # repel | none [repel]
 //!
 //! [lattice]                     # for model = "lattice"; see crate::models::lattice
@@ -138,7 +139,7 @@ use glam::DVec3;
 use crate::{
     geometry::Shape,
     model::{
-        PairLaw,
+        ForFree, PairLaw,
         influence::Influence,
         phase::{Phase, Thresholds},
     },
@@ -177,6 +178,8 @@ pub struct Scene {
     pub thresholds: Thresholds,
     /// Width in q over which the strength changes at the rim of the core [–]; 0 for a jump.
     pub core_width: f64,
+    /// What of the core holds only for pairs with a free body.
+    pub for_free: ForFree,
     /// The laws of pairs that have their own; see [`Scene::law`].
     pub pairs: PairLaws,
     /// Acceleration of free bodies [scene unit/s²].
@@ -428,7 +431,11 @@ impl Scene {
             Model::Oscillators => String::new(),
             model => format!("model = \"{model}\"\n"),
         };
-        format!("integrator = \"{}\"\ndt = {:?}\ntolerance = {:?}\n{model}", self.integrator, self.dt, self.tolerance)
+        let all = std::iter::once(self.common_law()).chain(self.pairs.laws().iter().copied());
+        let cores =
+            if all.into_iter().any(|law| law.for_free != ForFree::Nothing) { "free_cores = true\n" } else { "" };
+        let Scene { integrator, dt, tolerance, .. } = self;
+        format!("integrator = \"{integrator}\"\ndt = {dt:?}\ntolerance = {tolerance:?}\n{model}{cores}")
     }
 
     /// The same scene without any force: pairs on the same paths, with the same thresholds, change phase at the same
@@ -451,29 +458,61 @@ impl Scene {
 
     /// The law of the pair of bodies `a` and `b`, in either order.
     pub fn law(&self, a: usize, b: usize) -> PairLaw {
-        self.pairs.of(a, b).unwrap_or_else(|| self.common_law())
+        self.law_at(self.law_index(a, b))
     }
 
-    /// The law of all pairs that do not have their own.
+    /// The law of all pairs that do not have their own; see [`PairLaw::of_pair`].
     pub fn common_law(&self) -> PairLaw {
         let Influence { alpha, beta, apart_repels, .. } = self.influence;
-        PairLaw { alpha, beta, apart_repels, thresholds: self.thresholds, core_width: self.core_width }
+        PairLaw {
+            alpha,
+            beta,
+            apart_repels,
+            thresholds: self.thresholds,
+            core_width: self.core_width,
+            for_free: self.for_free,
+        }
     }
 
-    /// Every law that a pair can have, the common one first.
+    /// Every law that a pair can have.
     pub fn laws(&self) -> impl Iterator<Item = PairLaw> + '_ {
-        std::iter::once(self.common_law()).chain(self.pairs.laws().iter().copied())
+        let all = std::iter::once(self.common_law()).chain(self.pairs.laws().iter().copied());
+        all.flat_map(|law| {
+            let others = (law.for_free != ForFree::Nothing).then(|| law.of_pair(false));
+            std::iter::once(law.of_pair(true)).chain(others)
+        })
     }
 
-    /// Index of a pair's law in [`Scene::laws`].
+    /// Whether all pairs have the same law.
+    pub fn has_one_law(&self) -> bool {
+        let on_paths = self.bodies.iter().filter(|body| body.path().is_some()).count();
+        self.pairs.is_empty() && (self.for_free == ForFree::Nothing || on_paths < 2)
+    }
+
+    /// Whether a pair has a free body.
+    pub(super) fn has_free(&self, a: usize, b: usize) -> bool {
+        [a, b].into_iter().any(|body| self.bodies[body].path().is_none())
+    }
+
+    /// A number that stands for a pair's law; see [`Scene::law_at`].
     pub fn law_index(&self, a: usize, b: usize) -> u32 {
-        self.pairs.index(a, b).map_or(0, |index| index as u32 + 1)
+        let own = self.pairs.index(a, b).map_or(0, |index| index as u32 + 1);
+        2 * own + u32::from(self.has_free(a, b))
     }
 
-    /// The law at an index in [`Scene::laws`].
+    /// The law with the number [`Scene::law_index`].
     #[inline]
     pub fn law_at(&self, index: u32) -> PairLaw {
-        index.checked_sub(1).map_or_else(|| self.common_law(), |own| self.pairs.laws()[own as usize])
+        let own = (index / 2).checked_sub(1);
+        own.map_or_else(|| self.common_law(), |own| self.pairs.laws()[own as usize]).of_pair(index % 2 == 1)
+    }
+
+    /// Takes back what pairs with a free body have of a core by default: recordings made before there were such defaults
+    /// replay as they were made.
+    pub(crate) fn drop_core_defaults(&mut self) {
+        let law = self.common_law().of_pair(false);
+        (self.thresholds, self.core_width, self.for_free) = (law.thresholds, law.core_width, law.for_free);
+        self.pairs.drop_core_defaults();
     }
 
     /// Signed strength s with which a source acts on a body in a given phase of their pair [1/s²]: positive attracts

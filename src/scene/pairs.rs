@@ -108,6 +108,11 @@ impl PairLaws {
         PairLaws { laws: self.laws.iter().map(law).collect(), ..self.clone() }
     }
 
+    /// See [`Scene::drop_core_defaults`](super::Scene::drop_core_defaults).
+    pub(super) fn drop_core_defaults(&mut self) {
+        self.laws.iter_mut().for_each(|law| *law = law.of_pair(false));
+    }
+
     /// The law of the pair of bodies `a` and `b`, in either order; `None` if it is the scene's.
     pub fn of(&self, a: usize, b: usize) -> Option<PairLaw> {
         Some(self.laws[self.index(a, b)?])

@@ -28,7 +28,7 @@ use super::{
 use crate::{
     geometry::{Shape, fairing, shape::Parameter},
     model::{
-        PairLaw,
+        ForFree, PairLaw,
         influence::{Influence, Scaling, Weight},
         phase::Thresholds,
     },
@@ -357,8 +357,6 @@ pub(super) fn read_document(
 
     let thesis = Material { omega: 12.0, damping: 1.5, response: Response::Inertial };
     let material = read_material(&material, thesis)?;
-    let (law, influence) = (read_law(&influence, PairLaw::DEFAULT)?, read_influence(&influence)?);
-    let influence = Influence { alpha: law.alpha, beta: law.beta, apart_repels: law.apart_repels, ..influence };
     meshes.embedded(&mesh_tables)?;
     let bodies = body_tables.iter().map(|table| read_body(table, material, meshes)).collect::<Result<Vec<_>, _>>()?;
     let (mut bodies, mut from) = (bodies, body_tables.iter().collect());
@@ -368,6 +366,10 @@ pub(super) fn read_document(
         let message = "expected at least one [[body]], found an empty array".to_owned();
         return Err(array.map_or_else(|| root.error("body", message.clone()), |array| array.error(message.clone())));
     }
+    let for_free = if bodies.iter().any(|body| body.path().is_none()) { ForFree::Core } else { ForFree::Nothing };
+    let law = read_law(&influence, PairLaw { for_free, ..PairLaw::DEFAULT })?;
+    let influence =
+        Influence { alpha: law.alpha, beta: law.beta, apart_repels: law.apart_repels, ..read_influence(&influence)? };
     let names = Names::of(&bodies, &from)?;
     let pairs = pairs::read(&pair_tables, &bodies, &names, law)?;
     if let Some(array) = plane_array.as_ref().filter(|_| plane_tables.len() > MAX_PLANES) {
@@ -388,6 +390,7 @@ pub(super) fn read_document(
         influence,
         thresholds: law.thresholds,
         core_width: law.core_width,
+        for_free: law.for_free,
         pairs,
         gravity,
         planes,
@@ -444,16 +447,21 @@ fn read_influence(table: &Table<'_>) -> Result<Influence, SceneError> {
     })
 }
 
-/// The `[influence]` table, or a `[[pair]]`; missing keys are as in `default`.
+/// The `[influence]` table, or a `[[pair]]`; missing keys are as in `default`. With a default core for free bodies, it
+/// follows `merge_at`.
 fn read_law(table: &Table<'_>, default: PairLaw) -> Result<PairLaw, SceneError> {
-    let Thresholds { merge_at, split_at, core_at } = default.thresholds;
+    let Thresholds { merge_at, split_at, .. } = default.thresholds;
     let alpha = table.optional("alpha", NON_NEGATIVE)?.unwrap_or(default.alpha);
     let beta = table.optional("beta", NON_NEGATIVE)?.unwrap_or(default.beta);
     let apart_repels = table.optional("apart", APART_REPELS)?.unwrap_or(default.apart_repels);
     let merge_at = table.optional("merge_at", POSITIVE)?.unwrap_or(merge_at);
     let split_at = table.optional("split_at", POSITIVE)?.unwrap_or(split_at);
-    let core_at = table.optional("core_at", NON_NEGATIVE)?.unwrap_or(core_at);
+    let own_core_at = table.optional("core_at", NON_NEGATIVE)?;
     let core_width = table.optional("core_width", NON_NEGATIVE)?;
+    let core_at = own_core_at.unwrap_or(match default.for_free {
+        ForFree::Core => PairLaw::FREE_CORE_AT * merge_at,
+        ForFree::Width | ForFree::Nothing => default.thresholds.core_at,
+    });
 
     let by_default = |name| if table.get(name).is_some() { "" } else { " by default" };
     let merge_at_is = format!("merge_at ({merge_at:?}{})", by_default("merge_at"));
@@ -480,8 +488,18 @@ fn read_law(table: &Table<'_>, default: PairLaw) -> Result<PairLaw, SceneError> 
     {
         return Err(value.unexpected("0 where there is no core").with_help("give core_at, too"));
     }
-    let core_width = if core_at == 0.0 { 0.0 } else { core_width.unwrap_or(default.core_width) };
-    Ok(PairLaw { alpha, beta, apart_repels, thresholds: Thresholds { merge_at, split_at, core_at }, core_width })
+    let for_free = match default.for_free {
+        ForFree::Core if own_core_at.is_none() => ForFree::Core,
+        ForFree::Core | ForFree::Width if core_width.is_none() && core_at > 0.0 => ForFree::Width,
+        _ => ForFree::Nothing,
+    };
+    let core_width = core_width.unwrap_or(match for_free {
+        ForFree::Core | ForFree::Width => PairLaw::FREE_CORE_WIDTH * core_at,
+        ForFree::Nothing if core_at == 0.0 => 0.0,
+        ForFree::Nothing => default.core_width,
+    });
+    let thresholds = Thresholds { merge_at, split_at, core_at };
+    Ok(PairLaw { alpha, beta, apart_repels, thresholds, core_width, for_free })
 }
 
 fn read_plane(table: &Table<'_>) -> Result<Plane, SceneError> {

@@ -13,10 +13,11 @@ const INSIDE_OUT: f64 = 5.0;
 
 impl Scene {
     /// Warnings about thresholds without effect, each with a level that has an effect: a `merge_at` at which no sphere
-    /// reaches the other body, a `split_at` at which the rest shapes still overlap. Also about free bodies that start
+    /// reaches the other body, a `split_at` at which the rest shapes still overlap. Also about free
+    /// bodies without a core, and about free bodies that start
     /// so deep in a plane that it turns them inside out.
     pub fn warnings(&self) -> Vec<String> {
-        let mut warnings = [Vec::new(), Vec::new()];
+        let mut warnings = [Vec::new(), Vec::new(), Vec::new()];
         for b in 0..self.bodies.len().min(MAX_BODIES) {
             for a in 0..b {
                 let (law, pair) = (self.law(a, b), format!("{}~{}", self.bodies[a].name, self.bodies[b].name));
@@ -30,6 +31,11 @@ impl Scene {
                          body, so merging changes nothing above q = {reach:.3}; use a merge_at below that"
                     ));
                 }
+                if self.has_free(a, b) && law.alpha > 0.0 && law.thresholds.core_at == 0.0 {
+                    warnings[2].push(format!(
+                        "core_at = 0 lets {pair} fall into one place once they have merged; leave it out for the default"
+                    ));
+                }
                 if split_at < 1.0 - MARGIN {
                     warnings[1].push(format!(
                         "split_at = {split_at} is inside the bodies: {pair} split while their rest shapes overlap; they \
@@ -38,8 +44,8 @@ impl Scene {
                 }
             }
         }
-        let [merge, split] = warnings.map(|all| summary(all, "pair"));
-        merge.into_iter().chain(split).chain(summary(self.inside_out(), "body")).collect()
+        let of_pairs = warnings.into_iter().filter_map(|all| summary(all, "pair"));
+        of_pairs.chain(summary(self.inside_out(), "body")).collect()
     }
 
     /// Free bodies that start so deep in a plane that it turns them inside out: their vertices then have no unique

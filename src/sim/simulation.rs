@@ -429,15 +429,16 @@ pub fn schema(scene: &Scene, options: Options) -> Schema {
     ];
     let thresholds = thresholds.into_iter().filter_map(|(name, label, phase)| {
         let lowest = scene.laws().filter_map(|law| level(&law, phase)).reduce(f64::min)?;
-        let level = level(&scene.common_law(), phase).unwrap_or(lowest);
+        let level = level(&scene.common_law().of_pair(true), phase).unwrap_or(lowest);
         Some(Threshold { name, label, level, color: phase_color(phase) })
     });
-    let own_levels = if scene.pairs.is_empty() {
+    let own_levels = if scene.has_one_law() {
         OwnLevels::default()
     } else {
         let (pairs, common) = (scene.pairs.clone(), scene.common_law());
+        let is_free: Vec<bool> = scene.bodies.iter().map(|body| body.path().is_none()).collect();
         OwnLevels::new(move |threshold, a, b| {
-            let law = pairs.of(a, b).unwrap_or(common);
+            let law = pairs.of(a, b).unwrap_or(common).of_pair(is_free[a] || is_free[b]);
             level(&law, *[Phase::Merged, Phase::Apart, Phase::Core].get(threshold)?)
         })
     };

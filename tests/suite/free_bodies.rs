@@ -192,7 +192,8 @@ motion = { free = { from = [-0.8, -0.1, 0.05], velocity = [0.6, 0, 0], spin = [0
 motion = { free = { from = [0.8, 0.1, 0], velocity = [-0.6, 0.1, 0], spin = [0, 0.2, 0] } }\n";
 
 /// Two bodies that repeatedly merge and split in the sphere of a third, to which both stay bound.
-const CAGED: &str = "[material]\ndamping = 0.0\n[influence]\nmerge_at = 0.9\nsplit_at = 0.9\nalpha = 30.0\nbeta = 30.0
+const CAGED: &str =
+    "[material]\ndamping = 0.0\n[influence]\nmerge_at = 0.9\nsplit_at = 0.9\ncore_at = 0.0\nalpha = 30.0\nbeta = 30.0
 [[pair]]\nbodies = [\"ball\", \"cage\"]\nmerge_at = 5.0\nsplit_at = 5.0\nalpha = 20.0
 [[body]]\nname = \"a\"\ngroup = \"ball\"\nradius = 0.6\nshape = { sphere = { stacks = 6, slices = 8 } }
 motion = { free = { from = [-0.9, -0.1, 0.05], velocity = [0.8, 0, 0] } }

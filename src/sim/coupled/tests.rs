@@ -247,7 +247,7 @@ fn extreme_scenes_do_not_hang() {
 #[test]
 fn a_pair_that_chatters_is_named() {
     let text = format!(
-        "gravity = [0, 0, -9.81]\n[material]\nomega = 30.0\ndamping = 5.0\n[influence]\ncore_at = 0.7\n{FLOOR}{}{}",
+        "gravity = [0, 0, -9.81]\n[material]\nomega = 30.0\ndamping = 5.0\n[influence]\ncore_at = 0.7\ncore_width = 0.0\n{FLOOR}{}{}",
         free("left", [-0.71, 0.0, 0.0], [0.0; 3]),
         free("right", [0.71, 0.0, 0.0], [0.0; 3]),
     );
@@ -347,7 +347,7 @@ fn a_path_by_a_function_equals_that_path_in_the_scene() {
         run(&mut given, 1);
         assert_eq!(parsed.checksum(), given.checksum(), "step {step}");
     }
-    assert_eq!(parsed.phase(0, 1), Phase::Merged);
+    assert_eq!(parsed.phase(0, 1), Phase::Core);
 }
 
 /// Bodies that lie on each other and on a plane rest together, within the tolerance of the motion without rest; the

@@ -49,6 +49,8 @@ const GROWTH: f64 = 2.0;
 const MAX_WAITING: usize = 8;
 /// Work of the force of a plane on a vertex, a solution of nine equations [units].
 const HOLD: u64 = 200;
+/// Work of a sweep for each part of a step of a vertex that is advanced alone [units].
+const LEG: u64 = 200;
 /// Largest rotation of a body's frame in a step [rad].
 const MAX_TURN: f64 = 1.0;
 
@@ -621,6 +623,8 @@ impl Island {
             let held = scratch.courses.iter().map(|course| course.held.len() as u64).sum();
             report.held = report.held.max(held);
             work.spend(HOLD * held);
+            let legs = scratch.courses.iter().flat_map(|course| &course.splits).map(|split| split.legs().len() as u64);
+            work.spend(LEG * legs.sum::<u64>());
             // largest correction over the wanted size
             let follow = |((body, course), places): ((&Body, &mut Course), &mut [Place; 5]),
                           looks: std::ops::Range<usize>| {

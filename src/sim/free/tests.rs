@@ -7,6 +7,7 @@ use pulp::Arch;
 
 use super::*;
 use crate::model::{
+    ForFree,
     oscillator::Oscillator,
     phase::{Phase, Thresholds},
     shape_matching::{Plane, rotation_by},
@@ -43,6 +44,7 @@ const LAW: PairLaw = PairLaw {
     apart_repels: true,
     thresholds: Thresholds { merge_at: 1.05, split_at: 1.15, core_at: 0.0 },
     core_width: 0.0,
+    for_free: ForFree::Nothing,
 };
 
 fn body(radius: f64, oscillator: Oscillator, from: DVec3, velocity: DVec3, spin: DVec3) -> Body {
