@@ -64,7 +64,7 @@ pub struct Arguments {
     /// Write the recording to standard output.
     #[arg(long, help_heading = "Destinations")]
     stdout: bool,
-    /// The address that --serve listens on.
+    /// The address that --serve listens on. At any but this machine's own, others can read all that is served, unencrypted.
     #[arg(long, value_name = "IP", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST), requires = "serve",
           help_heading = "Destinations")]
     bind: IpAddr,

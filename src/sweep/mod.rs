@@ -49,6 +49,27 @@
 //! The columns of the tables are described in their schema, and listed in [`row::columns`]. All except `run_time`
 //! depend only on the sweep: they are bit-identical on any machine, for any number of threads, shards and
 //! interruptions.
+//!
+//! # On several machines
+//! Machines that share the folder `DIR` run one level at a time, each a part of it. The command without `--shard` then
+//! draws the map.
+//!
+//! ```sh
+//! #SBATCH --array=0-63                                            # Slurm
+//! #SBATCH --cpus-per-task=1
+//! meldscope sweep mine.toml --out DIR --refine 5 --shard $SLURM_ARRAY_TASK_ID/64 --level 0 --threads 1
+//!
+//! # Kubernetes, in the spec of a Job: completionMode Indexed, completions 64
+//! meldscope sweep mine.toml --out DIR --refine 5 --shard $JOB_COMPLETION_INDEX/64 --level 0 --threads 1
+//!
+//! for level in 0 1 2 3 4 5; do                                    # GNU parallel
+//!   seq 0 63 | parallel -S node1,node2 --wd . \
+//!     meldscope sweep mine.toml --out DIR --refine 5 --shard {}/64 --level $level --threads 1
+//! done
+//! ```
+//!
+//! `python3 src/sweep/on_ray.py mine.toml --out DIR --refine 5` runs all levels on a Ray cluster and retries lost
+//! shards.
 
 pub mod bisect;
 pub mod builtin;
