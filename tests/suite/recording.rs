@@ -36,7 +36,7 @@ use meldscope::{
         sinks::{Destinations, Sinks},
     },
 };
-use re_chunk_store::{ChunkStore, ChunkStoreConfig, ChunkStoreHandle, ColumnDescriptor, StaticColumnSelection};
+use rerun::external::re_chunk_store::{ChunkStore, ChunkStoreConfig, ChunkStoreHandle, ColumnDescriptor, StaticColumnSelection};
 use re_dataframe::{QueryEngine, QueryExpression, SparseFillStrategy, StorageEngine, TimeInt};
 
 // ---- reading -------------------------------------------------------------------------------------------------------

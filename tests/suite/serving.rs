@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use hyper_util::rt::{TokioExecutor, TokioIo};
 use meldscope::stream::sinks::{Destinations, Serve, Sinks};
-use re_grpc_client::write::{Client, Options};
+use rerun::external::re_grpc_client::write::{Client, Options};
 
 use crate::sinks::{opening, recording, watch};
 

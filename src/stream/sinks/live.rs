@@ -6,9 +6,9 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
-use re_grpc_client::write::{Client, ClientConnectionFailure, GrpcFlushError, Options};
+use crate::sdk::re_grpc_client::write::{Client, ClientConnectionFailure, GrpcFlushError, Options};
 use re_sorbet::timestamp_metadata::{TimestampLocation, now_timestamp};
-use re_uri::ProxyUri;
+use crate::sdk::re_uri::ProxyUri;
 
 use super::SinkError;
 use super::queue::{Parcel, Queue, WhenFull};

@@ -20,7 +20,7 @@ use std::net::{IpAddr, Ipv4Addr};
 use std::path::PathBuf;
 use std::time::Duration;
 
-use re_uri::{Origin, ProxyUri, Scheme};
+use crate::sdk::re_uri::{Origin, ProxyUri, Scheme};
 
 mod error;
 mod file;
@@ -439,5 +439,5 @@ impl Sinks {
 /// Parses the address of a viewer: `rerun+http://HOST:PORT/proxy`, or `rerun+https://` and `rerun://` for an encrypted
 /// one.
 fn parse_url(url: &str) -> Result<ProxyUri, SinkError> {
-    url.parse().map_err(|err: re_uri::Error| SinkError::Url { url: url.to_owned(), reason: err.to_string() })
+    url.parse().map_err(|err: crate::sdk::re_uri::Error| SinkError::Url { url: url.to_owned(), reason: err.to_string() })
 }
