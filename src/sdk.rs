@@ -1,8 +1,8 @@
 //! The Rerun SDK, in one place: every other module takes its types from here.
 
 pub use rerun::{
-    ApplicationId, AsComponents, ComponentDescriptor, EntityPath, Loggable, SerializedComponentBatch, SizeBytes, StoreId,
-    StoreKind, TimeCell, TimePoint, Timeline, TimelineName,
+    ApplicationId, AsComponents, ComponentDescriptor, EntityPath, Loggable, SerializedComponentBatch, SizeBytes,
+    StoreId, StoreKind, TimeCell, TimePoint, Timeline, TimelineName,
     components::{self, Color, Radius},
     datatypes::{self, Quaternion, Rgba32},
     external::{

@@ -36,8 +36,10 @@ use meldscope::{
         sinks::{Destinations, Sinks},
     },
 };
-use rerun::external::re_chunk_store::{ChunkStore, ChunkStoreConfig, ChunkStoreHandle, ColumnDescriptor, StaticColumnSelection};
 use re_dataframe::{QueryEngine, QueryExpression, SparseFillStrategy, StorageEngine, TimeInt};
+use rerun::external::re_chunk_store::{
+    ChunkStore, ChunkStoreConfig, ChunkStoreHandle, ColumnDescriptor, StaticColumnSelection,
+};
 
 // ---- reading -------------------------------------------------------------------------------------------------------
 

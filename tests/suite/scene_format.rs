@@ -645,3 +645,24 @@ proptest! {
         prop_assert!(outside.iter().all(|bounds| bounds.speed == 0.0 && bounds.acceleration == 0.0));
     }
 }
+
+/// Pairs with a free body have a core by default, which follows their own `merge_at`; pairs on paths have none.
+#[test]
+fn pairs_with_a_free_body_have_a_core_by_default() {
+    let body = |name: &str, motion: &str| format!("[[body]]\nname = \"{name}\"\nradius = 1.0\nmotion = {motion}\n");
+    let bodies = body("a", "{ free = { from = [0, 0, 0] } }")
+        + &body("b", "{ fixed = [4, 0, 0] }")
+        + &body("c", "{ fixed = [8, 0, 0] }");
+    let cores = |text: &str| {
+        let scene = Scene::parse(&format!("duration = 1.0\n{text}{bodies}"), "x.toml").expect("a valid scene");
+        let core = |a, b| (scene.law(a, b).thresholds.core_at, scene.law(a, b).core_width);
+        ([core(0, 1), core(0, 2), core(1, 2)], scene.warnings().iter().any(|warning| warning.contains("core_at = 0")))
+    };
+    let (default, own, none) = ((0.76 * 1.05, 0.38 * 1.05), (0.76 * 0.5, 0.38 * 0.5), (0.0, 0.0));
+    assert_eq!(cores(""), ([default, default, none], false));
+    assert_eq!(cores("[influence]\ncore_at = 0\n"), ([none; 3], true));
+    assert_eq!(cores("[influence]\ncore_at = 0.8\n"), ([(0.8, 0.4), (0.8, 0.4), (0.8, 0.0)], false));
+    assert_eq!(cores("[influence]\ncore_at = 0.8\ncore_width = 0.1\n"), ([(0.8, 0.1); 3], false));
+    let pair = "[[pair]]\nbodies = [\"a\", \"c\"]\nmerge_at = 0.5\n";
+    assert_eq!(cores(pair), ([default, own, none], false));
+}

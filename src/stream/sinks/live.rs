@@ -6,13 +6,15 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
-use crate::sdk::re_grpc_client::write::{Client, ClientConnectionFailure, GrpcFlushError, Options};
 use re_sorbet::timestamp_metadata::{TimestampLocation, now_timestamp};
-use crate::sdk::re_uri::ProxyUri;
 
 use super::SinkError;
 use super::queue::{Parcel, Queue, WhenFull};
 use crate::sdk::LogMsg;
+use crate::sdk::{
+    re_grpc_client::write::{Client, ClientConnectionFailure, GrpcFlushError, Options},
+    re_uri::ProxyUri,
+};
 
 /// Upper limit on data waiting for a viewer [bytes]: several thousand steps of a scene with a few bodies.
 const VIEWER_LIMIT: u64 = 128 << 20;

@@ -439,5 +439,6 @@ impl Sinks {
 /// Parses the address of a viewer: `rerun+http://HOST:PORT/proxy`, or `rerun+https://` and `rerun://` for an encrypted
 /// one.
 fn parse_url(url: &str) -> Result<ProxyUri, SinkError> {
-    url.parse().map_err(|err: crate::sdk::re_uri::Error| SinkError::Url { url: url.to_owned(), reason: err.to_string() })
+    url.parse()
+        .map_err(|err: crate::sdk::re_uri::Error| SinkError::Url { url: url.to_owned(), reason: err.to_string() })
 }
