@@ -8,13 +8,15 @@ use std::{
     fs::File,
     io::Read as _,
     path::{Path, PathBuf},
-    sync::atomic::{AtomicU64, Ordering},
 };
 
-use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
 
-use super::{Failure, print_lines as print, run::scene};
+use super::{
+    Failure, print_lines as print,
+    progress::{Progress, Work},
+    run::scene,
+};
 use crate::{
     bench::{
         MeasureError,
@@ -165,10 +167,9 @@ fn random_errors(count: u64, arguments: &ErrorArguments) -> Result<(), Failure> 
     if let Some(folder) = &arguments.out {
         std::fs::create_dir_all(folder).map_err(|error| unwritable(folder, &error))?;
     }
-    let (bar, done) = (progress_bar("random scenes"), AtomicU64::new(0));
-    let progress = || bar.set_position(1000 * (done.fetch_add(1, Ordering::Relaxed) + 1) / count);
-    let outcomes = random::measure(&settings, &progress);
-    bar.finish_and_clear();
+    let progress = Progress::new("random scenes", Work::Units("scene", Some(count)));
+    let outcomes = random::measure(&settings, &|| progress.add(1));
+    drop(progress);
     let outcomes = outcomes.map_err(|error| Failure::Run(error.to_string()))?;
     for outcome in &outcomes {
         if outcome.factor <= 1.0 && !outcome.is_underestimated && outcome.failure.is_none() {
@@ -206,10 +207,9 @@ fn error(arguments: ErrorArguments) -> Result<(), Failure> {
     let machine = Machine::detect();
     let mut reports = vec![];
     for scene in &scenes {
-        let bar = progress_bar(&scene.name);
-        let mut progress = |share: f64| bar.set_position((1000.0 * share) as u64);
-        let measured = error::measure(scene, &Settings::of(scene), &mut progress);
-        bar.finish_and_clear();
+        let progress = Progress::new(format!("measuring {}", scene.name), Work::Share);
+        let measured = error::measure(scene, &Settings::of(scene), &mut |share| progress.set_share(share));
+        drop(progress);
         let report = measured.map_err(|error| match error {
             MeasureError::Failed(_) | MeasureError::Threads(_) => Failure::Run(error.to_string()),
             error => Failure::Input(format!("scene {}: {error}", scene.name)),
@@ -237,10 +237,9 @@ fn stability(arguments: StabilityArguments) -> Result<(), Failure> {
     let failed = |error: MeasureError| Failure::Run(error.to_string());
     let clock = std::time::Instant::now();
 
-    let bar = progress_bar("stability");
-    let progress = |done: u64| bar.set_position(1000 * done / settings.cases.max(1));
-    let rows = stability::sweep(&settings, &progress);
-    bar.finish_and_clear();
+    let progress = Progress::new("stability", Work::Units("case", Some(settings.cases)));
+    let rows = stability::sweep(&settings, &|done| progress.set(done));
+    drop(progress);
     let rows = rows.map_err(failed)?;
     let swept = clock.elapsed().as_secs_f64();
     for part in [of_stability::by_integrator, of_stability::by_axis, of_stability::worst_cases, of_stability::extremes]
@@ -249,11 +248,13 @@ fn stability(arguments: StabilityArguments) -> Result<(), Failure> {
     }
     print(&of_stability::footer());
 
+    let progress = Progress::new("energy over a million steps, sizes, free bodies", Work::Uncounted);
     let drift = |&integrator: &Integrator| drift::measure(integrator, drift::STEPS);
     let drifts = settings.integrators.par_iter().map(drift).collect::<Result<Vec<_>, _>>().map_err(failed)?;
     print(&format!("\n{}", of_stability::energy(&drifts)));
     print(&format!("\n{}", of_stability::sizes(&sizes::measure().map_err(failed)?)));
     let free_rows = free::measure(&settings.integrators).map_err(failed)?;
+    drop(progress);
     print(&format!("\n{}", free::table(&free_rows)));
     for failure in settings.integrators.iter().flat_map(|&of| free::failures(&free_rows, of)) {
         print(&failure);
@@ -273,10 +274,9 @@ fn stability(arguments: StabilityArguments) -> Result<(), Failure> {
 }
 
 fn stability_of(model: Model, cases: u64) -> Result<(), Failure> {
-    let (bar, done) = (progress_bar(model.name()), AtomicU64::new(0));
-    let progress = || bar.set_position(1000 * (done.fetch_add(1, Ordering::Relaxed) + 1) / cases.max(1));
-    let ends = of_models::measure(model, cases, &progress);
-    bar.finish_and_clear();
+    let progress = Progress::new(model.name(), Work::Units("case", Some(cases)));
+    let ends = of_models::measure(model, cases, &|| progress.add(1));
+    drop(progress);
     let ends = ends.map_err(|error| Failure::Run(error.to_string()))?;
     print(&format!("{model}\n\n{}\n{}", of_models::table(&ends), Machine::detect().at_full_load()));
     let defects: Vec<_> = (0..).zip(&ends).filter(|(_, (_, end))| *end == of_models::End::Defect).collect();
@@ -305,16 +305,6 @@ fn one_case(index: u64, file: Option<&Path>, settings: &stability::Settings) -> 
     let row = stability::run(case, settings).map_err(|error| Failure::Run(error.to_string()))?;
     print(&of_stability::one_case(&row));
     verdict(&[row])
-}
-
-/// A progress bar on the terminal; hidden if standard error is not a terminal.
-fn progress_bar(scene: &str) -> ProgressBar {
-    let bar = ProgressBar::new(1000).with_message(format!("measuring {scene}"));
-    if let Ok(style) = ProgressStyle::with_template("{msg} {bar:40} {percent} %, {eta} left") {
-        bar.set_style(style);
-    }
-    bar.tick();
-    bar
 }
 
 /// First words of the scene files that benchmarks write.

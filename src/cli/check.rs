@@ -8,7 +8,11 @@ use std::{
 
 use rayon::prelude::*;
 
-use super::{Failure, print, say, vector};
+use super::{
+    Failure, print,
+    progress::{Progress, Work},
+    say, vector,
+};
 use crate::{
     atomic::{self, AtomicFile},
     recording::{
@@ -77,6 +81,7 @@ fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
     if !folder.as_os_str().is_empty() && !folder.is_dir() {
         return Err(Failure::Input(format!("there is no folder {}: create it first", folder.display())));
     }
+    let progress = Progress::new("", Work::Units("scene", Some(scripts.len() as u64)));
     let results: Vec<_> = scripts
         .par_iter()
         .enumerate()
@@ -90,7 +95,9 @@ fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
             }
             false => Ok(None),
         })
+        .inspect(|_| progress.add(1))
         .collect();
+    drop(progress);
     let (mut failed, mut rejected) = (Vec::new(), None);
     for (script, result) in scripts.iter().zip(results) {
         let name = &script.name;
@@ -220,6 +227,7 @@ fn report(name: &str, difference: &GoldenDifference, is_accepted: bool) {
 }
 
 fn bless(scripts: &[Script], reason: &str) -> Result<(), Failure> {
+    let progress = Progress::new("", Work::Units("scene", Some(scripts.len() as u64)));
     let results: Vec<_> = scripts
         .par_iter()
         .map(|script| {
@@ -235,7 +243,9 @@ fn bless(scripts: &[Script], reason: &str) -> Result<(), Failure> {
             }
             golden::prepare(&script.scene, &script.golden, reason).map(Some)
         })
+        .inspect(|_| progress.add(1))
         .collect();
+    drop(progress);
     let (mut made, mut failure) = (Vec::new(), None);
     for (script, result) in scripts.iter().zip(results) {
         match result {

@@ -2,7 +2,12 @@
 
 use std::path::PathBuf;
 
-use super::{Failure, announce, may_print, may_save, print, run::parse_tolerance, sink_failure, vector};
+use super::{
+    Failure, announce, may_print, may_save, print,
+    progress::{Progress, Work},
+    run::parse_tolerance,
+    sink_failure, vector,
+};
 use crate::{
     recording::{Recorded, diff, existing::Existing},
     text::{bytes, counted, thousands},
@@ -38,7 +43,9 @@ pub fn diff(arguments: Arguments) -> Result<(), Failure> {
         may_save(save, &[(&arguments.first, what), (&arguments.second, what)], &Existing::comparison())?;
         announce(save, &Existing::comparison())?;
     }
+    let progress = Progress::new("comparing", Work::Uncounted);
     let difference = diff::diff([&a, &b], tolerance)?;
+    drop(progress);
     let (first, second) = (a.path.display(), b.path.display());
     for (recorded, again) in [&a, &b].into_iter().zip(difference.run_again) {
         let again = if again { "; recorded without surfaces, so it was run again" } else { "" };

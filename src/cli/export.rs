@@ -10,7 +10,11 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use super::{Failure, expense, one_of, print, run, say};
+use super::{
+    Failure, expense, one_of, print,
+    progress::{Progress, Work},
+    run, say,
+};
 use crate::{
     atomic::{self, AtomicFile},
     models::{self, SceneRun},
@@ -103,8 +107,10 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
     let (mut merger, mut frame, mut summary) = (Merger::new(&schema, None), Frame::default(), StepSummary::default());
     let (mut files, mut size, mut overlapping) = (0, 0, 0);
     let (mut touches, mut surfaces) = (events.is_some().then(|| Touches::new(&*simulation)), Vec::new());
+    let progress = Progress::new("", Work::Units("step", Some(to)));
     loop {
         let step = simulation.steps_taken();
+        progress.step(step, simulation.time());
         if let Some(recorded) = &recorded
             && recorded.checksum(step).is_some_and(|checksum| checksum != simulation.checksum())
         {
@@ -146,6 +152,7 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
             all.iter().filter(|row| (from..=to).contains(&row.step())).try_for_each(|row| table.add(&schema, row))?;
         }
     }
+    drop(progress);
     if overlapping > 0 {
         say(&format!(
             "note: in {} a group of bodies could not be united, and its meshes overlap",

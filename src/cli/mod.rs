@@ -9,6 +9,7 @@ mod diff;
 mod expense;
 mod export;
 mod interrupt;
+mod progress;
 mod replay;
 mod run;
 mod scenes;

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use super::{
     Failure, announce, may_print, may_save, one_of, print,
+    progress::{Progress, Work},
     run::{parse_integrator, parse_step, parse_tolerance},
     say, sink_failure, vector,
 };
@@ -79,7 +80,12 @@ pub fn replay(arguments: Arguments) -> Result<(), Failure> {
     }
     let (from, to) = range(&arguments, recorded.last())?;
     let mut saver = Saver::open(&arguments, &recorded, &recorded.schema, from..=to)?;
-    let verdict = replay::verify(&recorded, |simulation| saver.observe(simulation))?;
+    let progress = Progress::new("", Work::Units("step", Some(recorded.last())));
+    let verdict = replay::verify(&recorded, |simulation| {
+        progress.step(simulation.steps_taken(), simulation.time());
+        saver.observe(simulation)
+    })?;
+    drop(progress);
     if let Some(failure) = saver.failure.take() {
         return Err(Failure::Run(failure));
     }
@@ -219,7 +225,9 @@ fn vary(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
     let (mut frame, mut summary, mut events) = (Frame::default(), StepSummary::default(), Vec::new());
     let mut largest = (0.0, 0.0, String::new());
     let mut failure = None;
+    let progress = Progress::new("", Work::Units("step", Some(steps)));
     loop {
+        progress.step(simulation.steps_taken(), simulation.time());
         simulation.observe(Want::default(), &mut frame);
         for (body, now) in schema.bodies.iter().zip(&frame.bodies) {
             let displacement = now.max_displacement / body.radius;
@@ -238,6 +246,7 @@ fn vary(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
         }
         events.extend(summary.events.iter().map(|event| schema.describe(event)));
     }
+    drop(progress);
     print(&format!(
         "{}: {} of {} s with {}, tolerance {:e}, instead of {} of {} s with {}, tolerance {:e}; not verified",
         recorded.path.display(),

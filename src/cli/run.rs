@@ -13,7 +13,9 @@ use std::{
 use super::{
     Failure, announce, expense,
     interrupt::{self, HAS_STEPPED, STOP},
-    may_print, may_save, one_of, print, say, sink_failure,
+    may_print, may_save, one_of, print,
+    progress::{Progress, Work},
+    say, sink_failure,
 };
 use crate::{
     models::{self, SceneRun},
@@ -32,11 +34,10 @@ use crate::{
         sinks::{Destinations, Finished, Host, Serve, Serving, Sinks, Spawn},
         size,
     },
-    text::{bytes, counted, did_you_mean, printable, step_size, thousands},
+    text::{bytes, counted, did_you_mean, step_size, thousands},
 };
-use indicatif::{ProgressBar, ProgressStyle};
 
-/// The progress bar is updated, and a watched file is checked, at this interval, but only every few steps.
+/// Notes are printed, and a watched file is checked, at this interval, but only every few steps.
 const CHECK_INTERVAL: Duration = Duration::from_millis(50);
 const STEPS_BETWEEN_CHECKS: u64 = 16;
 /// A rate of steps is reported only if they took at least this long [s].
@@ -212,15 +213,16 @@ pub fn run(mut arguments: Arguments) -> Result<(), Failure> {
         announce(save, &new)?;
     }
 
-    let mut console = Console::new(&arguments, settings.steps);
+    let mut console = Console::new(&arguments);
     if destinations.save.is_some() || arguments.stdout {
+        let _progress = console.work("estimating the size of the recording", Work::Uncounted);
         arguments.every = console.say_size(&experiment, &settings, arguments.every);
     }
     drop(experiment);
     let outcome = if arguments.watch {
         watch(simulation, sinks, &arguments, &STOP, &mut console)?
     } else {
-        simulate(simulation, sinks, &arguments, &STOP, None, &mut console)?.conclude(&mut console)?
+        simulate(simulation, sinks, &arguments, &STOP, None, &mut console)?.conclude(&console)?
     };
     summarize(&console, &outcome);
     if let Some(serving) = &outcome.finished.serving {
@@ -373,10 +375,9 @@ struct Simulated {
 
 impl Simulated {
     /// Finishes every destination.
-    fn conclude(self, console: &mut Console) -> Result<Outcome, Failure> {
+    fn conclude(self, console: &Console) -> Result<Outcome, Failure> {
         let Simulated { simulation, schema, settings, sinks, frames, events, approaches, seconds, failure, .. } = self;
         let finished = sinks.finish();
-        console.clear();
         match (failure, finished) {
             (None, Ok(finished)) => {
                 Ok(Outcome { simulation, schema, settings, finished, frames, events, approaches, seconds })
@@ -410,6 +411,7 @@ fn simulate(
     let number = changes.as_mut().map_or(0, |changes| changes.next_run());
     let warnings: Vec<String> = schema.warnings.iter().map(|warning| format!("warning: {warning}")).collect();
     console.notes(&warnings);
+    console.begin(&settings, arguments.save.as_deref());
     let mut recorder = Recorder::numbered(&*simulation, settings.clone(), number);
     // first write what a replay needs, because the run may be killed at any moment
     let mut first = recorder.take();
@@ -421,6 +423,7 @@ fn simulate(
         failure = failure.or(sinks.flush().err().map(|error| error.to_string()));
     }
     let mut pipeline = Pipeline::start(&*simulation, recorder, sinks).map_err(sink_failure)?;
+    console.progress.stage("");
     let (mut events, mut next, mut failed, mut summary) = (Events::default(), None, None, StepSummary::default());
     let (start, mut simulating) = (Instant::now(), Duration::ZERO);
     let mut looked = start;
@@ -439,6 +442,9 @@ fn simulate(
         if failed.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
             break;
         }
+        if let Some(warning) = summary.warning.take() {
+            console.notes(&[format!("warning: {warning}")]);
+        }
         if let Some(shortfall) = summary.shortfall {
             events.missed(summary.at, shortfall);
         }
@@ -454,14 +460,16 @@ fn simulate(
             wait_until(due, stop);
         }
         let is_time = simulation.steps_taken().is_multiple_of(STEPS_BETWEEN_CHECKS) || arguments.realtime;
+        console.progress.step(simulation.steps_taken(), simulation.time());
         if is_time && looked.elapsed() >= CHECK_INTERVAL {
             looked = Instant::now();
-            console.progress(simulation.steps_taken(), pipeline.notes());
+            console.notes(&pipeline.notes());
             next = changes.as_mut().and_then(|changes| changes.scene(arguments, console));
         }
     }
 
     // The steps simulated so far are saved, however the run ended.
+    console.progress.stage("finishing the recording");
     let mut end = pipeline.finish().map_err(Failure::Run)?;
     let seconds = [simulating, start.elapsed()].map(|time| time.as_secs_f64());
     let failed =
@@ -481,7 +489,8 @@ fn simulate(
     if next.is_none() {
         notes.extend(recorder.missed_event());
     }
-    console.progress(simulation.steps_taken(), notes);
+    console.end();
+    console.notes(&notes);
     let (frames, approaches) = (recorder.written(), recorder.approaches());
     Ok(Simulated { simulation, schema, settings, sinks, frames, events, approaches, seconds, failure, next })
 }
@@ -687,30 +696,17 @@ fn with_overrides(arguments: &Arguments, mut scene: Scene) -> Scene {
 
 /// Builds the bodies of a scene, with a progress message: factoring a large stiffness matrix may take long.
 fn start(experiment: &SceneRun) -> Result<Box<dyn Simulation>, Failure> {
-    let bar = ProgressBar::new_spinner().with_message(format!("building bodies: {}", experiment.scene.model));
-    if let Ok(style) = ProgressStyle::with_template("{spinner} {msg}, {elapsed}; Ctrl-C ends it") {
-        bar.set_style(style);
-    }
-    bar.enable_steady_tick(Duration::from_millis(100)); // hidden if standard error is not a terminal
-    let started = experiment.start();
-    bar.finish_and_clear();
-    started.map_err(Failure::Input)
+    let _progress = Progress::new(format!("building bodies: {}", experiment.scene.model), Work::Uncounted);
+    experiment.start().map_err(Failure::Input)
 }
 
-/// Reads a scene file, with a progress bar if a mesh takes long.
+/// Reads a scene file; meshes may take long.
 pub(super) fn read(path: &Path) -> Result<Scene, Failure> {
-    let bar = ProgressBar::new(1000); // hidden if standard error is not a terminal
-    if let Ok(style) = ProgressStyle::with_template("reading {msg} {bar:40} {percent} %") {
-        bar.set_style(style);
-    }
-    let start = Instant::now();
+    let progress = Progress::new("reading the scene", Work::Share);
     let loaded = Scene::load_watched(path, &|mesh, share| {
-        if start.elapsed() > Duration::from_millis(300) {
-            bar.set_message(printable(mesh).into_owned());
-            bar.set_position((1000.0 * share) as u64);
-        }
+        progress.stage(format!("reading {mesh}"));
+        progress.set_share(share);
     });
-    bar.finish_and_clear();
     loaded.map_err(Failure::input)
 }
 
@@ -869,46 +865,42 @@ fn shell_word(path: &str) -> String {
     }
 }
 
-/// Reports the progress of a run: a progress bar on a terminal, lines everywhere.
+/// Reports the progress of a run, and prints its results.
 struct Console {
-    bar: ProgressBar,
+    progress: Progress,
     quiet: bool,
     /// Standard output carries the recording, so results go to standard error.
     piped: bool,
 }
 
 impl Console {
-    fn new(arguments: &Arguments, steps: Option<u64>) -> Console {
-        // Draws on standard error; hidden if that is not a terminal.
-        let bar = match (arguments.quiet, steps) {
-            (true, _) => ProgressBar::hidden(),
-            (false, Some(steps)) => ProgressBar::new(steps),
-            (false, None) => ProgressBar::new_spinner(),
-        };
-        let template = match steps {
-            Some(_) => "{bar:40} step {human_pos} of {human_len}, {per_sec}, {eta} left",
-            None => "{spinner} step {human_pos}, {per_sec}; Ctrl-C ends the run",
-        };
-        if let Ok(style) = ProgressStyle::with_template(template) {
-            bar.set_style(style);
-        }
-        Console { bar, quiet: arguments.quiet, piped: arguments.stdout }
+    fn new(arguments: &Arguments) -> Console {
+        Console { progress: Progress::hidden(), quiet: arguments.quiet, piped: arguments.stdout }
     }
 
-    fn progress(&mut self, step: u64, notes: Vec<String>) {
-        self.bar.set_position(step);
-        self.notes(&notes);
+    /// Reports the progress of this work until it is dropped.
+    fn work(&self, what: &str, work: Work) -> Progress {
+        if self.quiet { Progress::hidden() } else { Progress::new(what, work) }
+    }
+
+    /// Begins to report the steps of a run.
+    fn begin(&mut self, settings: &Settings, save: Option<&Path>) {
+        let progress = self.work("recording the first frame", Work::Units("step", settings.steps));
+        self.progress = match save {
+            Some(save) => progress.with_file(save),
+            None => progress,
+        };
+    }
+
+    fn end(&mut self) {
+        self.progress = Progress::hidden();
     }
 
     /// Prints notes, even with --quiet: they report failed destinations and warnings.
     fn notes(&self, notes: &[String]) {
         for note in notes {
-            self.bar.suspend(|| say(note));
+            self.progress.suspend(|| say(note));
         }
-    }
-
-    fn clear(&mut self) {
-        self.bar.finish_and_clear();
     }
 
     /// Reports the predicted size of a large recording, and the options that change it. Returns the interval between
@@ -956,7 +948,7 @@ impl Console {
 
     /// Prints a result during the run.
     fn print_beside(&self, line: &str) {
-        self.bar.suspend(|| self.print(line));
+        self.progress.suspend(|| self.print(line));
     }
 
     fn print(&self, line: &str) {

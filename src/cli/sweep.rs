@@ -5,16 +5,15 @@ use std::{
     fs::File,
     io::{self, Read as _, Write as _},
     path::{Path, PathBuf},
-    sync::atomic::{AtomicU64, Ordering},
     time::Instant,
 };
-
-use indicatif::{ProgressBar, ProgressStyle};
 
 use super::{
     Failure,
     interrupt::{self, STOP},
-    print, say,
+    print,
+    progress::{Progress, Work},
+    say,
 };
 use crate::{
     models,
@@ -245,14 +244,9 @@ struct RunningSweep<'a> {
 impl RunningSweep<'_> {
     /// Runs a shard of a level; does not return if interrupted.
     fn level(&self, level: u32, plan: &Plan, shard: Shard) -> Result<(), Failure> {
-        let bar = ProgressBar::new(plan.of(shard));
-        let template =
-            format!("level {level} {{bar:40}} run {{human_pos}} of {{human_len}}, {{per_sec}}, {{eta}} left");
-        if let Ok(style) = ProgressStyle::with_template(&template) {
-            bar.set_style(style);
-        }
-        let ended = level::run(&self.runner, self.store, (level, plan, shard), &STOP, &|rows| bar.inc(rows));
-        bar.finish_and_clear();
+        let progress = Progress::new(format!("level {level}"), Work::Units("run", Some(plan.of(shard))));
+        let ended = level::run(&self.runner, self.store, (level, plan, shard), &STOP, &|rows| progress.add(rows));
+        drop(progress);
         match ended? {
             Ended::Complete => Ok(()),
             Ended::Interrupted => self.interrupted(),
@@ -335,17 +329,10 @@ impl RunningSweep<'_> {
         self.store.read(0..1, None, &self.store.named(&["outcome"]), |(row, cells)| {
             classes.insert(row, class(cells.first()));
         })?;
-        let (bar, done) = (ProgressBar::new_spinner(), AtomicU64::new(0));
-        let progress = |more: u64| {
-            let done = done.fetch_add(more, Ordering::Relaxed) + more;
-            bar.set_message(format!("{} found", counted(done, "threshold")));
-        };
-        if let Ok(style) = ProgressStyle::with_template("{spinner} {msg}") {
-            bar.set_style(style);
-        }
+        let progress = Progress::new("searching", Work::Units("threshold", None));
         let outcome = |index: &[u64]| classes.get(&design.row(0, index)).copied();
-        let found = bisect::thresholds(&self.runner, design, axis, &outcome, &STOP, &progress);
-        bar.finish_and_clear();
+        let found = bisect::thresholds(&self.runner, design, axis, &outcome, &STOP, &|more| progress.add(more));
+        drop(progress);
         let Some(found) = found else { self.interrupted() };
         let rows = bisect::rows(&found);
         let path = self.store.write(&thresholds_file(axis), |to| table::write(&bisect::columns(design), &rows, to))?;

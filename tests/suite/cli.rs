@@ -642,6 +642,27 @@ fn the_recording_does_not_depend_on_speed() {
     assert_eq!(fast.len(), slow.len());
 }
 
+/// Without a terminal, a run that takes long prints a line every ten seconds, unless it is to be quiet.
+#[test]
+fn a_long_run_reports_its_progress() {
+    let dir = scene_dir();
+    let report = |more: &[&str]| {
+        let arguments = ["run", "small.toml", "--steps", "630", "--realtime", "--save"];
+        run(&dir, &[&arguments, more].concat()).err
+    };
+    std::thread::scope(|scope| {
+        let quiet = scope.spawn(|| report(&["quiet.rrd", "--quiet"]));
+        let said = report(&["said.rrd"]);
+        let words: Vec<&str> = said.lines().next().unwrap_or_default().split(", ").collect();
+        let [step, time, rate, left, size] = words[..] else { panic!("{said}") };
+        assert!(step.starts_with("step ") && step.ends_with(" of 630"), "{said}");
+        assert!(time.starts_with("t = ") && rate.ends_with(" steps/s") && left.ends_with(" s left"), "{said}");
+        assert!(size.ends_with("iB"), "{said}");
+        assert_eq!(said.lines().count(), 1, "{said}");
+        assert_eq!(quiet.join().expect("no panic"), "");
+    });
+}
+
 // ---- pipes ---------------------------------------------------------------------------------------------------------
 
 #[test]

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::{
     super::{announce, may_save, run::scene},
-    Failure, Files, print, progress_bar, write,
+    Failure, Files, Progress, Work, print, write,
 };
 use crate::{
     Scene,
@@ -42,9 +42,9 @@ pub fn models(arguments: Arguments) -> Result<(), Failure> {
     let machine = Machine::detect();
     let mut reports = Vec::new();
     for scene in &scenes {
-        let bar = progress_bar(&scene.name);
-        let report = models::measure(scene, &Model::ALL, &mut |share| bar.set_position((1000.0 * share) as u64));
-        bar.finish_and_clear();
+        let progress = Progress::new(format!("measuring {}", scene.name), Work::Share);
+        let report = models::measure(scene, &Model::ALL, &mut |share| progress.set_share(share));
+        drop(progress);
         print(&format!("{}\n", table(&report)));
         reports.push(report);
     }
@@ -62,6 +62,7 @@ fn record(scene: &Scene, path: &Path) -> Result<(), Failure> {
     announce(path, &new)?;
     let destinations = Destinations { save: Some(path.to_owned()), ..Destinations::default() };
     let settings = Settings::for_bodies(schema.bodies.len(), schema.steps);
+    let _progress = Progress::new("recording all models", Work::Uncounted).with_file(path);
     let frames = stream::record(&all, settings, &destinations).map_err(|error| Failure::Run(error.to_string()))?;
     let names = schema.model.replace('+', ", ");
     print(&format!("saved {}: {}, {}\n", path.display(), counted(frames, "frame"), names));

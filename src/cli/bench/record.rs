@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::{super::run::scene, Failure, WRITTEN, claim, print, write};
+use super::{super::run::scene, Failure, Progress, WRITTEN, Work, claim, print, write};
 use crate::{
     Scene,
     bench::{
@@ -56,12 +56,16 @@ pub fn record(arguments: Arguments) -> Result<(), Failure> {
     let folder = arguments.folder.unwrap_or_else(std::env::temp_dir);
     let mut report = Report::default();
     for scene in &scenes {
+        let progress = Progress::new(format!("measuring {}", scene.name), Work::Uncounted);
         let measured = record::measure(scene, &folder).map_err(Failure::Run)?;
+        drop(progress);
         print(&format!("{}\n", table::table(&measured)));
         report.measurements.extend(measured);
     }
     if has_all {
+        let progress = Progress::new("measuring checksums and replays", Work::Uncounted);
         let costs = record::measure_costs(&folder).map_err(Failure::Run)?;
+        drop(progress);
         print(&format!("{}\n", table::costs(&costs)));
         report.costs = Some(costs);
     }

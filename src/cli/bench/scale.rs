@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use super::{Failure, Files, print, progress_bar, write};
+use super::{Failure, Files, Progress, Work, print, write};
 use crate::bench::{
     MeasureError, goals,
     machine::Machine,
@@ -37,9 +37,9 @@ pub fn scale(arguments: Arguments) -> Result<(), Failure> {
     let settings = Settings { bodies, time, decay };
 
     let machine = Machine::detect();
-    let bar = progress_bar("scale");
-    let measured = scale::measure(&settings, &mut |share| bar.set_position((1000.0 * share) as u64));
-    bar.finish_and_clear();
+    let progress = Progress::new("measuring scenes of all sizes", Work::Share);
+    let measured = scale::measure(&settings, &mut |share| progress.set_share(share));
+    drop(progress);
     let report = measured.map_err(|error| match error {
         MeasureError::TooLarge(_) => Failure::input(error),
         error => Failure::Run(error.to_string()),
