@@ -54,6 +54,7 @@
 //! vectors. Units are those of the scene file: scene unit, second, radian.
 
 pub mod energy;
+pub(crate) mod hermite;
 pub mod influence;
 pub mod oscillator;
 pub mod pair_law;

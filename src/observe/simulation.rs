@@ -6,7 +6,9 @@ use std::{
     time::Duration,
 };
 
-use glam::{DQuat, DVec3};
+use glam::DVec3;
+
+use crate::model::hermite::Hermite;
 
 use super::{
     approach::NearPair,
@@ -127,10 +129,9 @@ pub trait Simulation {
 /// linearly, rotations spherically. The error of the cubics is of fourth order in the step, unless a force jumps within
 /// it.
 pub fn between(schema: &Schema, ends: [&Frame; 2], time: f64, bodies: &[usize], frame: &mut Frame) {
-    let length = ends[1].at.time - ends[0].at.time;
-    let z = if length > 0.0 { ((time - ends[0].at.time) / length).clamp(0.0, 1.0) } else { 1.0 };
-    let (value, slope) = ((1.0 - z) * (1.0 - z) * (1.0 + 2.0 * z), z * (1.0 - z) * (1.0 - z) * length);
-    let (next_value, next_slope) = (1.0 - value, -z * z * (1.0 - z) * length);
+    let [start, end] = ends.map(|end| end.at.time);
+    let z = if end > start { ((time - start) / (end - start)).clamp(0.0, 1.0) } else { 1.0 };
+    let cubic = Hermite::new([start, end], time);
     frame.at = Instant { step: ends[1].at.step, time };
     frame.bodies.resize_with(schema.bodies.len(), BodyFrame::default);
     for &index in bodies {
@@ -139,16 +140,8 @@ pub fn between(schema: &Schema, ends: [&Frame; 2], time: f64, bodies: &[usize], 
         now.centre = from.centre.lerp(to.centre, z);
         now.rotation = from.rotation.slerp(to.rotation, z);
         if let (Some(start), Some(end)) = (from.motion, to.motion) {
-            let cubic = |[from, to]: [DVec3; 2], [rate, last_rate]: [DVec3; 2]| {
-                from * value + to * next_value + rate * slope + last_rate * next_slope
-            };
-            now.centre = cubic([from.centre, to.centre], [start.velocity, end.velocity]);
-            // the rotation since the start as a rotation vector, whose rate is J⁻¹ times the angular velocity
-            let turned = to.rotation * from.rotation.inverse();
-            let turn = (if turned.w < 0.0 { -turned } else { turned }).to_scaled_axis();
-            let rate = end.spin - 0.5 * turn.cross(end.spin) + turn.cross(turn.cross(end.spin)) / 12.0;
-            let turn = cubic([DVec3::ZERO, turn], [start.spin, rate]);
-            now.rotation = (DQuat::from_scaled_axis(turn) * from.rotation).normalize();
+            now.centre = cubic.vector([from.centre, to.centre], [start.velocity, end.velocity]);
+            now.rotation = cubic.rotation([from.rotation, to.rotation], [start.spin, end.spin]);
         }
         now.mesh.clone_from(&to.mesh);
         if from.is_at_rest && to.is_at_rest {
@@ -166,10 +159,10 @@ pub fn between(schema: &Schema, ends: [&Frame; 2], time: f64, bodies: &[usize], 
         }
         now.displacements.reset(count);
         for (factor, vectors) in [
-            (value, &from.displacements),
-            (next_value, &to.displacements),
-            (slope, &from.velocities),
-            (next_slope, &to.velocities),
+            (cubic.values[0], &from.displacements),
+            (cubic.values[1], &to.displacements),
+            (cubic.rates[0], &from.velocities),
+            (cubic.rates[1], &to.velocities),
         ] {
             now.displacements.add_times(factor, vectors); // adds nothing for a body at rest
         }
@@ -221,6 +214,8 @@ pub struct StepSummary {
     pub scalars: Vec<f64>,
     /// Where the step is less accurate than requested, if anywhere.
     pub shortfall: Option<Shortfall>,
+    /// A warning that the run will end early, and why.
+    pub warning: Option<String>,
     /// Why the run should end here, if it should.
     pub failure: Option<StepFailure>,
 }

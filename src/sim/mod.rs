@@ -80,6 +80,6 @@ pub use arrays::Vectors;
 pub use events::Event;
 pub use memory::TooLarge;
 pub use observe::{BodyForces, Energy};
-pub use report::{Diverged, EditError, Failure, Overworked, Stage, StepReport, Toil};
+pub use report::{Diverged, EditError, Failure, Overworked, Stage, StepReport, Strain, Toil};
 pub use terms::Cause;
 pub use world::{BodyView, Options, PairView, States, World};

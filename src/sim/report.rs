@@ -104,6 +104,35 @@ pub enum Toil {
         /// Number of influence spheres that can reach it.
         spheres: usize,
     },
+    /// Free bodies that act on each other, and are stepped together.
+    #[error(
+        "{bodies} bodies that act on each other, among them \"{body}\", are stepped together; they have {pairs} pairs, and took {steps} \
+         steps in this frame for {changes} phase changes; {}",
+        remedy(*changes, *steps, *tolerance)
+    )]
+    Together {
+        /// Number of bodies.
+        bodies: usize,
+        /// Name of the body whose error made the shortest step.
+        body: String,
+        /// Number of pairs of these bodies that are near each other.
+        pairs: usize,
+        /// Number of steps taken, at most.
+        steps: u64,
+        /// Number of phase changes in these steps.
+        changes: usize,
+        /// Tolerance of the scene [radii per unit of scene time].
+        tolerance: f64,
+    },
+    /// A body that is crushed.
+    #[error(
+        "body \"{body}\" is crushed until it turns inside out, where its rotation is not unique; soften what presses on it (planes' \
+         stiffness, beta), raise its omega, or set rotation = \"fixed\""
+    )]
+    InsideOut {
+        /// Name of the body.
+        body: String,
+    },
     /// A pair whose phase changes without end.
     #[error(
         "bodies \"{a}\" and \"{b}\" chatter: they change their phase without end where attraction turns into repulsion at \
@@ -136,6 +165,35 @@ pub enum Toil {
         /// Number of pairs known so far.
         pairs: usize,
     },
+}
+
+/// A warning that a run will end as [`Overworked`].
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "step {step} (t = {time:.6} s) takes more work than most steps may: after some more like it, the run will end; {toil}"
+)]
+pub struct Strain {
+    /// The step.
+    pub step: u64,
+    /// Simulated time at its end [s].
+    pub time: f64,
+    /// What takes the work.
+    pub toil: Toil,
+}
+
+/// What makes steps of many bodies cheaper.
+fn remedy(changes: usize, steps: u64, tolerance: f64) -> String {
+    match 2 * changes as u64 >= steps {
+        true => {
+            "a phase change begins a new step of them all: use fewer bodies or vertices, spread them out, or lower \
+                 merge_at so that fewer of them merge"
+                .to_owned()
+        }
+        false => format!(
+            "raise tolerance (now {tolerance:e}), set rotation = \"fixed\", soften planes, lower frequencies, alpha and beta, or \
+             use fewer bodies or vertices"
+        ),
+    }
 }
 
 /// Why a run should end after a step.
@@ -193,6 +251,8 @@ pub struct StepReport {
     pub error: f64,
     /// Where the error exceeds the tolerance because steps cannot be made shorter.
     pub shortfall: Option<Shortfall>,
+    /// What takes so much work that the run will end early if it goes on like this; set once.
+    pub strain: Option<Strain>,
     /// Why the run should end here, if it should.
     pub failure: Option<Failure>,
     /// Number of bodies that were at rest for the whole of the integrator's last step, and skipped.

@@ -242,6 +242,7 @@ impl Simulation for World {
             ScalarValue::SumOfSteps(value) | ScalarValue::MaxOfSteps(value) => value(report),
         }));
         summary.shortfall = report.shortfall;
+        summary.warning = report.strain.as_ref().map(ToString::to_string);
         summary.failure = report.failure.as_ref().map(StepFailure::from);
     }
 
@@ -373,11 +374,12 @@ impl Simulation for World {
         if is_exact && self.coupled.is_none() && stages::within(before, self, time, bodies, frame) {
             return;
         }
-        let mut after = Frame::default();
-        self.observe(Want::default(), &mut after);
-        between(&Simulation::schema(self), [before, &after], time, bodies, frame);
-        if is_exact {
-            stages::within_coupled(before, self, time, bodies, frame);
+        let written = if is_exact { stages::within_coupled(before, self, time, bodies, frame) } else { Vec::new() };
+        let others: Vec<usize> = bodies.iter().copied().filter(|body| !written.contains(body)).collect();
+        if !others.is_empty() {
+            let mut after = Frame::default();
+            self.observe(Want::default(), &mut after);
+            between(&Simulation::schema(self), [before, &after], time, &others, frame);
         }
         for &index in bodies.iter().filter(|&&index| self.scene().bodies[index].path().is_some()) {
             frame.bodies[index].centre = self.track(index).position(time);

@@ -131,17 +131,24 @@ pub fn within(before: &Frame, world: &World, time: f64, bodies: &[usize], frame:
     true
 }
 
-/// Like [`within`] for a coupled scene. Bodies that took no steps are left unchanged.
-pub fn within_coupled(before: &Frame, world: &World, time: f64, bodies: &[usize], frame: &mut Frame) {
-    let Some(coupled) = &world.coupled else { return };
-    let work = Work::limited(MAX_WORK_WITHIN, world.options().interrupt);
-    coupled.within(world.scene(), [before.at.time, time], bodies, &Tally::new(&work, None), |index, body| {
+/// Like [`within`] for a coupled scene. Bodies that took no step in which they act on others are left unchanged; returns
+/// the others.
+pub fn within_coupled(before: &Frame, world: &World, time: f64, bodies: &[usize], frame: &mut Frame) -> Vec<usize> {
+    let Some(coupled) = &world.coupled else { return Vec::new() };
+    let work = Work::limited(MAX_WORK, world.options().interrupt);
+    frame.at = Instant { step: world.steps_taken(), time };
+    frame.bodies.resize_with(world.body_count(), BodyFrame::default);
+    let mut written = Vec::new();
+    let ends = [before.at.time, world.time()];
+    coupled.within(world.scene(), ends, time, bodies, &Tally::new(&work, None), |index, body| {
         let now = &mut frame.bodies[index];
-        (now.centre, now.rotation) = (body.centre, body.rotation);
-        now.displacements.reset(body.x.len());
-        body.x.iter().enumerate().for_each(|(i, &x)| now.displacements.set(i, x));
+        (now.centre, now.rotation) = (body.centre(), body.rotation());
+        now.displacements.reset(world.bodies[index].rest().len());
+        body.displacements().enumerate().for_each(|(i, x)| now.displacements.set(i, x));
         now.displaced(world.bodies[index].rest());
+        written.push(index);
     });
+    written
 }
 
 /// The frame without the forces that do not come from influence spheres.

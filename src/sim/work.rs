@@ -13,6 +13,8 @@ use std::{
 
 /// Debt that ends a run [units].
 const MAX_DEBT: u64 = 600_000_000;
+/// Debt that is announced [units].
+const ANNOUNCED_DEBT: u64 = MAX_DEBT / 10;
 /// Allowance of a step [units]: a constant, …
 const FREE: u64 = 500_000;
 /// … plus this much per stepped vertex, …
@@ -50,6 +52,8 @@ pub(super) struct Work {
     by_turn: Vec<AtomicU64>,
     /// The first turn known to exceed the limit.
     last_turn: AtomicUsize,
+    /// Whether the debt was announced.
+    is_announced: bool,
     /// Set to end the run.
     interrupt: Option<&'static AtomicBool>,
 }
@@ -98,6 +102,13 @@ impl Work {
         self.base = base;
         let allowance = self.allowance(vertices);
         self.debt = self.debt.saturating_add(self.before.saturating_add(work)).saturating_sub(allowance);
+    }
+
+    /// Whether the debt is to be announced, which happens once.
+    pub fn announce(&mut self) -> bool {
+        let is_due = self.debt > ANNOUNCED_DEBT && !self.is_announced;
+        self.is_announced |= is_due;
+        is_due
     }
 
     /// The allowance of a step of `vertices`.

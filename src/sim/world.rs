@@ -24,7 +24,7 @@ use super::{
     integrator::exponential,
     memory::{self, TooLarge},
     pairs::{Moving, Pair, Pairs, Surrounded},
-    report::{Diverged, EditError, Failure, Overworked, Stage, StepReport, Toil},
+    report::{Diverged, EditError, Failure, Overworked, Stage, StepReport, Strain, Toil},
     span::Span,
     state::State,
     terms::{self, Moment, Surroundings},
@@ -393,14 +393,22 @@ impl World {
         }
         let actives = self.actives.awake();
         if let Some(slot) = self.work.busiest(sum.work, actives.iter().map(|active| active.statistics.work)) {
-            let Active { body, bounds, .. } = &actives[slot];
-            let (vertices, body) =
-                (self.bodies[*body as usize].mesh.directions().len(), &self.scene.bodies[*body as usize]);
-            let toil = Toil::Forces { body: body.name.clone(), vertices, spheres: bounds.reachable.len() };
-            return Err(self.failure(Stop::Overworked, toil));
+            return Err(self.failure(Stop::Overworked, self.toil(&actives[slot])));
         }
         self.work.end(sum.work, sum.base, sum.vertices);
+        if self.work.announce() {
+            let busiest = self.actives.awake().iter().max_by_key(|active| active.statistics.work);
+            let toil = busiest.map(|active| self.toil(active));
+            self.report.strain = toil.map(|toil| Strain { step: self.step + 1, time: span.end, toil });
+        }
         Ok(sum)
+    }
+
+    /// What a body does that takes so much work.
+    fn toil(&self, active: &Active) -> Toil {
+        let body = active.body as usize;
+        let vertices = self.bodies[body].mesh.directions().len();
+        Toil::Forces { body: self.scene.bodies[body].name.clone(), vertices, spheres: active.bounds.reachable.len() }
     }
 
     /// Writes the results of the step to the report, and whether it led to an invalid state.

@@ -75,7 +75,7 @@ impl Simulation for Projected {
     fn summary(&self, summary: &mut StepSummary) {
         let (at, timings) = (Instant { step: self.step, time: self.time() }, vec![Duration::ZERO]);
         let (events, scalars) = (self.events.clone(), vec![0.0, 12.0]);
-        *summary = StepSummary { at, events, timings, scalars, shortfall: None, failure: None };
+        *summary = StepSummary { at, events, timings, scalars, shortfall: None, warning: None, failure: None };
     }
     fn checksum(&self) -> u64 {
         let numbers = self.moved.iter().chain(&self.velocity).flat_map(Vectors::iter).flat_map(|v| v.to_array());

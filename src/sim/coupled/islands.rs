@@ -7,6 +7,7 @@ use pulp::Arch;
 use rayon::prelude::*;
 
 use super::{
+    dense::{Dense, Interpolated},
     member::{Member, driven, kick},
     near::Near,
 };
@@ -87,6 +88,8 @@ pub(super) struct Job {
     pub report: Report,
     pub failure: Option<free::Failure>,
     pub work: u64,
+    /// The states within the step, once they are asked for; `Some(None)` if they cannot be found.
+    dense: Mutex<Option<Option<Dense>>>,
 }
 
 /// The input for advancing islands.
@@ -128,9 +131,28 @@ impl Job {
         self.parts.bodies.iter().map(of).sum()
     }
 
-    /// The bodies of the island at `time` [s] within the last step, which began at `start` [s] and whose results have
-    /// become the state: the solver repeats the step up to `time`. `None` if that fails or exceeds `work`.
-    pub fn bodies_at(&self, scene: &Scene, [start, time]: [f64; 2], arch: Arch, work: &Tally<'_>) -> Option<Vec<Body>> {
+    /// Calls `write` with the states of some bodies of the island at `time` [s] within the last step, which began at
+    /// `start` [s] and ended at `end`, and whose results have become the state. `None` if that fails or exceeds `work`.
+    pub fn within(
+        &self,
+        scene: &Scene,
+        ([start, end], time): ([f64; 2], f64),
+        bodies: &[usize],
+        arch: Arch,
+        work: &Tally<'_>,
+        write: impl FnMut(usize, &Interpolated<'_>),
+    ) -> Option<()> {
+        let paths = OfScene { scene, bodies: &self.all };
+        let mut dense = self.dense.lock().unwrap_or_else(PoisonError::into_inner);
+        let dense = dense.get_or_insert_with(|| {
+            let parts = self.parts_before(scene, start);
+            Dense::new(parts, scene.tolerance, [start, end], Scratch::new(arch), &paths, work)
+        });
+        dense.as_mut()?.at(time, bodies, &paths, work, write)
+    }
+
+    /// The island at the start of the last step, at `start` [s].
+    fn parts_before(&self, scene: &Scene, start: f64) -> Parts {
         let mut parts = self.parts.clone(); // as before the step, except for the bodies on paths and the phases
         for (&body, copy) in self.all.iter().zip(&mut parts.bodies) {
             copy.fill_states();
@@ -143,15 +165,13 @@ impl Job {
             let first = self.report.changes.iter().find(|change| change.pair == index);
             pair.phase = first.map_or(pair.phase, |change| change.from);
         }
-        let paths = OfScene { scene, bodies: &self.all };
-        let mut island = Island::resume(parts, scene.tolerance, start);
-        island.advance_with(&mut Scratch::new(arch), time, &paths, work, &mut Report::default()).ok()?;
-        Some(island.into_parts().bodies)
+        parts
     }
 
     fn advance(&mut self, turn: usize, conditions: &Conditions<'_>, scratch: &mut Scratch) {
         let Conditions { scene, members, near, span, work, .. } = *conditions;
         let Group { bodies, sources, pairs } = &self.group;
+        *self.dense.get_mut().unwrap_or_else(PoisonError::into_inner) = None;
         self.all.clear();
         self.all.extend(bodies.iter().chain(sources));
         let local = |body: u32| match bodies.binary_search(&body) {
@@ -209,7 +229,7 @@ impl Job {
 }
 
 /// The paths of a scene's bodies, by their indices in an island.
-struct OfScene<'a> {
+pub(super) struct OfScene<'a> {
     scene: &'a Scene,
     bodies: &'a [u32],
 }

@@ -27,6 +27,7 @@
 //! - A body comes to rest when its whole island is nearly still ([`member::Member::is_calm`]), and costs nothing until
 //!   a moving body comes near it or a push begins. Its island then wakes as a whole.
 
+mod dense;
 mod explicit;
 mod islands;
 pub(super) mod member;
@@ -43,6 +44,7 @@ use glam::DVec3;
 use pulp::Arch;
 
 use self::{
+    dense::Interpolated,
     explicit::Scheme,
     islands::{Conditions, Forest, Group, Job},
     member::{Member, Shapes, driven},
@@ -52,7 +54,7 @@ use self::{
 use super::{
     events::Event,
     free::{self, Field, Parts, Scratch, Snapshot},
-    report::{Failure, Overworked, Stage, StepReport, Toil},
+    report::{Failure, Overworked, Stage, StepReport, Strain, Toil},
     span::Span,
     terms::{Cause, Source, Surroundings, Weighted},
     work::{Stop, Tally, Work},
@@ -431,7 +433,7 @@ impl Coupled {
     }
 
     /// Advances copies of the islands' bodies to the end of `span`.
-    fn advance(&mut self, scene: &Scene, span: Span, work: &mut Work, report: &StepReport) -> Result<(), Failure> {
+    fn advance(&mut self, scene: &Scene, span: Span, work: &mut Work, report: &mut StepReport) -> Result<(), Failure> {
         work.begin_turns(self.jobs.len());
         let Coupled { members, near, scratches, jobs, arch, .. } = self;
         islands::advance(jobs, &Conditions { scene, members, near, span, work, scratches, arch: *arch });
@@ -440,9 +442,9 @@ impl Coupled {
         }
         let all = self.jobs.iter().map(|job| job.work).sum();
         if let Some(turn) = work.busiest(all, self.jobs.iter().map(|job| job.work)) {
-            let bodies = &self.jobs[turn].group.bodies;
-            let most = bodies.iter().max_by_key(|&&body| self.members[body as usize].body.shape.rest().len());
-            return Err(self.overworked(scene, span, report, most.copied().unwrap_or_default()));
+            return Err(
+                Overworked { step: report.step, time: span.start, toil: self.toil(scene, &self.jobs[turn]) }.into()
+            );
         }
         match self.jobs.iter().find_map(|job| Some((job, job.failure.as_ref()?))) {
             Some((job, failure)) => Err(self.failure(scene, report, job, failure)),
@@ -454,6 +456,11 @@ impl Coupled {
                     ordinary += ORDINARY * count + ORDINARY_HELD * job.report.held;
                 }
                 work.end(all, ordinary, vertices);
+                if work.announce() {
+                    let busiest = self.jobs.iter().max_by_key(|job| job.work);
+                    let toil = busiest.map(|job| self.toil(scene, job));
+                    report.strain = toil.map(|toil| Strain { step: report.step, time: span.end, toil });
+                }
                 Ok(())
             }
         }
@@ -639,6 +646,29 @@ impl Coupled {
         Overworked { step: report.step, time: span.start, toil }.into()
     }
 
+    /// What an island's bodies do that takes so much work.
+    fn toil(&self, scene: &Scene, job: &Job) -> Toil {
+        let bodies = &job.group.bodies;
+        let demanding = job.report.shortest.and_then(|(_, body)| bodies.get(body as usize)).or(bodies.first());
+        let body = demanding.copied().unwrap_or_default();
+        let name = scene.bodies[body as usize].name.clone();
+        let member = &self.members[body as usize];
+        match bodies.len() {
+            ..=1 => {
+                let (vertices, spheres) = (member.body.shape.rest().len(), member.neighbours.len());
+                Toil::Forces { body: name, vertices, spheres }
+            }
+            count => Toil::Together {
+                bodies: count,
+                body: name,
+                pairs: job.group.pairs.len(),
+                steps: job.report.steps,
+                changes: job.report.changes.len(),
+                tolerance: scene.tolerance,
+            },
+        }
+    }
+
     fn failure(&self, scene: &Scene, report: &StepReport, job: &Job, failure: &free::Failure) -> Failure {
         let name = |body: usize| {
             let all = job.group.bodies.iter().chain(&job.group.sources);
@@ -647,7 +677,9 @@ impl Coupled {
         let (time, toil) = match *failure {
             free::Failure::Chatter { a, b, time } => (time, Toil::Chatter { a: name(a as usize), b: name(b as usize) }),
             free::Failure::Unresolved { body, time, step } | free::Failure::Stopped { body, time, step } => {
-                (time, Toil::Unresolved { body: name(body), length: step })
+                let is_inside_out = job.parts.bodies.get(body).is_some_and(free::Body::is_inside_out);
+                let (body, length) = (name(body), step);
+                (time, if is_inside_out { Toil::InsideOut { body } } else { Toil::Unresolved { body, length } })
             }
         };
         Overworked { step: report.step, time, toil }.into()
@@ -680,27 +712,23 @@ impl Coupled {
         self.members[index].neighbours.iter().map(|neighbour| (neighbour.other, self.near.pair(neighbour.pair)))
     }
 
-    /// Writes the states of some bodies at `time` [s] within the last step, which began at `start` [s], on the solver's
-    /// own solution. Bodies that took no step, and those that would be too much work, are omitted.
-    pub fn within(
+    /// Calls `write` with the states of some bodies at `time` [s] within the last step, from `start` to `end`, on the
+    /// solver's own solution. Omits bodies that took no step, and those that would be too much work.
+    pub(in crate::sim) fn within(
         &self,
         scene: &Scene,
-        [start, time]: [f64; 2],
+        [start, end]: [f64; 2],
+        time: f64,
         bodies: &[usize],
         work: &Tally<'_>,
-        mut write: impl FnMut(usize, &free::Body),
+        mut write: impl FnMut(usize, &Interpolated<'_>),
     ) {
         for job in &self.jobs {
-            let own = |&&body: &&usize| job.group.bodies.binary_search(&(body as u32)).is_ok();
-            let mut own = bodies.iter().filter(own).peekable();
-            if own.peek().is_none() {
-                continue;
-            }
-            let Some(then) = job.bodies_at(scene, [start, time], self.arch, work) else { continue };
-            for &body in own {
-                if let Ok(index) = job.group.bodies.binary_search(&(body as u32)) {
-                    write(body, &then[index]);
-                }
+            let local = |&body: &usize| job.group.bodies.binary_search(&(body as u32)).ok();
+            let own: Vec<usize> = bodies.iter().filter_map(local).collect();
+            if !own.is_empty() {
+                let name = |local: usize, body: &Interpolated<'_>| write(job.group.bodies[local] as usize, body);
+                job.within(scene, ([start, end], time), &own, self.arch, work, name);
             }
         }
     }

@@ -5,6 +5,7 @@ use glam::DVec3;
 use crate::{
     Scene, World,
     model::phase::Phase,
+    observe::{BodyFrame, Frame, Simulation as _, Want},
     scene::{
         Force, Integrator, Motion, Path,
         path::{Bounds, Given, Kinematics},
@@ -477,5 +478,40 @@ fn the_ledger_of_a_world_accounts_for_its_energy() {
             let left = now.energy() - first - world.ledger().total();
             assert!(left.abs() < 1e-5 * scale, "{name}: {left:e} at {} s", world.time());
         }
+    }
+}
+
+/// States within a step are those of another solution, with steps an eighth as long.
+#[test]
+fn states_within_a_step_follow_the_solution() {
+    const PARTS: u32 = 8;
+    for (name, steps) in [("collide", 60), ("drop", 60), ("orbit", 60)] {
+        let mut scene = Scene::builtin(name).expect("built in");
+        scene.tolerance = 1e-9;
+        let fine = Scene { dt: scene.dt / f64::from(PARTS), ..scene.clone() };
+        let [mut coarse, mut fine] = [scene, fine].map(|scene| World::new(scene).expect("it fits"));
+        let all: Vec<usize> = (0..coarse.body_count()).collect();
+        let (mut before, mut within, mut expected) = (Frame::default(), Frame::default(), Frame::default());
+        let mut worst = 0.0f64;
+        for _ in 0..steps {
+            coarse.observe(Want::default(), &mut before);
+            assert!(coarse.step().failure.is_none(), "{name}");
+            for _ in 0..PARTS {
+                assert!(fine.step().failure.is_none(), "{name}");
+                fine.observe(Want::default(), &mut expected);
+                let time = fine.time().min(coarse.time());
+                coarse.within(&before, time, &all, &mut within);
+                for ((now, then), body) in expected.bodies.iter().zip(&within.bodies).zip(coarse.bodies()) {
+                    let place = |frame: &BodyFrame| {
+                        let vectors = frame.displacements.iter().enumerate();
+                        let place = |(i, x)| frame.centre + frame.rotation * body.rest(i) + x;
+                        vectors.map(place).collect::<Vec<_>>()
+                    };
+                    let distance = place(now).iter().zip(place(then)).map(|(x, y)| x.distance(y)).fold(0.0, f64::max);
+                    worst = worst.max(distance / body.scene().radius);
+                }
+            }
+        }
+        assert!(worst < 3e-7, "{name}: {worst:e}");
     }
 }

@@ -13,6 +13,10 @@ use crate::model::{
     shape_matching::{Inner, Rotation, best_rotation, cross_matrix, moment, outer, resistance, solve},
 };
 
+/// A body counts as inside out once det G is below this share of its value at rest. It is 0 where the best-fitting
+/// rotation is not unique; a body that is compressed evenly to a third of its size reaches 0.04.
+const INSIDE_OUT: f64 = 0.01;
+
 /// A rest shape, relative to its mass centre.
 #[derive(Clone, Debug)]
 pub struct Shape {
@@ -210,6 +214,13 @@ impl Body {
     /// Angular velocity Ω_Q of the frame [rad/s].
     pub fn frame_spin(&self) -> DVec3 {
         if self.turns() { self.inner(self.rotation).frame_spin(self.spin) } else { DVec3::ZERO }
+    }
+
+    /// Whether the body is crushed so far that no rotation, or more than one, fits its vertices best: before it turns
+    /// inside out, the angular velocity of its frame grows without bound.
+    pub fn is_inside_out(&self) -> bool {
+        let of = |spread: DMat3| resistance(spread).determinant();
+        self.turns() && of(self.inner(self.rotation).as_) < INSIDE_OUT * of(self.shape.spread)
     }
 
     /// The sums over the vertices, for this rotation.

@@ -82,6 +82,8 @@ pub struct Report {
     pub steps: u64,
     /// Steps taken, summed over bodies.
     pub body_steps: u64,
+    /// The length of the shortest step [s], and the body with the largest error in it.
+    pub shortest: Option<(f64, u32)>,
     /// Number of rejected steps, retried with shorter ones.
     pub rejected: u64,
     /// Number of correction sweeps over all bodies.
@@ -162,6 +164,15 @@ pub struct Island {
     /// Motion of each body so far.
     pub(super) ways: Vec<Way>,
     scratch: Scratch,
+}
+
+/// An advance of an island to a time.
+pub(in crate::sim) struct Advance {
+    end: f64,
+    /// Steps below this length are not tried [s].
+    shortest: f64,
+    /// Number of steps tried so far.
+    tried: u64,
 }
 
 /// Extremes of a body's motion since the island was created.
@@ -356,7 +367,16 @@ impl Island {
         work: &Tally<'_>,
         report: &mut Report,
     ) -> Result<(), Failure> {
-        let shortest = (end - self.time) * 1e-9;
+        let mut advance = self.begin(scratch, end);
+        while self.time < end {
+            self.substep(scratch, &mut advance, paths, work, report)?;
+        }
+        self.paces.fill(self.pace);
+        self.finish(scratch, paths, report)
+    }
+
+    /// Prepares to advance the island to `end` [s] in [substeps](Self::substep).
+    pub(in crate::sim) fn begin(&self, scratch: &mut Scratch, end: f64) -> Advance {
         let count = self.stepped();
         resize(&mut scratch.courses, &mut scratch.spare.courses, count);
         resize(&mut scratch.acting, &mut scratch.spare.acting, count);
@@ -370,56 +390,67 @@ impl Island {
                 scratch.pairs_of[body].push(index);
             }
         }
-        let mut steps = 0;
-        while self.time < end {
-            if self.is_at_break() {
-                self.kick(paths);
-                self.jump(paths, report);
-            }
-            self.leave_phases(scratch, paths, report)?;
-            let stop = f64::min(end, self.field.next_break(self.time));
-            let left = stop - self.time;
-            let parts = (left / (HOPED * self.pace)).ceil().max(1.0);
-            let mut next = if parts > 1.0 { self.time + left / parts } else { stop };
-            let attempt = loop {
-                let attempt = self.attempt(scratch, next, paths, work, report);
-                if work.is_over() {
-                    return Err(self.stopped());
-                }
-                steps += 1;
-                let (h, factor) = match attempt {
-                    Some(attempt) if attempt.outcome.error <= 1.0 => break attempt,
-                    Some(Attempt { end, outcome, .. }) => {
-                        (end - self.time, (0.85 * libm::pow(outcome.error, -0.2)).clamp(0.1, 0.7))
-                    }
-                    None => (next - self.time, 0.4),
-                };
-                report.rejected += 1;
-                if h < shortest || steps >= MAX_STEPS {
-                    let body = attempt.map_or(0, |attempt| attempt.outcome.body);
-                    return Err(Failure::Unresolved { body, time: self.time, step: h });
-                }
-                self.pace = factor * h;
-                next = self.time + factor * h;
-            };
-            let Attempt { end: next, outcome, crossing } = attempt;
-            let (start, h) = (self.time, next - self.time);
-            if h > 0.0 {
-                let factor = 0.85 * libm::pow(outcome.error.max(1e-9), -0.2);
-                // a step that was cut short does not limit the next one
-                self.pace = if factor > MAX_GROWTH { self.pace.max(MAX_GROWTH * h) } else { factor * h };
-                report.steps += 1;
-                report.body_steps += count as u64;
-                report.error += GROWTH * outcome.estimate;
-                self.commit(scratch, next, report);
-                self.pass_gradually(scratch, start, report)?;
-            }
-            if let Some((pair, to)) = crossing.and_then(|crossing| Some((crossing.pair, crossing.to?))) {
-                self.change(pair, to, scratch, report)?;
-            }
+        Advance { end, shortest: (end - self.time) * 1e-9, tried: 0 }
+    }
+
+    /// Takes one step of the solver, of the length that the tolerance allows.
+    pub(in crate::sim) fn substep(
+        &mut self,
+        scratch: &mut Scratch,
+        advance: &mut Advance,
+        paths: &dyn Paths,
+        work: &Tally<'_>,
+        report: &mut Report,
+    ) -> Result<(), Failure> {
+        if self.is_at_break() {
+            self.kick(paths);
+            self.jump(paths, report);
         }
-        self.paces.fill(self.pace);
-        self.finish(scratch, paths, report)
+        self.leave_phases(scratch, paths, report)?;
+        let stop = f64::min(advance.end, self.field.next_break(self.time));
+        let left = stop - self.time;
+        let parts = (left / (HOPED * self.pace)).ceil().max(1.0);
+        let mut next = if parts > 1.0 { self.time + left / parts } else { stop };
+        let attempt = loop {
+            let attempt = self.attempt(scratch, next, paths, work, report);
+            if work.is_over() {
+                return Err(self.stopped());
+            }
+            advance.tried += 1;
+            let (h, factor) = match attempt {
+                Some(attempt) if attempt.outcome.error <= 1.0 => break attempt,
+                Some(Attempt { end, outcome, .. }) => {
+                    (end - self.time, (0.85 * libm::pow(outcome.error, -0.2)).clamp(0.1, 0.7))
+                }
+                None => (next - self.time, 0.4),
+            };
+            report.rejected += 1;
+            if h < advance.shortest || advance.tried >= MAX_STEPS {
+                let body = attempt.map_or(0, |attempt| attempt.outcome.body);
+                return Err(Failure::Unresolved { body, time: self.time, step: h });
+            }
+            self.pace = factor * h;
+            next = self.time + factor * h;
+        };
+        let Attempt { end: next, outcome, crossing } = attempt;
+        let (start, h) = (self.time, next - self.time);
+        if h > 0.0 {
+            let factor = 0.85 * libm::pow(outcome.error.max(1e-9), -0.2);
+            // a step that was cut short does not limit the next one
+            self.pace = if factor > MAX_GROWTH { self.pace.max(MAX_GROWTH * h) } else { factor * h };
+            report.steps += 1;
+            if report.shortest.is_none_or(|(shortest, _)| h < shortest) {
+                report.shortest = Some((h, outcome.body as u32));
+            }
+            report.body_steps += self.stepped() as u64;
+            report.error += GROWTH * outcome.estimate;
+            self.commit(scratch, next, report);
+            self.pass_gradually(scratch, start, report)?;
+        }
+        if let Some((pair, to)) = crossing.and_then(|crossing| Some((crossing.pair, crossing.to?))) {
+            self.change(pair, to, scratch, report)?;
+        }
+        Ok(())
     }
 
     /// Applies jumps of position at the end, and changes of phase due there. Jumps of velocity ([`Island::kick`])
@@ -437,12 +468,12 @@ impl Island {
         Ok(())
     }
 
-    pub(super) fn is_at_break(&self) -> bool {
+    pub(in crate::sim) fn is_at_break(&self) -> bool {
         self.field.breaks.binary_search_by(|at| at.total_cmp(&self.time)).is_ok()
     }
 
     /// Where the velocity of a path jumps, adds the resulting jump to the velocities of the body's vertices.
-    pub(super) fn kick(&mut self, paths: &dyn Paths) {
+    pub(in crate::sim) fn kick(&mut self, paths: &dyn Paths) {
         for (index, body) in self.bodies.iter_mut().enumerate().filter(|(_, body)| !body.is_free()) {
             let kick = paths.kick(index, self.time);
             if kick != DVec3::ZERO {
@@ -452,7 +483,7 @@ impl Island {
     }
 
     /// Moves bodies on paths across jumps of position, together with their vertices.
-    pub(super) fn jump(&mut self, paths: &dyn Paths, report: &mut Report) {
+    pub(in crate::sim) fn jump(&mut self, paths: &dyn Paths, report: &mut Report) {
         for index in 0..self.bodies.len() {
             let body = &mut self.bodies[index];
             if body.is_free() {
