@@ -22,7 +22,7 @@ use super::{
 };
 use crate::{
     scene::{Integrator, Scene},
-    sim::{Options, TooLarge, World},
+    sim::{TooLarge, World},
 };
 
 /// What to measure.
@@ -270,13 +270,6 @@ fn cases(scene: &Scene, settings: &Settings) -> Vec<Case> {
 }
 
 impl Case {
-    /// A world for one run. Free bodies come to rest when their motion is small compared with the tolerance. Without a
-    /// tolerance they must not, so nothing is skipped.
-    fn world(&self) -> Result<World, TooLarge> {
-        let skip = !(self.scene.is_coupled() && self.scheme == Scheme::Fixed(Integrator::Exponential));
-        World::with_options(self.scene.clone(), Options { skip, ..Options::default() })
-    }
-
     /// Performs as many runs as fit into one round's share of the requested time.
     fn time_runs(&mut self, round: usize, settings: &Settings) -> Result<(), TooLarge> {
         if self.run_times.iter().sum::<f64>() > MAX_TIME_PER_CASE.as_secs_f64() {
@@ -286,7 +279,7 @@ impl Case {
         let known = self.run_times.first().copied();
         let mut left = share * (round + 1) as f64 - self.run_times.iter().sum::<f64>();
         loop {
-            let mut world = self.world()?;
+            let mut world = World::new(self.scene.clone())?;
             let start = Instant::now();
             for _ in 0..self.steps {
                 world.step();
@@ -372,7 +365,7 @@ impl Judge {
     /// The largest error over time and vertices [radii], and its [share](Measurement::share) of what is allowed; `None`
     /// if the run diverged.
     fn error(&self, case: &Case) -> Result<Option<(f64, f64)>, TooLarge> {
-        let mut world = case.world()?;
+        let mut world = World::new(case.scene.clone())?;
         let (mut largest, mut share) = (0.0, 0.0);
         let least = f64::max(LEAST_ALLOWED, resolution(self.agreement));
         for step in 1..=case.steps {

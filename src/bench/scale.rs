@@ -4,7 +4,7 @@
 //! Every scene is built from the same pairs ([`scenes`]), so one reference solution of these pairs serves all scenes. A
 //! world is stepped on one core and on all cores alternately, so that other load on the machine affects both equally.
 //! Blocks cover whole periods of the pairs' motion where that does not take too long. The naive baseline is measured
-//! for comparison: the thesis's scheme with every vertex and all pairs, one number at a time.
+//! for comparison: the thesis's scheme with every vertex, one number at a time.
 
 pub mod csv;
 pub mod decay;
@@ -168,7 +168,7 @@ pub struct Report {
     /// Bodies whose vertices all oscillate freely, with every frame requested.
     pub free_oscillation: Vec<FreeOscillation>,
     /// Bodies that come to rest.
-    pub decay: Vec<Decay>,
+    pub decay: Decay,
     /// Free bodies.
     pub free: free::Free,
     /// Scenes that need more memory than is available.
@@ -344,7 +344,7 @@ fn measure_plain(
     time: Duration,
 ) -> Result<Plain, TooLarge> {
     scene.integrator = Integrator::Thesis;
-    let mut world = World::with_options(scene, Options { skip: false, arch: Arch::Scalar, ..Options::default() })?;
+    let mut world = World::with_options(scene, Options { arch: Arch::Scalar, ..Options::default() })?;
     let mut judging = Judging { judge, layout, judged: None };
     let mut clock = Clock::new(1);
     pools.one.install(|| {

@@ -92,8 +92,7 @@ pub fn replay(arguments: Arguments) -> Result<(), Failure> {
     let path = recorded.path.display();
     let steps = recorded.last();
     let differences = recorded.foreign_to(&machine::describe());
-    let no_skip = recorded.run.contains_key("skip").then_some("--no-skip");
-    let overrides = recorded.overrides.lines().chain(no_skip).collect::<Vec<_>>().join(", ");
+    let overrides = recorded.overrides.lines().collect::<Vec<_>>().join(", ");
     let settings = if overrides.is_empty() { String::new() } else { format!(" (run with {overrides})") };
     match verdict {
         Verdict::Identical => {

@@ -151,9 +151,6 @@ pub struct Arguments {
     /// Number of threads [default: one per core].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
-    /// Process every pair and every vertex in every step, active or not. Slower; results are the same up to rounding.
-    #[arg(long, help_heading = "Scene")]
-    no_skip: bool,
     /// Print errors only.
     #[arg(long)]
     quiet: bool,
@@ -193,7 +190,7 @@ pub fn run(mut arguments: Arguments) -> Result<(), Failure> {
     let destinations = destinations(&arguments, &scene);
     expense::announce(&scene, (!arguments.thin).then_some(arguments.detail))?;
     // Check the scene first, then the destinations; only then start any work.
-    let experiment = experiment(&arguments, scene);
+    let experiment = experiment(scene);
     let simulation = start(&experiment)?;
     let schema = simulation.schema();
     let settings = settings(&arguments, &schema)?;
@@ -274,8 +271,8 @@ fn check(arguments: &Arguments) -> Result<(), Failure> {
     }
 }
 
-fn experiment(arguments: &Arguments, scene: Scene) -> SceneRun {
-    let options = Options { skip: !arguments.no_skip, interrupt: Some(&STOP), ..Options::default() };
+fn experiment(scene: Scene) -> SceneRun {
+    let options = Options { interrupt: Some(&STOP), ..Options::default() };
     SceneRun { scene, options }
 }
 
@@ -526,7 +523,7 @@ fn watch(
             run.next = changes.scene(arguments, console);
         }
         let Some(scene) = run.next.take() else { return run.conclude(console) };
-        match experiment(arguments, scene).start() {
+        match experiment(scene).start() {
             Ok(simulation) => {
                 console.say(&format!("{} has changed: restarting", arguments.scene));
                 run = simulate(simulation, run.sinks, arguments, stop, Some(&mut changes), console)?;

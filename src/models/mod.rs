@@ -116,9 +116,9 @@ pub struct Unsupported {
 impl Experiment for SceneRun {
     fn schema(&self) -> Schema {
         match self.scene.model {
-            Model::Oscillators => simulation::schema(&self.scene, self.options),
-            Model::Metaballs => metaballs::schema(&self.scene, self.options),
-            Model::Lattice | Model::Fem => elastic::schema(&self.scene, self.options),
+            Model::Oscillators => simulation::schema(&self.scene),
+            Model::Metaballs => metaballs::schema(&self.scene),
+            Model::Lattice | Model::Fem => elastic::schema(&self.scene),
         }
     }
 
@@ -176,8 +176,11 @@ pub fn read(name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experim
     }
     scene.dt = positive("dt")?;
     scene.tolerance = positive("tolerance")?;
-    let skip = run.get("skip").and_then(toml::Value::as_bool).unwrap_or(true);
-    let options = Options { skip, ..Options::default() };
+    if run.contains_key("skip") {
+        let what = "it was made with --no-skip, whose checksums only versions up to November 2026 have";
+        return Err(Refusal::Run(what.to_owned()));
+    }
+    let options = Options::default();
     if let Some(names) = run.get("models").and_then(toml::Value::as_array) {
         let named = |name: &toml::Value| parse(name.as_str().unwrap_or("none"));
         let models = names.iter().map(named).collect::<Result<Vec<_>, _>>();

@@ -1,6 +1,7 @@
 //! Centre paths: the position of a body's centre, prescribed for all t ≥ 0.
 
 use std::{
+    borrow::Cow,
     f64::consts::TAU,
     fmt,
     hash::Hasher,
@@ -256,6 +257,15 @@ impl Path {
                 keys.map(|&key| self.kick(key).length()).sum()
             }
             _ => 0.0,
+        }
+    }
+
+    /// The path between two knots [s]: after any jump at `start`, before any jump at `end`.
+    #[inline]
+    pub fn between(&self, start: f64, end: f64) -> Cow<'_, Path> {
+        match self.is_held() {
+            true => Cow::Owned(Path::Fixed(self.position(start + 0.5 * (end - start)))),
+            false => Cow::Borrowed(self),
         }
     }
 

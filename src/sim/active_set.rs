@@ -2,27 +2,20 @@
 
 use super::{
     body::{Active, Body},
-    cached::Cached,
     checksum,
 };
 use crate::scene::Scene;
 
 /// The states of the bodies that are not at rest. Only this type moves them and sets [`Body::active`], their index
-/// here, so that it knows when its cached hashes are stale.
+/// here.
+#[derive(Default)]
 pub(super) struct ActiveSet {
     /// Awake bodies first, then sleeping ones.
     states: Vec<Active>,
     awake: usize,
-    /// Sum of the hashes of the sleeping bodies, once it has been requested.
-    hash_of_sleeping: Cached,
 }
 
 impl ActiveSet {
-    /// An empty set.
-    pub fn new() -> ActiveSet {
-        ActiveSet { states: Vec::new(), awake: 0, hash_of_sleeping: Cached::default() }
-    }
-
     /// The bodies that are stepped.
     pub fn awake(&self) -> &[Active] {
         &self.states[..self.awake]
@@ -53,12 +46,10 @@ impl ActiveSet {
     pub fn wake(&mut self, scene: &Scene, bodies: &mut [Body], index: usize, step: u64) {
         let slot = bodies[index].active.map_or(self.states.len(), |slot| slot as usize);
         if slot == self.states.len() {
-            self.states.push(Active::new(scene, index, bodies[index].pushes.shared().len(), step));
+            self.states.push(Active::new(scene, index, step));
             bodies[index].active = Some(slot as u32);
         }
         if slot >= self.awake {
-            let state = &self.states[slot];
-            self.hash_of_sleeping.exchange(|| hash_of(state), || 0);
             self.swap(bodies, slot, self.awake);
             self.awake += 1;
         }
@@ -77,8 +68,6 @@ impl ActiveSet {
     fn sleep_one(&mut self, bodies: &mut [Body], slot: usize) {
         self.awake -= 1;
         self.swap(bodies, slot, self.awake);
-        let state = &self.states[self.awake];
-        self.hash_of_sleeping.exchange(|| 0, || hash_of(state));
         if self.states[self.awake].is_at_rest() {
             self.swap(bodies, self.awake, self.states.len() - 1);
             if let Some(active) = self.states.pop() {
@@ -96,17 +85,11 @@ impl ActiveSet {
 
     /// Sum of the hashes of all bodies in the set.
     pub fn hash(&self) -> u64 {
-        let (awake, asleep) = self.states.split_at(self.awake);
-        let asleep = self.hash_of_sleeping.get(|| checksum::of_bodies(asleep));
-        checksum::of_bodies(awake).wrapping_add(asleep)
+        checksum::of_bodies(&self.states)
     }
 
     /// Memory allocated for the set [bytes].
     pub fn memory(&self) -> usize {
         self.states.iter().map(Active::memory).sum::<usize>() + self.states.capacity() * size_of::<Active>()
     }
-}
-
-fn hash_of(state: &Active) -> u64 {
-    checksum::of_bodies(std::slice::from_ref(state))
 }

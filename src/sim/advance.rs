@@ -6,21 +6,21 @@ use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{
-    arrays::{Block, LANES, Vectors},
-    body::{Active, Body, BodyState, Reference, StateBounds},
+    arrays::{Block, LANES},
+    body::{Active, Body, Reference, StateBounds},
     deformation::{self, ActiveSet, REST},
     integrator::{
         explicit::{self, Interval, Scheme},
-        exponential::{
-            self, StepControl, StepStatistics,
-            course::{Course, Local},
-        },
+        exponential::{self, StepControl, StepStatistics, course::Course},
     },
     neighbours::Neighbour,
     pairs::Pairs,
     span::Span,
-    state::{Common, State},
-    terms::{Acting, Moment, On, Phases, Steady, Surroundings, carry},
+    state::State,
+    terms::{
+        Acting, Moment, On, Phases, Surroundings, carry,
+        push::{self, PushField},
+    },
     tracks::Tracks,
     work::{Tally, Work},
 };
@@ -44,10 +44,9 @@ struct Scratch {
     contributing: Vec<Neighbour>,
     touching: Vec<Neighbour>,
     acting: Acting,
-    local: Vectors,
+    pushes: PushField,
     gaps: Vec<f64>,
     centres: Vec<(DVec3, f64)>,
-    moved: Vec<DVec3>,
     deformation: deformation::Scratch,
     exponential: exponential::Scratch,
 }
@@ -60,8 +59,6 @@ pub(super) struct Context<'a> {
     pub pairs: &'a Pairs,
     pub tracks: &'a Tracks,
     pub arch: Arch,
-    /// See [`Options::skip`](super::Options::skip).
-    pub skip: bool,
     /// Number of steps taken.
     pub step: u64,
     /// The work budget of the step.
@@ -116,10 +113,10 @@ impl<'a> Context<'a> {
         if active.statistics.substeps > 0 {
             active.state.state_bounds = StateBounds::of(&active.state.deformation, active.state.oscillator, self.arch);
             active.state.bound += self.force_bound(active, span) * span.length();
-            let is_plain = !self.skip || Scheme::of(self.scene.integrator).is_some();
+            let is_explicit = Scheme::of(self.scene.integrator).is_some();
             // without a spring, neither bounds the other
             let StateBounds { displacement, momentum } = active.state.state_bounds;
-            if is_plain && momentum < REST && displacement < REST && active.state.common.is_zero() {
+            if is_explicit && momentum < REST && displacement < REST {
                 active.state.deformation.clear();
                 active.state.state_bounds = StateBounds::default();
             }
@@ -194,11 +191,6 @@ impl<'a> Context<'a> {
             let other = self.tracks.motion_bounds(neighbour.other);
             Margin { gap: own.nearest(other, span.length()) - other.sphere, pull: neighbour.pull }
         }));
-        if let Some(farthest) = self.farthest_of_steady(active, span)
-            && !margins.iter().any(|margin| margin.gap <= farthest)
-        {
-            return Farthest { distance: farthest, pull: 0.0, later: farthest }; // the sine does not decay
-        }
         let mut pull = 0.0;
         loop {
             let farthest = own.radius + active.farthest(own_force, pull, span.length());
@@ -209,20 +201,6 @@ impl<'a> Context<'a> {
             }
             pull = next;
         }
-    }
-
-    /// Largest distance of vertices from the centre in the step [scene unit], if no sphere acts, for a body whose sine
-    /// is so fast that bounds on its motion would be useless; `None` for other bodies.
-    fn farthest_of_steady(&self, active: &Active, span: Span) -> Option<f64> {
-        if !self.skip || !active.can_sleep() || Scheme::of(self.scene.integrator).is_some() {
-            return None;
-        }
-        let index = active.body as usize;
-        self.tracks.of(index).filter(|mover| mover.is_unresolved)?;
-        let body = self.body(active.body);
-        let steady = Steady::of(&body.material, self.tracks.track(index), self.scene.dt)?;
-        let pushes = body.pushes.bound(span);
-        Some(body.radius + active.farthest_of_steady(&steady, pushes, span.start, span.length()))
     }
 
     /// Takes one step with the phases at its start.
@@ -285,7 +263,7 @@ impl<'a> Context<'a> {
     fn kick(&self, body: u32, t: f64) -> DVec3 {
         match self.tracks.of(body as usize) {
             Some(mover) if mover.kicks > 0.0 => {
-                carry::kick(&self.body(body).material, self.tracks.track(body as usize), t)
+                carry::kick(&self.body(body).material, self.tracks.path(body as usize), t)
             }
             _ => DVec3::ZERO,
         }
@@ -302,37 +280,32 @@ impl<'a> Context<'a> {
         let scene = self.scene;
         let index = active.body as usize;
         let now = active.now(self.step, scene.dt, self.arch);
-        // Many pushes act on each vertex, so all are stepped.
-        let all = self.body(active.body).pushes.many_act(span);
-        if !self.skip {
-            active.state.deformation.wake_all(self.body(active.body).rest());
-        } else if active.bounds.reachable.is_empty() && !all {
-            if active.can_sleep() {
-                active.state.deformation.release(self.body(active.body).rest().len(), now, &mut scratch.deformation);
-                active.chosen.references.clear();
-                active.chosen.all = false;
-            }
-            let is_idle = self.own_force(active.body, span) == 0.0;
-            if is_idle && active.can_sleep() {
+        let body = self.body(active.body);
+        // a push acts on vertices anywhere, so all are stepped
+        let all = push::any_acts(&body.pushes, span);
+        let is_reached = all || !active.bounds.reachable.is_empty();
+        if !is_reached && active.can_sleep() {
+            active.state.deformation.release(body.rest().len(), now, &mut scratch.deformation);
+            active.chosen.references.clear();
+            active.chosen.all = false;
+            if self.own_force(active.body, span) == 0.0 {
                 active.state.halvings = 0;
                 return StepStatistics::default();
             }
         }
-        if active.state.common_as_of < self.step {
-            active.state.common = active.common_at(now);
+        if active.state.carried_as_of < self.step {
+            active.state.carried = active.carried_at(now);
         }
-        active.state.common_as_of = self.step + 1;
+        active.state.carried_as_of = self.step + 1;
 
         scratch.contributing.clear();
-        if self.skip && (all || !(active.bounds.reachable.is_empty() && active.can_sleep())) {
+        if is_reached || !active.can_sleep() {
             self.choose_active_set(active, span, all, scratch);
             if active.is_at_rest() && self.own_force(active.body, span) == 0.0 {
                 return StepStatistics::default();
             }
-        } else {
-            scratch.contributing.extend(&active.bounds.reachable);
         }
-        let Scratch { breaks, contributing, touching, acting, local, exponential, .. } = scratch;
+        let Scratch { breaks, contributing, touching, acting, pushes, exponential, .. } = scratch;
         self.find_breaks(active.body, contributing, span, breaks, work);
         if breaks.len() > 2 {
             // jumps of spheres that reach no vertex need not divide the step
@@ -345,47 +318,41 @@ impl<'a> Context<'a> {
         let body = self.body(active.body);
         let tolerance = scene.tolerance * body.radius;
         let control = StepControl { arch: self.arch, tolerance, work };
-        let vertices = active.state.deformation.active_set.vertices.len();
-        let base = exponential::work_of(vertices, contributing.len(), body.pushes.shared().len());
+        let vertices = &active.state.deformation.active_set.vertices;
+        let pushed = pushes.begin(&body.pushes, span, vertices, LANES);
+        let base = exponential::work_of(vertices.len(), contributing.len()) + (pushed * vertices.len()) as u64;
         let mut total = StepStatistics { base, ..StepStatistics::default() };
         for ends in breaks.windows(2) {
             let part = Span { start: ends[0], end: ends[1] };
             let kick = self.kick(active.body, part.start);
             if kick != DVec3::ZERO {
-                active.state.common.carried.u += kick;
+                active.state.carried.u += kick;
             }
-            work.spend((contributing.len() + body.pushes.shared().len()) as u64);
+            work.spend(contributing.len() as u64);
             self.on(active.body).over(contributing, part, acting);
             let is_whole = breaks.len() == 2;
-            let field = body.pushes.many_act(part).then(|| {
-                let BodyState { push_field, deformation, .. } = &mut active.state;
-                let push_field = push_field.get_or_insert_default();
-                let summed = push_field.advance(&body.pushes, body.mesh.directions(), part.start + 0.5 * part.length());
-                work.spend((summed * body.mesh.directions().len()) as u64);
-                push_field.of(&deformation.active_set.vertices, LANES, local)
-            });
+            if pushed > 0 {
+                let vertices = &active.state.deformation.active_set.vertices;
+                let changes = pushes.advance(part.start + 0.5 * part.length(), body.rest(), vertices);
+                work.spend((changes * vertices.len()) as u64);
+            }
             let course = Course {
                 scene,
                 index,
                 material: body.material,
                 radius: body.radius,
-                mesh: &body.mesh,
+                vertices: body.mesh.vertex_count(),
                 start: part.start,
                 // All whole steps have bit-identical lengths, so that weights are computed once.
                 length: if is_whole { scene.dt } else { part.length() },
                 tracks: self.tracks,
                 is_whole,
                 spheres: &acting.spheres,
-                weighted: &acting.weighted,
-                local: field.map(|largest| Local { accelerations: local, largest }),
+                local: pushes.local(),
             };
             let active_set = &mut active.state.deformation.active_set;
-            let (common, halvings) = (&mut active.state.common, &mut active.state.halvings);
-            let statistics = exponential::advance(&course, control, common, active_set, halvings, exponential);
-            if !self.skip {
-                // the naive baseline: every vertex has its own state, and none is shared
-                active.state.deformation.absorb(&mut active.state.common, body.rest(), body.pushes.shared());
-            }
+            let (carried, halvings) = (&mut active.state.carried, &mut active.state.halvings);
+            let statistics = exponential::advance(&course, control, carried, active_set, halvings, exponential);
             total.substeps += statistics.substeps;
             total.error += statistics.error;
             total.excess += statistics.excess;
@@ -436,12 +403,11 @@ impl<'a> Context<'a> {
     /// Ensures that the active set contains every vertex that a sphere can reach within the step, or every vertex if
     /// `all`. Finds the contributing spheres: those that can reach any vertex of the set.
     fn choose_active_set(&self, active: &mut Active, span: Span, all: bool, scratch: &mut Scratch) {
-        let Scratch { gaps, centres, moved, deformation, contributing, .. } = scratch;
+        let Scratch { gaps, centres, deformation, contributing, .. } = scratch;
         let reachable = &active.bounds.reachable;
         let this = self.tracks.motion_bounds(active.body);
         let radius = this.radius;
-        let Common { carried, pushed } = &active.state.common;
-        let own = this.centre + carried.x;
+        let own = this.centre + active.state.carried.x;
         centres.clear();
         centres.extend(reachable.iter().map(|source| {
             let other = self.tracks.motion_bounds(source.other);
@@ -450,12 +416,11 @@ impl<'a> Context<'a> {
 
         // Distance that spheres move relative to rest positions within the step.
         let own_force = self.own_force(active.body, span);
-        let (_, momentum) = active.state.common.bounds(active.state.oscillator.omega);
+        let momentum = active.state.carried.momentum(active.state.oscillator.omega);
         let common = (momentum + own_force * span.length()) * span.length();
         let speed = |body: u32| self.tracks.motion_bounds(body).speed;
         let fastest = reachable.iter().map(|source| speed(source.other)).fold(0.0, f64::max);
         let travel = (this.speed + fastest) * span.length() + common;
-        let turned: f64 = pushed.iter().zip(&active.chosen.pushed).map(|(now, then)| (now.x - then).abs()).sum();
 
         // No vertex gets farther than this from rest: a sphere farther from the whole active set does not contribute.
         let swings = active.bounds.farthest - radius;
@@ -469,7 +434,7 @@ impl<'a> Context<'a> {
                 let found = references.find(|then| then.body >= source.other);
                 let then = found.filter(|then| then.body == source.other);
                 then.is_some_and(|then| {
-                    let moved = (centre - then.centre).length() + turned + travel;
+                    let moved = (centre - then.centre).length() + travel;
                     if contributes(then.clear, moved) {
                         contributing.push(*source);
                     }
@@ -481,18 +446,11 @@ impl<'a> Context<'a> {
         }
 
         active.chosen.skin = f64::max(SKIN * radius, SKIN_STEPS * travel);
-        active.chosen.pushed.clear();
-        active.chosen.pushed.extend(pushed.iter().map(|pushed| pushed.x));
 
         let rest = self.body(active.body).rest();
         gaps.clear();
         gaps.resize(rest.len(), f64::INFINITY);
-        moved.clear();
-        if pushed.iter().any(|pushed| pushed.x != 0.0) {
-            let pushes = self.body(active.body).pushes.shared();
-            moved.extend(rest.mesh.directions().iter().map(|facing| active.state.common.moved(facing, pushes)));
-        }
-        self.arch.dispatch(FindGaps { rest, moved, centres, gaps });
+        self.arch.dispatch(FindGaps { rest, centres, gaps });
         let now = active.now(self.step, self.scene.dt, self.arch);
         // all vertices are selected, whatever their gaps
         let skin = if all { f64::INFINITY } else { active.chosen.skin };
@@ -503,7 +461,7 @@ impl<'a> Context<'a> {
         contributing.clear();
         for (source, &(centre, sphere)) in reachable.iter().zip(&*centres) {
             let active_set = &active.state.deformation.active_set;
-            let clear = self.arch.dispatch(Clearance { active_set, moved, centre }) - sphere;
+            let clear = self.arch.dispatch(Clearance { active_set, centre }) - sphere;
             active.chosen.references.push(Reference { body: source.other, centre, clear });
             if contributes(clear, travel) {
                 contributing.push(*source);
@@ -515,7 +473,6 @@ impl<'a> Context<'a> {
 /// See [`find_gaps`]. (A closure would be compiled for the baseline instruction set.)
 struct FindGaps<'a> {
     rest: Rest<'a>,
-    moved: &'a [DVec3],
     centres: &'a [(DVec3, f64)],
     gaps: &'a mut [f64],
 }
@@ -525,14 +482,13 @@ impl WithSimd for FindGaps<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        find_gaps(self.rest, self.moved, self.centres, self.gaps);
+        find_gaps(self.rest, self.centres, self.gaps);
     }
 }
 
 /// See [`clearance`].
 struct Clearance<'a> {
     active_set: &'a ActiveSet,
-    moved: &'a [DVec3],
     centre: DVec3,
 }
 
@@ -541,52 +497,37 @@ impl WithSimd for Clearance<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> f64 {
-        clearance(self.active_set, self.moved, self.centre)
+        clearance(self.active_set, self.centre)
     }
 }
 
-/// Lowers each gap to the distance of the vertex from the nearest sphere, negative inside [scene unit]. Vertices are at
-/// their rest positions, displaced by `moved` unless that is empty; spheres are given by centre and radius.
+/// Lowers each gap to the distance of the vertex's rest position from the nearest sphere, negative inside [scene unit];
+/// spheres are given by centre and radius.
 #[inline(always)]
-fn find_gaps(rest: Rest<'_>, moved: &[DVec3], centres: &[(DVec3, f64)], gaps: &mut [f64]) {
+fn find_gaps(rest: Rest<'_>, centres: &[(DVec3, f64)], gaps: &mut [f64]) {
     let (l, radius) = (rest.mesh.positions(), rest.radius);
     for &(centre, sphere) in centres {
-        // slices of equal length, so that the loops need no bounds checks and vectorise
+        // slices of equal length, so that the loop needs no bounds checks and vectorises
         let n = gaps.len();
         let (lx, ly, lz) = (&l.x[..n], &l.y[..n], &l.z[..n]);
-        if moved.is_empty() {
-            for i in 0..n {
-                let (dx, dy, dz) = (centre.x - radius * lx[i], centre.y - radius * ly[i], centre.z - radius * lz[i]);
-                let gap = (dx * dx + dy * dy + dz * dz).sqrt() - sphere;
-                gaps[i] = if gaps[i] < gap { gaps[i] } else { gap };
-            }
-        } else {
-            for i in 0..n {
-                let gap = (centre - radius * DVec3::new(lx[i], ly[i], lz[i]) - moved[i]).length() - sphere;
-                gaps[i] = if gaps[i] < gap { gaps[i] } else { gap };
-            }
+        for i in 0..n {
+            let (dx, dy, dz) = (centre.x - radius * lx[i], centre.y - radius * ly[i], centre.z - radius * lz[i]);
+            let gap = (dx * dx + dy * dy + dz * dz).sqrt() - sphere;
+            gaps[i] = if gaps[i] < gap { gaps[i] } else { gap };
         }
     }
 }
 
-/// Distance of a centre from the nearest rest position of an active set, displaced by `moved` unless that is empty
-/// [scene unit].
+/// Distance of a centre from the nearest rest position of an active set [scene unit].
 #[inline(always)]
-fn clearance(active_set: &ActiveSet, moved: &[DVec3], centre: DVec3) -> f64 {
+fn clearance(active_set: &ActiveSet, centre: DVec3) -> f64 {
     let mut nearest = [f64::INFINITY; LANES];
-    if moved.is_empty() {
-        // padded to whole blocks
-        for Block([.., [lx, ly, lz]]) in active_set.blocks.all() {
-            for lane in 0..LANES {
-                let (dx, dy, dz) = (centre.x - lx[lane], centre.y - ly[lane], centre.z - lz[lane]);
-                let square = dx * dx + dy * dy + dz * dz;
-                nearest[lane] = if square < nearest[lane] { square } else { nearest[lane] };
-            }
-        }
-    } else {
-        for (i, &v) in active_set.vertices.iter().enumerate() {
-            let square = (centre - active_set.rest(i) - moved[v as usize]).length_squared();
-            nearest[0] = f64::min(nearest[0], square);
+    // padded to whole blocks
+    for Block([.., [lx, ly, lz]]) in active_set.blocks.all() {
+        for lane in 0..LANES {
+            let (dx, dy, dz) = (centre.x - lx[lane], centre.y - ly[lane], centre.z - lz[lane]);
+            let square = dx * dx + dy * dy + dz * dz;
+            nearest[lane] = if square < nearest[lane] { square } else { nearest[lane] };
         }
     }
     nearest.into_iter().fold(f64::INFINITY, f64::min).sqrt()

@@ -3,22 +3,19 @@
 use std::sync::Arc;
 
 use glam::DVec3;
-use pulp::{Arch, Simd, WithSimd};
+use pulp::Arch;
 use smallvec::{Array, SmallVec};
 
 use super::{
-    arrays::Vectors,
     deformation::{Deformation, Now, REST, larger},
     integrator::exponential::{StepStatistics, together::Largest},
     neighbours::{FatBounds, Neighbours},
-    push_list::{PushField, PushList},
-    state::{Common, Pushed, State},
-    terms::Steady,
+    state::State,
 };
 use crate::{
     geometry::{Mesh, Rest},
     model::oscillator::Oscillator,
-    scene::{self, Material, Scene},
+    scene::{Material, Push, Scene},
 };
 
 /// A body of the scene, at rest or not: what a step reads of it besides its state, in one place.
@@ -30,7 +27,7 @@ pub(super) struct Body {
     /// The constants of its oscillators.
     pub material: Material,
     /// The scene's pushes on this body.
-    pub pushes: PushList,
+    pub pushes: Box<[Push]>,
     /// Its index among the active bodies; `None` if it is at rest.
     pub active: Option<u32>,
     /// Nearby bodies, ascending.
@@ -43,12 +40,12 @@ pub(super) struct Body {
 
 impl Body {
     /// Body `index` of the scene, at rest, with the scene's pushes on it.
-    pub fn new(scene: &Scene, index: usize, pushes: Vec<scene::Push>) -> Body {
+    pub fn new(scene: &Scene, index: usize, pushes: Vec<Push>) -> Body {
         Body {
             mesh: scene.bodies[index].shape.mesh(),
             radius: scene.bodies[index].radius,
             material: scene.bodies[index].material,
-            pushes: PushList::new(pushes),
+            pushes: pushes.into(),
             active: None,
             neighbours: Neighbours::new(),
             fat_bounds: FatBounds::NONE,
@@ -65,7 +62,7 @@ impl Body {
 
     /// Memory allocated for the body [bytes].
     pub fn memory(&self) -> usize {
-        spilled(&self.neighbours) + self.pushes.memory()
+        spilled(&self.neighbours) + size_of_val(&*self.pushes)
     }
 }
 
@@ -90,14 +87,12 @@ pub(super) struct Active {
 pub(super) struct BodyState {
     /// ω and κ of its vertices.
     pub oscillator: Oscillator,
-    /// The motion that all its vertices share, as of step [`BodyState::common_as_of`].
-    pub common: Common,
-    /// The step at whose end [`BodyState::common`] is valid.
-    pub common_as_of: u64,
+    /// The response to the body's own motion, which all its vertices share, as of step [`BodyState::carried_as_of`].
+    pub carried: State,
+    /// The step at whose end [`BodyState::carried`] is valid.
+    pub carried_as_of: u64,
     /// The motion of single vertices beyond that.
     pub deformation: Deformation,
-    /// The accelerations of its vertices if many pushes act on it.
-    pub push_field: Option<Box<PushField>>,
     /// Number of times that the steps of its vertices are halved.
     pub halvings: u32,
     /// Bounds over [`BodyState::deformation`], without the shared motion.
@@ -112,8 +107,6 @@ pub(super) struct BodyState {
 pub(super) struct Chosen {
     /// Where the spheres were when the active set was selected.
     pub references: SmallVec<[Reference; 2]>,
-    /// The responses to pushes when the active set was selected [scene unit].
-    pub pushed: Vec<f64>,
     /// How far the spheres may move before it is selected again [scene unit].
     pub skin: f64,
     /// Whether it has all vertices, because something acts on each of them.
@@ -147,17 +140,16 @@ pub(super) struct Reference {
 }
 
 impl Active {
-    /// Body `index` of the scene, at rest; `pushes` is the number of pushes that act on it at some time.
-    pub fn new(scene: &Scene, index: usize, pushes: usize, step: u64) -> Active {
+    /// Body `index` of the scene, at rest after `step` steps.
+    pub fn new(scene: &Scene, index: usize, step: u64) -> Active {
         let material = scene.bodies[index].material;
         Active {
             body: index as u32,
             state: BodyState {
                 oscillator: Oscillator { omega: material.omega, damping: material.damping },
-                common: Common { carried: State::default(), pushed: vec![Pushed::default(); pushes] },
-                common_as_of: step,
+                carried: State::default(),
+                carried_as_of: step,
                 deformation: Deformation::default(),
-                push_field: None,
                 halvings: 0,
                 state_bounds: StateBounds::default(),
                 bound: 0.0,
@@ -176,17 +168,12 @@ impl Active {
 
     /// Memory allocated for the body's state [bytes].
     pub fn memory(&self) -> usize {
-        self.state.deformation.memory()
-            + self.state.push_field.as_ref().map_or(0, |field| size_of::<PushField>() + field.memory())
-            + self.state.common.pushed.capacity() * size_of::<Pushed>()
-            + spilled(&self.chosen.references)
-            + self.chosen.pushed.capacity() * size_of::<f64>()
-            + spilled(&self.bounds.reachable)
+        self.state.deformation.memory() + spilled(&self.chosen.references) + spilled(&self.bounds.reachable)
     }
 
     /// Whether nothing has acted on the body yet: every displacement and velocity is exactly zero.
     pub fn is_at_rest(&self) -> bool {
-        self.state.deformation.is_empty() && self.state.common.is_zero()
+        self.state.deformation.is_empty() && self.state.carried.is_zero()
     }
 
     /// Whether the body may sleep when nothing acts on it: without a spring, vertices that move may drift anywhere.
@@ -195,49 +182,18 @@ impl Active {
     }
 
     /// The motion that all its vertices share, at the end of the last step.
-    pub fn common_at(&self, now: Now) -> Common {
-        let flow = self.common_flow(now);
-        Common { carried: flowed(self.state.common.carried, flow), pushed: self.pushed_at(flow).collect() }
-    }
-
-    /// Adds the shared motion to the states of all vertices of `mesh`, which are zero.
-    pub fn add_common_to(
-        &self,
-        mesh: &Mesh,
-        pushes: &[scene::Push],
-        displacement: &mut Vectors,
-        velocity: &mut Vectors,
-        now: Now,
-    ) {
-        if self.state.common.is_zero() {
-            return;
-        }
-        let flow = self.common_flow(now);
-        let State { x, u } = flowed(self.state.common.carried, flow);
-        displacement.fill(x);
-        velocity.fill(u);
-        for (pushed, push) in self.pushed_at(flow).zip(pushes) {
-            let (facing, direction) = (mesh.directions(), push.direction);
-            now.arch.dispatch(AddPush { facing, direction, pushed, displacement, velocity });
-        }
-    }
-
-    /// The flow that advances the shared motion to the end of the last step.
-    fn common_flow(&self, now: Now) -> [f64; 4] {
-        let steps = now.step - self.state.common_as_of;
-        if steps == 0 || self.state.common.is_zero() {
-            return [1.0, 0.0, 0.0, 1.0];
+    pub fn carried_at(&self, now: Now) -> State {
+        let State { x, .. } = self.state.carried;
+        let steps = now.step - self.state.carried_as_of;
+        if steps == 0 || self.state.carried.is_zero() {
+            return self.state.carried;
         }
         let flow = now.oscillator.flow(steps as f64 * now.dt);
         let [xx, xu, ux, uu] = flow;
-        let (x, momentum) = self.state.common.bounds(now.oscillator.omega);
-        let left = (xx.abs() + ux.abs()) * x + (xu.abs() + uu.abs()) * momentum;
+        let momentum = self.state.carried.momentum(now.oscillator.omega);
+        let left = (xx.abs() + ux.abs()) * x.length() + (xu.abs() + uu.abs()) * momentum;
         // subnormal numbers are slow to compute with
-        if left < REST { [0.0; 4] } else { flow }
-    }
-
-    fn pushed_at(&self, [xx, xu, ux, uu]: [f64; 4]) -> impl Iterator<Item = Pushed> + '_ {
-        self.state.common.pushed.iter().map(move |&Pushed { x, u }| Pushed { x: xx * x + xu * u, u: ux * x + uu * u })
+        if left < REST { State::default() } else { self.state.carried.after(flow) }
     }
 
     /// The time at which its state is requested.
@@ -249,7 +205,7 @@ impl Active {
     /// does not oscillate.
     pub fn amplitude(&self) -> f64 {
         let omega = self.state.oscillator.omega;
-        let (x, momentum) = self.state.common.bounds(omega);
+        let StateBounds { displacement: x, momentum } = StateBounds::of_state(self.state.carried, omega);
         let StateBounds { displacement, momentum: own } = self.state.state_bounds;
         let swings = if omega > 0.0 { (momentum + own) / omega } else { x + displacement };
         swings.max(self.state.deformation.free_vertices.largest)
@@ -262,23 +218,10 @@ impl Active {
         alike.after(self.state.oscillator, common, h) + own.after(self.state.oscillator, single, h)
     }
 
-    /// Like [`Active::farthest`], from time `t` [s] on, for a body that follows a sine with the steady response
-    /// `steady`, if no sphere acts on it; `pushes` bounds the accelerations by pushes [scene unit/s²].
-    pub fn farthest_of_steady(&self, steady: &Steady, pushes: f64, t: f64, h: f64) -> f64 {
-        let (oscillator, from) = (self.state.oscillator, steady.at(t));
-        let State { x, u } = self.state.common.carried;
-        let free = Common { carried: State { x: x - from.x, u: u - from.u }, pushed: self.state.common.pushed.clone() };
-        let (displacement, momentum) = free.bounds(oscillator.omega);
-        let [_, own] = self.bounds_now();
-        let alike = StateBounds { displacement, momentum };
-        steady.largest() + alike.after(oscillator, pushes, h) + own.after(oscillator, 0.0, h)
-    }
-
     /// Bounds on the shared motion and on the deformation, at the end of the last step.
     fn bounds_now(&self) -> [StateBounds; 2] {
         let omega = self.state.oscillator.omega;
-        let (displacement, momentum) = self.state.common.bounds(omega);
-        let (mut alike, mut own) = (StateBounds { displacement, momentum }, self.state.state_bounds);
+        let (mut alike, mut own) = (StateBounds::of_state(self.state.carried, omega), self.state.state_bounds);
         if self.statistics.substeps == 0 && omega > 0.0 {
             // the flow has continued the oscillation since these bounds were computed
             for state_bounds in [&mut alike, &mut own] {
@@ -293,8 +236,8 @@ impl Active {
     pub fn has_diverged(&self) -> bool {
         const MARGIN: f64 = 100.0;
         let StateBounds { displacement, momentum } = self.state.state_bounds;
-        let (x, m) = self.state.common.bounds(self.state.oscillator.omega);
-        let (x, m) = (x + displacement, m + momentum);
+        let alike = StateBounds::of_state(self.state.carried, self.state.oscillator.omega);
+        let (x, m) = (alike.displacement + displacement, alike.momentum + momentum);
         !x.is_finite() || !m.is_finite() || m > MARGIN * self.state.bound
     }
 }
@@ -302,50 +245,6 @@ impl Active {
 /// Memory allocated for a list beyond what it holds in place [bytes].
 fn spilled<A: Array>(list: &SmallVec<A>) -> usize {
     if list.spilled() { list.capacity() * size_of::<A::Item>() } else { 0 }
-}
-
-/// Applies a flow to a state.
-fn flowed(State { x, u }: State, [xx, xu, ux, uu]: [f64; 4]) -> State {
-    State { x: xx * x + xu * u, u: ux * x + uu * u }
-}
-
-/// Adds the response to a push to the states of all vertices; see [`Common::of`].
-struct AddPush<'a> {
-    /// Directions of the rest positions.
-    facing: &'a Vectors,
-    direction: DVec3,
-    pushed: Pushed,
-    displacement: &'a mut Vectors,
-    velocity: &'a mut Vectors,
-}
-
-impl WithSimd for AddPush<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        add_push(self.facing, self.direction, self.pushed, self.displacement, self.velocity);
-    }
-}
-
-#[inline(always)]
-fn add_push(facing: &Vectors, d: DVec3, pushed: Pushed, displacement: &mut Vectors, velocity: &mut Vectors) {
-    // slices of equal length, so that the loop needs no bounds checks and vectorises
-    let n = facing.len();
-    let (lx, ly, lz) = (&facing.x[..n], &facing.y[..n], &facing.z[..n]);
-    let [x, y, z] = [&mut displacement.x[..n], &mut displacement.y[..n], &mut displacement.z[..n]];
-    let [u, v, w] = [&mut velocity.x[..n], &mut velocity.y[..n], &mut velocity.z[..n]];
-    for i in 0..n {
-        let squarely = -(lx[i] * d.x + ly[i] * d.y + lz[i] * d.z);
-        let facing = if squarely > 0.0 { squarely } else { 0.0 };
-        let (ax, ay, az) = (d.x * facing, d.y * facing, d.z * facing);
-        x[i] += ax * pushed.x;
-        y[i] += ay * pushed.x;
-        z[i] += az * pushed.x;
-        u[i] += ax * pushed.u;
-        v[i] += ay * pushed.u;
-        w[i] += az * pushed.u;
-    }
 }
 
 /// Bounds over the vertices of a body, from which bounds on their motion in a step follow.
@@ -358,6 +257,11 @@ pub(super) struct StateBounds {
 }
 
 impl StateBounds {
+    /// The bounds of one state.
+    pub fn of_state(state: State, omega: f64) -> StateBounds {
+        StateBounds { displacement: state.x.length(), momentum: state.momentum(omega) }
+    }
+
     /// The bounds of a state; NaN if any of it is NaN.
     pub fn of(deformation: &Deformation, oscillator: Oscillator, arch: Arch) -> StateBounds {
         let omega_squared = oscillator.omega * oscillator.omega;

@@ -1,8 +1,7 @@
 //! Hash of the exact state of a world, so that two runs can be compared step by step.
 //!
-//! The hash covers the stored state, even where it is from an earlier step: so observation does not change the hash,
-//! and its cost scales with the bodies that are stepped. Bodies and pairs are hashed separately and their hashes added,
-//! so that unchanged ones need not be hashed again. Every instruction set gives the same hash because it gives the same
+//! The hash covers the stored state, even where it is from an earlier step: so observation does not change the hash.
+//! Bodies and pairs are hashed separately and their hashes added, so that their order does not matter. Every instruction set gives the same hash because it gives the same
 //! state, except for the sign of zero, which has no effect and is ignored.
 
 use super::{
@@ -63,12 +62,9 @@ impl Active {
             return 0;
         }
         let mut lanes = Lanes::new();
-        let State { x, u } = self.state.common.carried;
+        let State { x, u } = self.state.carried;
         let [a, b, c, d, e, f] = [x.x, x.y, x.z, u.x, u.y, u.z].map(bits);
-        lanes.add(&[self.state.common_as_of, self.state.deformation.hash_of_kept(), a, b, c, d, e, f], |word| word);
-        for pushed in &self.state.common.pushed {
-            lanes.add(&[pushed.x, pushed.u], bits);
-        }
+        lanes.add(&[self.state.carried_as_of, self.state.deformation.hash_of_free(), a, b, c, d, e, f], |word| word);
         let active_set = &self.state.deformation.active_set;
         lanes.add_states(&active_set.blocks, &active_set.vertices);
         mix(lanes.hash().wrapping_add(mix(SEED.wrapping_add(u64::from(self.body)))))
@@ -76,12 +72,8 @@ impl Active {
 }
 
 impl Deformation {
-    /// A hash of the part that is constant from step to step, cached until it changes: the free vertices, and the
-    /// indices of the active ones.
-    fn hash_of_kept(&self) -> u64 {
-        if let Some(hash) = self.hash_of_kept.known() {
-            return hash;
-        }
+    /// A hash of the free vertices, and of the indices of the active ones.
+    fn hash_of_free(&self) -> u64 {
         let FreeVertices { vertices, as_of, blocks, .. } = &self.free_vertices;
         let mut lanes = Lanes::new();
         lanes.add(&[self.active_set.vertices.len() as u64, vertices.len() as u64, *as_of], |word| word);
@@ -89,7 +81,7 @@ impl Deformation {
             lanes.add(list, u64::from);
         }
         lanes.add_states(blocks, vertices);
-        self.hash_of_kept.get(|| lanes.hash())
+        lanes.hash()
     }
 }
 

@@ -11,10 +11,9 @@ use pulp::{Arch, Simd, WithSimd};
 
 use super::{
     arrays::{Block, Blocks, LANES, Lanes, Vectors},
-    cached::Cached,
-    state::{Common, Pushed, State},
+    state::State,
 };
-use crate::{geometry::Rest, model::oscillator::Oscillator, scene::Push};
+use crate::{geometry::Rest, model::oscillator::Oscillator};
 
 /// The state of the single vertices of a body that are not at rest.
 #[derive(Clone, Debug, Default)]
@@ -23,8 +22,6 @@ pub struct Deformation {
     pub active_set: ActiveSet,
     /// The vertices that oscillate freely.
     pub free_vertices: FreeVertices,
-    /// Cached hash of everything but the states of the active set; unset when that has changed.
-    pub hash_of_kept: Cached,
 }
 
 /// Index of the displacements in a block [scene unit].
@@ -117,7 +114,7 @@ impl Deformation {
 
     /// Memory allocated for the deformation [bytes].
     pub fn memory(&self) -> usize {
-        let Deformation { active_set, free_vertices, .. } = self;
+        let Deformation { active_set, free_vertices } = self;
         active_set.blocks.memory()
             + free_vertices.blocks.memory()
             + (active_set.vertices.capacity() + free_vertices.vertices.capacity()) * size_of::<u32>()
@@ -166,7 +163,6 @@ impl Deformation {
         if !self.is_empty() {
             return;
         }
-        self.hash_of_kept.forget();
         let ActiveSet { vertices, blocks } = &mut self.active_set;
         vertices.extend(0..rest.len() as u32);
         blocks.resize(rest.len());
@@ -176,24 +172,8 @@ impl Deformation {
         self.active_set.pad_again();
     }
 
-    /// Adds the shared motion to the states of the single vertices, all of which are in the active set, and clears it.
-    pub fn absorb(&mut self, common: &mut Common, rest: Rest<'_>, pushes: &[Push]) {
-        if common.is_zero() {
-            return;
-        }
-        for i in 0..self.active_set.vertices.len() {
-            let vertex = self.active_set.vertices[i] as usize;
-            let (alike, own) = (common.of(rest.direction(vertex), pushes), self.active_set.state(i));
-            self.active_set.set_state(i, State { x: alike.x + own.x, u: alike.u + own.u });
-        }
-        self.active_set.pad_again();
-        common.carried = State::default();
-        common.pushed.fill(Pushed::default());
-    }
-
     /// Brings all vertices to rest.
     pub fn clear(&mut self) {
-        self.hash_of_kept.forget();
         self.active_set.clear();
         self.free_vertices.clear();
     }
@@ -201,7 +181,7 @@ impl Deformation {
     /// Gathers the states of all vertices and the amplitude of each.
     fn gather(&self, count: usize, now: Now, scratch: &mut Scratch) {
         let Scratch { states, amplitudes_of_states, slots, amplitudes, .. } = scratch;
-        let Deformation { active_set, free_vertices, .. } = self;
+        let Deformation { active_set, free_vertices } = self;
         let flow = free_vertices.flow(now);
         let free_blocks = if flow.is_some() { free_vertices.blocks.all() } else { &[] };
         let first_free = active_set.blocks.all().len();
@@ -241,7 +221,6 @@ impl Deformation {
     /// Selects the active set: the vertices whose `gap`, the distance of their rest position from the nearest sphere,
     /// is no more than `skin` plus their amplitude [scene unit]. The others are free from now on.
     pub fn choose_active_set(&mut self, rest: Rest<'_>, gap: &[f64], skin: f64, now: Now, scratch: &mut Scratch) {
-        self.hash_of_kept.forget();
         self.gather(rest.len(), now, scratch);
         let Scratch { amplitudes, active_set, outside, free_vertices, .. } = &mut *scratch;
         for list in [&mut *active_set, &mut *outside, &mut *free_vertices] {
@@ -460,9 +439,8 @@ impl FreeVertices {
 
     /// The state of one of them after a flow.
     #[inline(always)]
-    fn state(&self, i: usize, [xx, xu, ux, uu]: [f64; 4]) -> State {
-        let (x, u) = (self.blocks.get(DISPLACEMENT, i), self.blocks.get(VELOCITY, i));
-        State { x: xx * x + xu * u, u: ux * x + uu * u }
+    fn state(&self, i: usize, flow: [f64; 4]) -> State {
+        State { x: self.blocks.get(DISPLACEMENT, i), u: self.blocks.get(VELOCITY, i) }.after(flow)
     }
 
     fn clear(&mut self) {

@@ -5,13 +5,8 @@
 //! monotone are searched by safeguarded Newton steps, and others are halved: no crossing is missed, however brief. A
 //! pair within a few rounding errors of a threshold counts as on it until it has left.
 
-use std::f64::consts::TAU;
-
-use glam::DVec3;
-
 use super::{
     roots::{self, Falling, Sample},
-    track::Track,
     work::{LOOK_AT_PATHS, Tally},
 };
 use crate::{
@@ -77,18 +72,18 @@ impl From<&Event> for PairEvent {
     }
 }
 
-/// Two tracks whose distance is watched.
+/// The paths of two bodies whose distance is watched.
 #[derive(Clone, Copy, Debug)]
-pub struct PairTracks<'a> {
-    /// Track of one body …
-    pub a: Track<'a>,
-    /// … and of the other.
-    pub b: Track<'a>,
+pub struct PairPaths<'a> {
+    /// Path of one body.
+    pub a: &'a Path,
+    /// Path of the other body.
+    pub b: &'a Path,
     /// Sum of the two radii [scene unit].
     pub radii: f64,
 }
 
-impl PairTracks<'_> {
+impl PairPaths<'_> {
     /// Centre distance over the sum of the radii at time `t` [–].
     pub fn q(&self, t: f64) -> f64 {
         (self.a.position(t) - self.b.position(t)).length() / self.radii
@@ -99,11 +94,6 @@ impl PairTracks<'_> {
         let (a, b) = (self.a.at(t), self.b.at(t));
         let apart = a.position - b.position;
         apart.dot(a.velocity - b.velocity) / (apart.length() * self.radii)
-    }
-
-    /// Time until which both tracks are defined [s].
-    pub fn known_until(&self) -> f64 {
-        self.a.known_until().min(self.b.known_until())
     }
 
     /// The phase changes in `(start, end]` of a pair that is in `phase` at `start`, in order: `(time, new phase)`.
@@ -125,39 +115,39 @@ impl PairTracks<'_> {
         }
     }
 
-    /// The first of the [`PairTracks::phase_changes`].
+    /// The first of the [`PairPaths::phase_changes`].
     pub fn first_change(&self, thresholds: &Thresholds, phase: Phase, start: f64, end: f64) -> Option<(f64, Phase)> {
-        Search { tracks: *self, thresholds, work: &Tally::unlimited() }.first_change(phase, start, end)
+        Search { paths: *self, thresholds, work: &Tally::unlimited() }.first_change(phase, start, end)
     }
 }
 
 /// A search for the phase changes of a pair, limited by `work`: results are meaningless once that is over.
 #[derive(Clone, Copy)]
 pub(super) struct Search<'a> {
-    pub tracks: PairTracks<'a>,
+    pub paths: PairPaths<'a>,
     pub thresholds: &'a Thresholds,
     pub work: &'a Tally<'a>,
 }
 
 impl Search<'_> {
-    /// See [`PairTracks::first_change`].
+    /// See [`PairPaths::first_change`].
     pub fn first_change(&self, phase: Phase, start: f64, end: f64) -> Option<(f64, Phase)> {
         // From knot to knot, so that a pair that comes to rest on a threshold does so at the end of an interval.
         let mut from = start;
-        let Search { tracks, thresholds, work } = self;
-        let may_jump = tracks.a.is_held() || tracks.b.is_held();
-        if may_jump && let Some(to) = tracks.jump(thresholds, phase, from) {
+        let Search { paths, thresholds, work } = self;
+        let may_jump = paths.a.is_held() || paths.b.is_held();
+        if may_jump && let Some(to) = paths.jump(thresholds, phase, from) {
             return Some((from, to));
         }
         loop {
-            let to = tracks.knot_after(from).min(end);
-            let (a, b) = (tracks.a.between(from, to), tracks.b.between(from, to));
-            let between = Search { tracks: PairTracks { a, b, radii: tracks.radii }, ..*self };
+            let to = paths.knot_after(from).min(end);
+            let (a, b) = (paths.a.between(from, to), paths.b.between(from, to));
+            let between = Search { paths: PairPaths { a: &a, b: &b, radii: paths.radii }, ..*self };
             let found = between.first_change_between_knots(phase, from, to);
             if found.is_some() || work.is_over() {
                 return found;
             }
-            if may_jump && let Some(phase) = tracks.jump(thresholds, phase, to) {
+            if may_jump && let Some(phase) = paths.jump(thresholds, phase, to) {
                 return Some((to, phase));
             }
             if to >= end {
@@ -168,29 +158,26 @@ impl Search<'_> {
     }
 
     fn first_change_between_knots(&self, phase: Phase, start: f64, end: f64) -> Option<(f64, Phase)> {
-        let Search { tracks, thresholds, work } = self;
-        if tracks.a.relative_bounds(tracks.b, start, end).speed == 0.0 {
+        let Search { paths, thresholds, work } = self;
+        if paths.a.relative_bounds(paths.b, start, end).speed == 0.0 {
             return None; // at rest, or moving together: only rounding could change the distance
         }
-        let swing = tracks.swing();
         thresholds
             .transitions(phase)
             .filter_map(|way| {
                 let sign = if way.falling { 1.0 } else { -1.0 };
-                let mut gap =
-                    Gap { pair: tracks, level: way.level * tracks.radii, sign, swing, was_above: false, work };
+                let mut gap = Gap { pair: paths, level: way.level * paths.radii, sign, was_above: false, work };
                 gap.first_fall(start, end).map(|time| (time, way.to))
             })
             .min_by(|x, y| x.0.total_cmp(&y.0))
     }
 }
 
-impl PairTracks<'_> {
+impl PairPaths<'_> {
     /// The phase that a pair in `phase` enters at `t` [s] if a centre jumps at that time, by the position after the
     /// jump.
     pub(super) fn jump(&self, thresholds: &Thresholds, phase: Phase, t: f64) -> Option<Phase> {
-        let jumps =
-            |track: Track<'_>| track.is_held() && track.breaks().binary_search_by(|at| at.total_cmp(&t)).is_ok();
+        let jumps = |path: &Path| path.is_held() && path.knots().binary_search_by(|at| at.total_cmp(&t)).is_ok();
         if !(jumps(self.a) || jumps(self.b)) {
             return None;
         }
@@ -206,69 +193,20 @@ impl PairTracks<'_> {
 
     /// The first instant after `t` at which a derivative of a path jumps [s].
     fn knot_after(&self, t: f64) -> f64 {
-        let after = |track: Track<'_>| {
-            let knots = track.breaks();
+        let after = |path: &Path| {
+            let knots = path.knots();
             knots.get(knots.partition_point(|&knot| knot <= t)).copied().unwrap_or(f64::INFINITY)
         };
         after(self.a).min(after(self.b))
     }
-
-    /// How the squared distance oscillates for all time, if both centres oscillate at the same frequency, or one is
-    /// fixed.
-    ///
-    /// With Δc = D + S sin θ + C cos θ, θ = ωt, it is
-    /// `D² + (S² + C²)/2 + 2 D·S sin θ + 2 D·C cos θ + (C² − S²)/2 cos 2θ + S·C sin 2θ`.
-    fn swing(&self) -> Option<Swing> {
-        let still = |frequency| (DVec3::ZERO, frequency, 0.0);
-        let of = |path: &Path, frequency| match path {
-            Path::Fixed(position) => Some((*position, still(frequency))),
-            Path::Sine { center, amplitude, frequency, phase } => Some((*center, (*amplitude, *frequency, *phase))),
-            Path::Line { .. } | Path::Keyframes(_) | Path::Given(_) => None,
-        };
-        let (path_a, path_b) = (self.a.path()?, self.b.path()?);
-        let frequency = [path_a, path_b].into_iter().find_map(|path| match path {
-            Path::Sine { frequency, .. } => Some(*frequency),
-            _ => None,
-        })?;
-        let (a, (swing_a, frequency_a, phase_a)) = of(path_a, frequency)?;
-        let (b, (swing_b, frequency_b, phase_b)) = of(path_b, frequency)?;
-        if frequency_a != frequency_b {
-            return None;
-        }
-        let ((sin_a, cos_a), (sin_b, cos_b)) = (libm::sincos(phase_a), libm::sincos(phase_b));
-        let (d, s, c) = (a - b, swing_a * cos_a - swing_b * cos_b, swing_a * sin_a - swing_b * sin_b);
-        let (d2, s2, c2) = (d.length_squared(), s.length_squared(), c.length_squared());
-        let length = |x: f64, y: f64| (x * x + y * y).sqrt();
-        let once = 2.0 * length(d.dot(s), d.dot(c));
-        let twice = length(0.5 * (c2 - s2), s.dot(c));
-        let rounding = 16.0 * f64::EPSILON * (d2 + s2 + c2);
-        let rate = TAU * frequency;
-        Some(Swing {
-            mean: (d2 + 0.5 * (s2 + c2)).sqrt(),
-            by: once + twice + rounding,
-            curvature: rate * rate * (once + 4.0 * twice + rounding),
-        })
-    }
-}
-
-/// How a squared distance oscillates.
-#[derive(Clone, Copy, Debug)]
-struct Swing {
-    /// Square root of its mean [scene unit].
-    mean: f64,
-    /// Largest deviation from the mean [scene unit²].
-    by: f64,
-    /// Bound of its second derivative [scene unit²/s²].
-    curvature: f64,
 }
 
 /// `g(t) = |c_a − c_b|² − level²`, with a sign such that the crossing is always a fall through zero.
 struct Gap<'a> {
-    pair: &'a PairTracks<'a>,
+    pair: &'a PairPaths<'a>,
     level: f64,
     /// 1 if the pair crosses the threshold by coming nearer, otherwise −1.
     sign: f64,
-    swing: Option<Swing>,
     /// Whether g was above zero by more than rounding when the search began.
     was_above: bool,
     work: &'a Tally<'a>,
@@ -283,27 +221,6 @@ impl Gap<'_> {
         (self.sign * ((d - self.level) * (d + self.level)), self.sign * (2.0 * apart.dot(relative)))
     }
 
-    /// Mean of the unsigned g.
-    fn mean(&self, swing: &Swing) -> f64 {
-        (swing.mean - self.level) * (swing.mean + self.level)
-    }
-
-    /// Whether a centre oscillates so often in an interval that its extent bounds the motion better than its speed
-    /// does.
-    fn is_restless(&self, length: f64) -> bool {
-        let swings =
-            |track: Track<'_>| matches!(track.path(), Some(Path::Sine { frequency, .. }) if frequency * length > 1.0);
-        swings(self.pair.a) || swings(self.pair.b)
-    }
-
-    /// Whether the distance stays on one side of the threshold throughout an interval, given the balls that contain the
-    /// centres.
-    fn is_out_of_reach(&self, start: f64, end: f64) -> bool {
-        let [(a, spread_a), (b, spread_b)] = [self.pair.a, self.pair.b].map(|track| track.ball(start, end));
-        let far = a.abs().max_element() + b.abs().max_element() + spread_a + spread_b + self.level;
-        (a.distance(b) - self.level).abs() > spread_a + spread_b + 64.0 * f64::EPSILON * far
-    }
-
     /// Effect of rounding of the centres on a g near zero.
     fn rounding(&self, a: &Kinematics, b: &Kinematics) -> f64 {
         let far = a.position.abs().max_element() + b.position.abs().max_element();
@@ -315,11 +232,6 @@ impl Gap<'_> {
         let (a, b) = (self.pair.a.at(start), self.pair.b.at(start));
         let (g, rounding) = (self.of(&a, &b).0, self.rounding(&a, &b));
         self.was_above = g > rounding;
-        // g varies by no more than rounding: treat it like an unresolved interval
-        if self.swing.is_some_and(|swing| self.mean(&swing).abs() + swing.by <= 8.0 * rounding) {
-            let (a, b) = (self.pair.a.at(end), self.pair.b.at(end));
-            return (self.was_above && self.of(&a, &b).0 <= rounding).then_some(end);
-        }
         if start < end { roots::first_fall(self, start, end) } else { None }
     }
 }
@@ -354,18 +266,12 @@ impl Falling for Gap<'_> {
         let close = 8.0 * rounding;
 
         // no root: still above zero, or below since it passed within `close` of zero just before
-        let (mut tighter, mut is_out_of_reach) = (range, false);
-        if let Some(swing) = &self.swing {
-            tighter = range.min(slope.abs() * half + 0.5 * swing.curvature * half * half);
-            is_out_of_reach = self.mean(swing).abs() > swing.by + close;
-        }
-        is_out_of_reach |= self.is_restless(end - start) && self.is_out_of_reach(start, end);
         Some(Sample {
             value: g,
             slope,
             curvature,
-            is_clear: g.abs() > tighter + close || is_out_of_reach,
-            is_unresolved: g.abs() + tighter <= close,
+            is_clear: g.abs() > range + close,
+            is_unresolved: g.abs() + range <= close,
             rounding,
             guess: middle,
         })

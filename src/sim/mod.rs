@@ -7,7 +7,7 @@
 //! | the bodies that are not at rest | `active_set` |
 //! | per-vertex state beyond the motion that all vertices share | `deformation` |
 //! | what acts on vertices, one file per force term | `terms` |
-//! | the frame of a body during a step, and the frames of all moving bodies | `track`, `tracks` |
+//! | the motion of all moving bodies during a step | `tracks` |
 //! | broad phase: which bodies can touch | `neighbours` of `pairs`, by a grid in [`reach`] |
 //! | when pairs merge, split, enter and leave their core | [`events`] |
 //! | how a vertex is advanced | [`integrator`] |
@@ -31,7 +31,7 @@
 //!   its fat bounds. A step checks only bodies that move.
 //! - **Bodies at rest cost nothing**: no memory for their vertices, no time in a step. They wake when a push begins,
 //!   when their own motion acts on them, or when a sphere can reach them.
-//! - **Motion shared by all vertices of a body**, caused by the body's own motion or a push, is a few numbers per body.
+//! - **Motion shared by all vertices of a body**, caused by the body's own motion, is one state per body.
 //! - **Only the active set is stepped**: the vertices near a sphere, selected again after spheres have moved by a tenth
 //!   of a radius. All other vertices are free. The exact flow advances them over any number of steps at once when a
 //!   sphere or an observer needs them: `run --every 10` pays for a tenth of the observation.
@@ -43,7 +43,6 @@ mod active_set;
 mod advance;
 mod arrays;
 mod body;
-mod cached;
 mod checksum;
 mod coupled;
 mod deformation;
@@ -60,7 +59,6 @@ mod neighbours;
 mod nodes;
 mod observe;
 mod pairs;
-mod push_list;
 #[doc(hidden)]
 pub mod reach;
 mod report;
@@ -71,7 +69,6 @@ mod span;
 mod stages;
 mod state;
 mod terms;
-mod track;
 mod tracks;
 mod work;
 mod world;

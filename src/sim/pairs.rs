@@ -13,17 +13,18 @@ use rayon::prelude::*;
 
 use super::{
     body::Body,
-    cached::Cached,
-    events::{Event, PairTracks, Search},
+    events::{Event, PairPaths, Search},
     neighbours::{FatBounds, Neighbour},
     reach::{Ball, Grid},
     span::Span,
     terms::spheres,
-    track::Track,
     tracks::Tracks,
     work::{EVENT, LOOK_AT_PATHS, NEAR_ENOUGH, NEW_PAIR, Stop, Tally, Work},
 };
-use crate::{model::phase::Phase, scene::Scene};
+use crate::{
+    model::phase::Phase,
+    scene::{Path, Scene},
+};
 
 /// How far a body may move before its neighbours are searched for again [radii].
 const SKIN: f64 = 0.25;
@@ -80,12 +81,8 @@ pub(super) struct Pairs {
     changes: Vec<(f64, Phase)>,
     /// Pairs with phase changes in the current step.
     changed: Vec<u32>,
-    /// Sum of the hashes of all pairs, once requested.
-    hash: Cached,
     /// The largest q at which a pair can merge [–].
     max_merge_at: f64,
-    /// Whether all pairs are listed and each is examined in every step (the naive baseline).
-    is_naive: bool,
     /// Buffers, reused.
     found: Vec<u32>,
     kept: Vec<Neighbour>,
@@ -127,33 +124,6 @@ impl Pairs {
         counted.map(|()| all.into_inner())
     }
 
-    /// Lists every pair (the naive baseline); false if there are more than `max`.
-    pub fn start_with_all(
-        &mut self,
-        scene: &Scene,
-        bodies: &mut [Body],
-        tracks: &Tracks,
-        max: u64,
-        work: &Work,
-    ) -> bool {
-        let n = bodies.len() as u64;
-        if n * n.saturating_sub(1) / 2 > max {
-            return false;
-        }
-        let mut of = Surrounded { scene, bodies, tracks, work: Tally::new(work, None) };
-        self.is_naive = true;
-        self.max_merge_at = scene.laws().map(|law| law.thresholds.merge_at).fold(0.0, f64::max);
-        for body in of.bodies.iter_mut() {
-            body.fat_bounds = FatBounds { vertices: f64::INFINITY, skin: 0.0, until: f64::INFINITY };
-        }
-        for i in 0..of.bodies.len() {
-            self.found.clear();
-            self.found.extend((0..of.bodies.len() as u32).filter(|&j| j as usize != i));
-            self.meet(&mut of, i, 0.0);
-        }
-        true
-    }
-
     /// Finds the neighbours of bodies that leave their fat bounds before the end of `span`.
     ///
     /// # Errors
@@ -181,11 +151,11 @@ impl Pairs {
 
     fn place(&mut self, of: &mut Surrounded<'_>, i: usize, vertices: f64, t: f64) {
         let scene = of.scene;
-        let (this, track) = (&scene.bodies[i], of.tracks.track(i));
-        let (skin, until) = stay(track, SKIN * this.radius, t, scene.dt);
+        let (this, path) = (&scene.bodies[i], of.tracks.path(i));
+        let (skin, until) = stay(path, SKIN * this.radius, t, scene.dt);
         let merging = self.max_merge_at * this.radius;
         let reach = scene.influence.sphere_radius(this.radius).max(vertices).max(merging) + skin;
-        let centre = track.position(t);
+        let centre = path.position(t);
         // so that a pair exactly on a threshold is not lost to rounding of the centres
         let rounding = 16.0 * f64::EPSILON * (centre.abs().max_element() + reach);
         of.bodies[i].fat_bounds = FatBounds { vertices, skin: skin + rounding, until };
@@ -248,10 +218,10 @@ impl Pairs {
         (self.found, self.kept) = (found, kept);
     }
 
-    fn add(&mut self, tracks: PairTracks<'_>, [i, j]: [u32; 2], scene: &Scene, t: f64) -> u32 {
+    fn add(&mut self, paths: PairPaths<'_>, [i, j]: [u32; 2], scene: &Scene, t: f64) -> u32 {
         let (a, b) = (i.min(j), i.max(j));
         let law = scene.law_index(a as usize, b as usize);
-        let phase = if t == 0.0 { scene.law_at(law).thresholds.initial(tracks.q(0.0)) } else { Phase::Apart };
+        let phase = if t == 0.0 { scene.law_at(law).thresholds.initial(paths.q(0.0)) } else { Phase::Apart };
         let pair = Pair { a, b, law, phase, upcoming: None, known_until: t, changes: 0..0 };
         if let Some(index) = self.free.pop() {
             self.pairs[index as usize] = pair;
@@ -291,15 +261,11 @@ impl Pairs {
                 let first = self.changes.len();
                 let pair = &mut self.pairs[index];
                 let both = tracks.pair(pair.a, pair.b);
-                let rests = || [both.a, both.b].into_iter().all(|track| track.is_still(span.start, f64::INFINITY));
-                let horizon = match self.is_naive {
-                    true => span.end,
-                    false if rests() => f64::INFINITY,
-                    false => ahead.min(both.known_until()),
-                };
+                let rests = || [both.a, both.b].into_iter().all(|path| path.is_still(span.start, f64::INFINITY));
+                let horizon = if rests() { f64::INFINITY } else { ahead };
                 let mut from = pair.phase;
                 let (a, b, before) = (pair.a, pair.b, tally.done());
-                let search = Search { tracks: both, thresholds: &scene.law_at(pair.law).thresholds, work: &tally };
+                let search = Search { paths: both, thresholds: &scene.law_at(pair.law).thresholds, work: &tally };
                 pair.advance(search, span, horizon, |time, to| {
                     self.changes.push((time, to));
                     let (q, rate) = (both.q(time), both.rate(time));
@@ -327,9 +293,7 @@ impl Pairs {
         for &index in &self.changed {
             let last = self.changes(index).last().map(|&(_, last)| last);
             let pair = &mut self.pairs[index as usize];
-            let before = pair.hash();
             pair.phase = last.unwrap_or(pair.phase);
-            self.hash.exchange(|| before, || pair.hash());
             pair.changes = 0..0;
         }
     }
@@ -346,7 +310,7 @@ impl Pairs {
 
     /// The sum of the hashes of all pairs that are not apart.
     pub fn hash(&self) -> u64 {
-        self.hash.get(|| self.pairs.iter().map(Pair::hash).fold(0, u64::wrapping_add))
+        self.pairs.iter().map(Pair::hash).fold(0, u64::wrapping_add)
     }
 
     /// The pair with an index.
@@ -405,7 +369,7 @@ impl Pair {
                     found(time, to);
                     (from, phase) = (time, to);
                     // a jump of a centre can lead through two phases at once
-                    while let Some(next) = search.tracks.jump(search.thresholds, phase, time) {
+                    while let Some(next) = search.paths.jump(search.thresholds, phase, time) {
                         found(time, next);
                         phase = next;
                     }
@@ -434,13 +398,13 @@ fn are_near(scene: &Scene, bodies: &[Body], grid: &Grid, i: u32, j: u32) -> bool
 
 /// A margin for the motion of a body's centre from time `t`, at least `skin` [scene unit], and the time until which the
 /// centre stays within it [s].
-fn stay(track: Track<'_>, skin: f64, t: f64, dt: f64) -> (f64, f64) {
-    if track.is_fixed() {
+fn stay(path: &Path, skin: f64, t: f64, dt: f64) -> (f64, f64) {
+    if path.is_fixed() {
         return (0.0, f64::INFINITY);
     }
-    let moved = |steps: f64| track.bounds(t, t + steps * dt).speed * steps * dt;
-    if moved(1.0) > track.extent() {
-        return (skin.max(track.extent()), t + MAX_STAY * dt);
+    let moved = |steps: f64| path.bounds(t, t + steps * dt).speed * steps * dt;
+    if moved(1.0) > path.extent() {
+        return (skin.max(path.extent()), t + MAX_STAY * dt);
     }
     let skin = skin.max(moved(1.0));
     let mut steps = MAX_STAY;
@@ -507,23 +471,13 @@ mod tests {
         for times in [[0.25, 0.503, 1.001, 1.25, 1.507], steps] {
             let expected =
                 [(times[1], Merged), (times[1], Core), (times[2], Merged), (times[4], Apart)].map(|(t, to)| (t, to));
-            let run = |skip| {
-                let scene = Scene::parse(&text(times), "jumps.toml").unwrap();
-                let options = crate::sim::Options { skip, ..Default::default() };
-                let mut world = World::with_options(scene, options).unwrap();
-                let (mut events, mut found) = (vec![], vec![]);
-                for _ in 0..world.scene().steps() {
-                    events.extend(world.step().events.iter().map(|event| (event.step, event.time, event.to)));
-                    assert!(world.report().failure.is_none());
-                    found.extend(world.body(0).positions());
-                }
-                (events, found)
-            };
-            let ((events, found), (naive_events, naive)) = (run(true), run(false));
-            assert_eq!(events.iter().map(|&(_, t, to)| (t, to)).collect::<Vec<_>>(), expected);
-            assert_eq!(events, naive_events);
-            let apart = found.iter().zip(&naive).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
-            assert!(apart < 1e-6, "{apart:e}");
+            let mut world = World::new(Scene::parse(&text(times), "jumps.toml").unwrap()).unwrap();
+            let mut events = vec![];
+            for _ in 0..world.scene().steps() {
+                events.extend(world.step().events.iter().map(|event| (event.time, event.to)));
+                assert!(world.report().failure.is_none());
+            }
+            assert_eq!(events, expected);
         }
     }
 

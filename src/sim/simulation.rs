@@ -5,7 +5,7 @@ use std::{mem::take, sync::atomic::AtomicBool};
 use glam::DVec3;
 
 use super::{
-    Options, StepReport, World,
+    StepReport, World,
     frames::{add_coupled_forces, add_forces, pair_frame},
     free::{Conserved, Forces, Ledger, Snapshot},
     observe::{Energy, EnergySum},
@@ -205,7 +205,7 @@ const SCALARS: &[Scalar] = &[
 
 impl Simulation for World {
     fn schema(&self) -> Schema {
-        schema(self.scene(), self.options())
+        schema(self.scene())
     }
 
     fn overrides(&self, steps: Option<u64>) -> String {
@@ -382,7 +382,7 @@ impl Simulation for World {
             between(&Simulation::schema(self), [before, &after], time, &others, frame);
         }
         for &index in bodies.iter().filter(|&&index| self.scene().bodies[index].path().is_some()) {
-            frame.bodies[index].centre = self.track(index).position(time);
+            frame.bodies[index].centre = self.path(index).position(time);
         }
     }
 
@@ -411,7 +411,7 @@ pub fn phase_color(phase: Phase) -> Rgb {
 }
 
 /// The schema of a scene's world. Other models of the same scene start from it and override what differs.
-pub fn schema(scene: &Scene, options: Options) -> Schema {
+pub fn schema(scene: &Scene) -> Schema {
     let bodies = scene.bodies.iter().map(|body| BodySchema {
         name: body.name.clone(),
         radius: body.radius,
@@ -447,7 +447,7 @@ pub fn schema(scene: &Scene, options: Options) -> Schema {
     Schema {
         name: scene.name.clone(),
         source: scene.source.clone(),
-        run: scene.run_settings() + if options.skip { "" } else { "skip = false\n" },
+        run: scene.run_settings(),
         model: Model::Oscillators.name().to_owned(),
         integrator: scene.integrator.name().to_owned(),
         dt: scene.dt,

@@ -13,16 +13,12 @@ use super::{
     frames::{add_forces, pair_frame},
     integrator::{
         explicit::Scheme,
-        exponential::{
-            self, StepControl,
-            course::{Course, Local},
-        },
+        exponential::{self, StepControl, course::Course},
     },
     neighbours::Neighbour,
-    push_list::PushField,
     span::Span,
-    state::{Common, Pushed, State},
-    terms::{Acting, Cause, Moment, On, Phases, Surroundings, carry},
+    state::State,
+    terms::{Acting, Cause, Moment, On, Phases, Surroundings, carry, push::PushField},
     work::{Tally, Work},
     world::{PairView, States, World},
 };
@@ -124,7 +120,7 @@ pub fn within(before: &Frame, world: &World, time: f64, bodies: &[usize], frame:
             return false;
         }
         let now = &mut frame.bodies[index];
-        now.centre = world.track(index).position(time);
+        now.centre = world.path(index).position(time);
         (now.displacements, now.velocities) = (states.displacement, states.velocity);
         now.displaced(recomputed.body(index).rest());
     }
@@ -213,7 +209,7 @@ impl Recomputed<'_> {
         let scene = self.world.scene();
         let span = Span { start: self.before.at.time, end: self.world.time() };
         let tracks = self.world.reading().tracks;
-        let knots = (0..scene.bodies.len()).flat_map(|body| tracks.track(body).breaks().iter().copied());
+        let knots = (0..scene.bodies.len()).flat_map(|body| tracks.path(body).knots().iter().copied());
         let mut breaks: Vec<f64> = knots.filter(|&t| span.holds(t)).chain([span.start, span.end]).collect();
         for index in 0..self.world.body_count() {
             self.on(index).jumps(&self.body(index).neighbours, span, &mut breaks);
@@ -243,7 +239,7 @@ impl Recomputed<'_> {
         let bodies = states.into_iter().enumerate().map(|(index, states)| {
             let surroundings = self.surroundings(index, t, phases_at, &states);
             let States { displacement: displacements, velocity: velocities } = states;
-            let centre = self.world.track(index).position(t);
+            let centre = self.world.path(index).position(t);
             let mut now = BodyFrame { centre, displacements, velocities, ..BodyFrame::default() };
             now.displaced(self.body(index).rest());
             add_forces(self.world, index, &surroundings, &mut now);
@@ -295,31 +291,28 @@ impl Recomputed<'_> {
         // a sphere may come within reach during the interval
         let mut acting = Acting::default();
         self.on(index).over(&body.neighbours, Span { start: from, end: to }, &mut acting);
-        let Acting { weighted, spheres } = &acting;
+        let Acting { spheres } = &acting;
         let is_still = states.displacement.iter().chain(states.velocity.iter()).all(|v| v == DVec3::ZERO);
-        if is_still && spheres.is_empty() && surroundings.is_idle() && self.world.track(index).is_fixed() {
+        if is_still && spheres.is_empty() && surroundings.is_idle() && self.world.path(index).is_fixed() {
             return;
         }
-        let (mut push_field, mut local) = (PushField::default(), Vectors::default());
-        let field = body.pushes.many_act(Span { start: from, end: to }).then(|| {
-            let every: Vec<u32> = (0..body.rest().len() as u32).collect();
-            push_field.advance(&body.pushes, body.mesh.directions(), from + 0.5 * (to - from));
-            push_field.of(&every, LANES, &mut local)
-        });
+        let every: Vec<u32> = (0..body.rest().len() as u32).collect();
+        let mut pushes = PushField::default();
+        pushes.begin(&body.pushes, Span { start: from, end: to }, &every, LANES);
+        pushes.advance(from + 0.5 * (to - from), body.rest(), &every);
         let tracks = self.world.reading().tracks;
         let course = Course {
             scene,
             index,
             material: body.material,
             radius: body.radius,
-            mesh: &body.mesh,
+            vertices: body.mesh.vertex_count(),
             start: from,
             length: to - from,
             tracks,
             is_whole: false,
             spheres,
-            weighted,
-            local: field.map(|largest| Local { accelerations: &local, largest }),
+            local: pushes.local(),
         };
         let mut deformation = Deformation::default();
         deformation.wake_all(body.rest());
@@ -328,16 +321,15 @@ impl Recomputed<'_> {
             active_set.set_state(i, State { x: states.displacement.get(i), u: states.velocity.get(i) });
         }
         active_set.pad_again();
-        let kicked = State { x: DVec3::ZERO, u: carry::kick(&body.material, self.world.track(index), from) };
-        let mut common = Common { carried: kicked, pushed: vec![Pushed::default(); weighted.len()] };
+        let mut carried = State { x: DVec3::ZERO, u: carry::kick(&body.material, self.world.path(index), from) };
         let tolerance = scene.tolerance * this.radius;
         let control = StepControl { arch: self.world.options().arch, tolerance, work: &self.work };
         let scratch = &mut exponential::Scratch::default();
-        exponential::advance(&course, control, &mut common, active_set, &mut 0, scratch);
-        for (i, facing) in body.mesh.directions().iter().enumerate() {
-            let (alike, own) = (common.of(facing, body.pushes.shared()), active_set.state(i));
-            states.displacement.set(i, alike.x + own.x);
-            states.velocity.set(i, alike.u + own.u);
+        exponential::advance(&course, control, &mut carried, active_set, &mut 0, scratch);
+        for i in 0..body.rest().len() {
+            let own = active_set.state(i);
+            states.displacement.set(i, carried.x + own.x);
+            states.velocity.set(i, carried.u + own.u);
         }
     }
 }

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{events::PairTracks, nodes::SAMPLES, span::Span, terms, terms::Steady, track::Track};
+use super::{events::PairPaths, nodes::SAMPLES, span::Span, terms};
 use crate::scene::{
     Body, Material, Motion, Path, Scene,
     path::{Bounds, Turns},
@@ -75,8 +75,6 @@ pub struct Mover {
     pub is_idle: bool,
     /// Whether derivatives of the motion jump somewhere.
     has_breaks: bool,
-    /// Whether steps do not resolve the motion, and the response to it is known in closed form: [`Steady`].
-    pub is_unresolved: bool,
     /// The body's motion over the step.
     samples: Samples,
     /// Bounds of the motion over the step.
@@ -110,7 +108,6 @@ impl Tracks {
                 let bounds = Bounds { speed: 0.0, acceleration: 0.0 };
                 let samples = Samples { positions: [path.position(0.0); 5], uniform: [DVec3::ZERO; 5] };
                 let material = scene.bodies[body as usize].material;
-                let is_unresolved = Steady::of(&material, path.into(), scene.dt).is_some();
                 movers.push(Mover {
                     body,
                     is_watched: false,
@@ -120,7 +117,6 @@ impl Tracks {
                     stands_still: false,
                     is_idle: false,
                     has_breaks: !path.knots().is_empty(),
-                    is_unresolved,
                     samples,
                     bounds,
                     kicks: 0.0,
@@ -194,16 +190,16 @@ impl Tracks {
         self.movers.get(self.of_body[body] as usize)
     }
 
-    /// The frame of a body.
-    pub fn track(&self, body: usize) -> Track<'_> {
-        Track::Prescribed(&self.paths[body])
+    /// The path of a body.
+    pub fn path(&self, body: usize) -> &Path {
+        &self.paths[body]
     }
 
-    /// The tracks of a pair of bodies, lower index first.
-    pub fn pair(&self, i: u32, j: u32) -> PairTracks<'_> {
+    /// The paths of a pair of bodies, lower index first.
+    pub fn pair(&self, i: u32, j: u32) -> PairPaths<'_> {
         let [a, b] = [i.min(j), i.max(j)].map(|body| body as usize);
         let radii = self.motion_bounds[a].radius + self.motion_bounds[b].radius;
-        PairTracks { a: self.track(a), b: self.track(b), radii }
+        PairPaths { a: self.path(a), b: self.path(b), radii }
     }
 
     /// A body's motion at the step's [`SAMPLES`]. The vertices of a body that stands still share no acceleration.

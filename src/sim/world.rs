@@ -28,7 +28,6 @@ use super::{
     span::Span,
     state::State,
     terms::{self, Moment, Surroundings},
-    track::Track,
     tracks::Tracks,
     work::{Stop, Tally, Work},
 };
@@ -36,7 +35,7 @@ use crate::{
     geometry::Mesh,
     model::phase::Phase,
     observe::Shortfall,
-    scene::{self, Scene},
+    scene::{self, Path, Scene},
 };
 
 /// With fewer vertices than this to step, a second thread does not pay off.
@@ -50,9 +49,6 @@ const ROOM: f64 = 1.5;
 /// How the world is stepped. No option changes the result beyond rounding.
 #[derive(Clone, Copy, Debug)]
 pub struct Options {
-    /// Whether to skip work that cannot affect the result. If false, every step examines every pair and every vertex
-    /// (the naive baseline).
-    pub skip: bool,
     /// The instruction set of the kernels; results are bit-identical.
     pub arch: Arch,
     /// A flag that stops building and stepping once it is set: the current step soon ends with
@@ -62,7 +58,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Options {
-        Options { skip: true, arch: Arch::new(), interrupt: None }
+        Options { arch: Arch::new(), interrupt: None }
     }
 }
 
@@ -121,7 +117,7 @@ impl World {
             energy_of_distant_pairs: OnceLock::new(),
             step: 0,
             bodies,
-            actives: ActiveSet::new(),
+            actives: ActiveSet::default(),
             tracks: Tracks::new(&scene),
             pairs: Pairs::default(),
             woken: Vec::new(),
@@ -161,24 +157,21 @@ impl World {
     fn start(&mut self, max_pairs: u64) -> bool {
         if self.scene.is_coupled() {
             let meshes: Vec<Arc<Mesh>> = self.bodies.iter().map(|body| Arc::clone(&body.mesh)).collect();
-            self.coupled =
-                Coupled::new(&self.scene, &meshes, (self.options.skip, self.options.arch), max_pairs, &self.work);
+            self.coupled = Coupled::new(&self.scene, &meshes, self.options.arch, max_pairs, &self.work);
             self.first_energy = self.conserved().map_or(0.0, |conserved| conserved.energy());
             return self.coupled.is_some();
         }
         let World { scene, bodies, tracks, pairs, work, .. } = self;
-        let start = if self.options.skip { Pairs::start } else { Pairs::start_with_all };
-        if !start(pairs, scene, bodies, tracks, max_pairs, work) {
+        if !pairs.start(scene, bodies, tracks, max_pairs, work) {
             return false;
         }
-        let first_step = bodies.iter().map(|body| {
-            exponential::work_of(body.mesh.vertex_count(), body.neighbours.len(), body.pushes.shared().len())
-        });
+        let first_step =
+            bodies.iter().map(|body| exponential::work_of(body.mesh.vertex_count(), body.neighbours.len()));
         self.work.expect(first_step.fold(0, u64::saturating_add));
         // A body with neighbours may be reached from the start; bodies that are not reached go back to sleep in the
         // first step.
         for index in 0..self.bodies.len() {
-            if !self.options.skip || !self.bodies[index].neighbours.is_empty() {
+            if !self.bodies[index].neighbours.is_empty() {
                 self.wake_one(index as u32);
             }
         }
@@ -265,9 +258,7 @@ impl World {
     /// Wakes the bodies that something acts on during `span`.
     fn wake(&mut self, span: Span) {
         self.wake_acted_on(span);
-        if self.options.skip {
-            self.wake_moved(span);
-        }
+        self.wake_moved(span);
     }
 
     /// Bounds how far vertices of awake bodies can move during `span`, and finds which bodies can reach them.
@@ -364,14 +355,14 @@ impl World {
 
     /// What stepping a body reads.
     pub(super) fn reading(&self) -> Context<'_> {
-        let World { scene, bodies, tracks, pairs, options: Options { skip, arch, .. }, step, work, .. } = self;
-        Context { scene, bodies, pairs, tracks, arch: *arch, skip: *skip, step: *step, work }
+        let World { scene, bodies, tracks, pairs, options: Options { arch, .. }, step, work, .. } = self;
+        Context { scene, bodies, pairs, tracks, arch: *arch, step: *step, work }
     }
 
     /// What stepping a body reads, and the awake bodies.
     fn context(&mut self) -> (Context<'_>, &mut [Active]) {
-        let World { scene, bodies, tracks, pairs, options: Options { skip, arch, .. }, step, actives, work, .. } = self;
-        (Context { scene, bodies, pairs, tracks, arch: *arch, skip: *skip, step: *step, work }, actives.awake_mut())
+        let World { scene, bodies, tracks, pairs, options: Options { arch, .. }, step, actives, work, .. } = self;
+        (Context { scene, bodies, pairs, tracks, arch: *arch, step: *step, work }, actives.awake_mut())
     }
 
     /// Integrates the equation of motion of every awake body.
@@ -422,12 +413,12 @@ impl World {
 
     /// Puts bodies to sleep on which nothing acted.
     fn sleep(&mut self, sum: &Sum, span: Span) {
-        if !self.options.skip || !sum.any_idle {
+        if !sum.any_idle {
             return;
         }
-        let World { scene, bodies, tracks, pairs, options: Options { skip, arch, .. }, step, actives, work, .. } = self;
+        let World { scene, bodies, tracks, pairs, options: Options { arch, .. }, step, actives, work, .. } = self;
         actives.sleep(bodies, |bodies, active| {
-            let context = Context { scene, bodies, pairs, tracks, arch: *arch, skip: *skip, step: *step, work };
+            let context = Context { scene, bodies, pairs, tracks, arch: *arch, step: *step, work };
             active.statistics.substeps == 0 && active.bounds.may_sleep && context.own_force(active.body, span) == 0.0
         });
     }
@@ -568,8 +559,7 @@ impl World {
     ///
     /// Equal runs have equal checksums on every machine, for any number of threads and any instruction set, whatever is
     /// observed or recorded and however often this is called. Two states that differ in one number never have the same
-    /// checksum; others do so only by chance. Without skipping ([`super::Options::skip`]) the world stores more
-    /// state for the same motion, so its checksums differ.
+    /// checksum; others do so only by chance.
     pub fn checksum(&self) -> u64 {
         if let Some(coupled) = &self.coupled {
             return checksum::of_world(self.step, coupled.hash());
@@ -599,14 +589,14 @@ impl World {
             active,
             member,
             now,
-            track: self.track(index),
-            centre: member.map_or_else(|| self.track(index).position(self.time()), |member| member.body.centre),
+            path: self.path(index),
+            centre: member.map_or_else(|| self.path(index).position(self.time()), |member| member.body.centre),
         }
     }
 
-    /// The frame of body `index`.
-    pub(super) fn track(&self, index: usize) -> Track<'_> {
-        self.tracks.track(index)
+    /// The path of body `index`.
+    pub(super) fn path(&self, index: usize) -> &Path {
+        self.tracks.path(index)
     }
 
     fn active(&self, index: usize) -> Option<&Active> {
@@ -722,7 +712,7 @@ pub struct BodyView<'a> {
     /// The body of a coupled scene.
     member: Option<&'a Member>,
     now: Now,
-    track: Track<'a>,
+    path: &'a Path,
     centre: DVec3,
 }
 
@@ -753,17 +743,14 @@ impl<'a> BodyView<'a> {
 
     /// Rotation of the body from its rest orientation.
     pub fn rotation(&self) -> DQuat {
-        match self.member {
-            Some(member) => member.body.rotation,
-            None => self.track.rotation(self.now.step as f64 * self.now.dt),
-        }
+        self.member.map_or(DQuat::IDENTITY, |member| member.body.rotation)
     }
 
     /// Velocity of its centre [scene unit/s].
     pub fn centre_velocity(&self) -> DVec3 {
         match self.member {
             Some(member) => member.body.velocity,
-            None => self.track.at(self.now.step as f64 * self.now.dt).velocity,
+            None => self.path.at(self.now.step as f64 * self.now.dt).velocity,
         }
     }
 
@@ -811,7 +798,7 @@ impl<'a> BodyView<'a> {
             member.states_into(displacement, velocity);
             return;
         }
-        if let Some(active) = self.active.filter(|active| active.state.common.is_zero() && !active.is_at_rest()) {
+        if let Some(active) = self.active.filter(|active| active.state.carried.is_zero() && !active.is_at_rest()) {
             displacement.resize(self.vertex_count());
             velocity.resize(self.vertex_count());
             if active.state.deformation.all_free_into(displacement, velocity, self.now) {
@@ -821,7 +808,9 @@ impl<'a> BodyView<'a> {
         displacement.reset(self.vertex_count());
         velocity.reset(self.vertex_count());
         let Some(active) = self.active.filter(|active| !active.is_at_rest()) else { return };
-        active.add_common_to(&self.fixed.mesh, self.fixed.pushes.shared(), displacement, velocity, self.now);
+        let State { x, u } = active.carried_at(self.now);
+        displacement.fill(x);
+        velocity.fill(u);
         active.state.deformation.add_to(displacement, velocity, self.now);
     }
 
@@ -832,7 +821,7 @@ impl<'a> BodyView<'a> {
             return State { x: of(&member.body.x), u: of(&member.body.u) };
         }
         let Some(active) = self.active else { return State::default() };
-        let alike = active.common_at(self.now).of(self.fixed.rest().direction(i), self.fixed.pushes.shared());
+        let alike = active.carried_at(self.now);
         let own = active.state.deformation.state(i, self.now);
         State { x: alike.x + own.x, u: alike.u + own.u }
     }

@@ -46,7 +46,7 @@ use crate::{
         Motion, Path,
         template::{Setting, Template},
     },
-    sim::{Event, Failure, Options, States, events::PairTracks},
+    sim::{Event, Failure, Options, States, events::PairPaths},
 };
 
 /// Maximum number of events listed in a row.
@@ -464,7 +464,7 @@ fn last_change(scene: &Scene) -> Option<f64> {
     for b in 0..paths.len() {
         for a in 0..b {
             let radii = scene.bodies[a].radius + scene.bodies[b].radius;
-            let tracks = PairTracks { a: paths[a].into(), b: paths[b].into(), radii };
+            let tracks = PairPaths { a: paths[a], b: paths[b], radii };
             let thresholds = scene.law(a, b).thresholds;
             let first = thresholds.initial(tracks.q(0.0));
             tracks.phase_changes(&thresholds, first, 0.0, end, |time, _| {

@@ -21,7 +21,7 @@ use meldscope::{
     scene::{Path, path::Spline},
     sim::{
         Options, States,
-        events::PairTracks,
+        events::PairPaths,
         integrator::exponential::weights::Weights,
         reach::{Ball, Grid},
     },
@@ -91,7 +91,7 @@ fn events(c: &mut Criterion) {
     let still = Path::Fixed(DVec3::ZERO);
     let keys = [(0.0, DVec3::new(2.7, 0.1, 0.0)), (1.8, DVec3::new(1.95, 0.0, 0.0)), (4.0, DVec3::new(2.6, 0.0, 0.0))];
     let moving = Path::Keyframes(Spline::new(&keys));
-    let pair = PairTracks { a: (&still).into(), b: (&moving).into(), radii: 2.0 };
+    let pair = PairPaths { a: &still, b: &moving, radii: 2.0 };
     let search = |start: f64, end: f64| pair.first_change(&thresholds, Phase::Apart, start, end);
     assert!(search(0.0, 1.0).is_none() && search(0.0, 1.8).is_some());
     group.bench_function("none in 16 steps", |b| b.iter(|| search(black_box(0.2), black_box(0.2 + 16.0 / 60.0))));

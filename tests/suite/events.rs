@@ -4,7 +4,7 @@
 use glam::{DVec3, dvec3};
 use meldscope::model::phase::{Phase, Thresholds};
 use meldscope::scene::{Path, path::Spline};
-use meldscope::sim::{Event, events::PairTracks};
+use meldscope::sim::{Event, events::PairPaths};
 use meldscope::{Scene, World};
 use proptest::prelude::*;
 use std::f64::consts::TAU;
@@ -20,7 +20,7 @@ fn thresholds(core_at: f64, merge_at: f64, split_at: f64) -> Thresholds {
 }
 
 /// The phase changes of a pair in `(start, end]`.
-fn changes(paths: &PairTracks<'_>, thresholds: &Thresholds, phase: Phase, start: f64, end: f64) -> Vec<(f64, Phase)> {
+fn changes(paths: &PairPaths<'_>, thresholds: &Thresholds, phase: Phase, start: f64, end: f64) -> Vec<(f64, Phase)> {
     let mut found = vec![];
     paths.phase_changes(thresholds, phase, start, end, |time, to| found.push((time, to)));
     found
@@ -28,7 +28,7 @@ fn changes(paths: &PairTracks<'_>, thresholds: &Thresholds, phase: Phase, start:
 
 /// The phase changes of a pair, found step by step, as a world does.
 fn changes_by_steps(
-    paths: &PairTracks<'_>,
+    paths: &PairPaths<'_>,
     thresholds: &Thresholds,
     mut phase: Phase,
     dt: f64,
@@ -107,7 +107,7 @@ proptest! {
         let across = along.any_orthonormal_vector();
         let a = line(from, velocity);
         let b = line(from + closest * across - closest_at * speed * along, velocity + speed * along);
-        let paths = PairTracks { a: (&a).into(), b: (&b).into(), radii };
+        let paths = PairPaths { a: &a, b: &b, radii };
         let thresholds = thresholds(core_at, merge_at, merge_at + more);
         // p and v of the paths, which are rounded
         let (p, v) = (b.position(0.0) - a.position(0.0), b.at(0.0).velocity - a.at(0.0).velocity);
@@ -152,7 +152,7 @@ proptest! {
         let along = along.normalize();
         let (merge_at, split_at) = (1.0, 1.0 + more);
         let b = sine(centre * along, amplitude * along, frequency, phase);
-        let paths = PairTracks { a: (&ORIGIN).into(), b: (&b).into(), radii: 1.0 };
+        let paths = PairPaths { a: &ORIGIN, b: &b, radii: 1.0 };
         let thresholds = thresholds(core_at, merge_at, split_at);
         let lowest = centre - amplitude;
         prop_assume!(f64::abs(core_at - lowest) > 1e-3 && centre + amplitude > split_at + 1e-3);
@@ -194,7 +194,7 @@ proptest! {
 #[test]
 fn one_switching_distance_without_core_alternates() {
     let b = sine(dvec3(1.0, 0.0, 0.0), dvec3(0.5, 0.0, 0.0), 5.0, 0.0);
-    let paths = PairTracks { a: (&ORIGIN).into(), b: (&b).into(), radii: 1.0 };
+    let paths = PairPaths { a: &ORIGIN, b: &b, radii: 1.0 };
     // q = 1 + sin(10πt)/2 rises through 1 at n/5, falls at n/5 + 1/10; at t = 0 it is at 1 and rising.
     for found in [
         changes(&paths, &thresholds(0.0, 1.0, 1.0), Merged, 0.0, 2.05),
@@ -237,7 +237,7 @@ fn a_visit_of_a_ten_millionth_of_a_second_is_found() {
         for (level, inside) in [(1.0, Merged), (0.5, Core)] {
             let height = f64::sqrt(level * level - (speed * half) * (speed * half));
             let b = line(dvec3(-speed * middle, height, 0.0), dvec3(speed, 0.0, 0.0));
-            let paths = PairTracks { a: (&ORIGIN).into(), b: (&b).into(), radii: 1.0 };
+            let paths = PairPaths { a: &ORIGIN, b: &b, radii: 1.0 };
             let thresholds = thresholds(0.5, 1.0, 1.0);
             for found in [
                 changes(&paths, &thresholds, Apart, 0.0, 1.0),
@@ -264,7 +264,7 @@ fn a_graze_has_both_events_or_none() {
             let thresholds = thresholds(0.0, 1.5, split_at);
             let graze = |height: f64| {
                 let b = line(dvec3(-3.0, height, 0.0), dvec3(speed, 0.0, 0.0));
-                let paths = PairTracks { a: (&ORIGIN).into(), b: (&b).into(), radii: 1.0 };
+                let paths = PairPaths { a: &ORIGIN, b: &b, radii: 1.0 };
                 let at_once = changes(&paths, &thresholds, Apart, 0.0, 6.0);
                 let by_steps = changes_by_steps(&paths, &thresholds, Apart, 1.0 / 64.0, 384);
                 // Exactly at that distance, rounding decides, but a pair that merges also splits.
@@ -317,7 +317,7 @@ fn bodies_in_formation_exactly_at_the_threshold_have_no_events() {
     for (kind, formation) in formations.iter().enumerate() {
         for offset in [dvec3(1.0, 0.0, 0.0), dvec3(0.3, 0.7, -0.55), dvec3(-0.123, 0.1, 1.07)] {
             let (a, b) = (formation(DVec3::ZERO), formation(offset));
-            let paths = PairTracks { a: (&a).into(), b: (&b).into(), radii: 1.0 };
+            let paths = PairPaths { a: &a, b: &b, radii: 1.0 };
             for q in [paths.q(0.0), offset.length()] {
                 for (law, phases) in [
                     (thresholds(0.0, q, q), [Apart, Merged].as_slice()),
@@ -392,7 +392,7 @@ fn a_pair_that_starts_on_its_threshold_and_moves_across_changes_at_once() {
         (thresholds(1.25, 2.0, 2.0), Merged, -1.0, Core),
     ] {
         for b in movers(1.25, way) {
-            let paths = PairTracks { a: (&ORIGIN).into(), b: (&b).into(), radii: 1.0 };
+            let paths = PairPaths { a: &ORIGIN, b: &b, radii: 1.0 };
             assert_eq!(law.initial(paths.q(0.0)), first);
             let found = events(two(ORIGIN, b.clone(), law, 1.0 / 60.0, 0.5));
             assert_eq!(found.len(), 1, "{b:?}: {found:?}");
@@ -424,7 +424,7 @@ fn a_pair_that_stops_on_its_threshold_has_reached_it() {
         (keys(&[(0.0, 0.5), (1.0, 1.5)]), Merged, thresholds(0.25, 1.5, 1.5), Apart),
         (keys(&[(0.0, 0.5), (1.0, 1.5)]), Core, thresholds(1.5, 2.0, 2.0), Merged),
     ] {
-        let paths = PairTracks { a: (&ORIGIN).into(), b: (&stops).into(), radii: 1.0 };
+        let paths = PairPaths { a: &ORIGIN, b: &stops, radii: 1.0 };
         for found in [
             changes(&paths, &law, first, 0.0, 4.0),
             changes_by_steps(&paths, &law, first, 1.0 / 60.0, 240),
@@ -438,7 +438,7 @@ fn a_pair_that_stops_on_its_threshold_has_reached_it() {
     // A pair that turns back at the threshold may or may not reach it. If it does, and one distance switches both ways,
     // it also splits.
     let turns = keys(&[(0.0, 3.0), (1.0, 1.5), (2.0, 3.0)]);
-    let paths = PairTracks { a: (&ORIGIN).into(), b: (&turns).into(), radii: 1.0 };
+    let paths = PairPaths { a: &ORIGIN, b: &turns, radii: 1.0 };
     for found in [
         changes(&paths, &thresholds(0.0, 1.5, 1.5), Apart, 0.0, 4.0),
         changes_by_steps(&paths, &thresholds(0.0, 1.5, 1.5), Apart, 1.0 / 60.0, 240),
@@ -451,13 +451,7 @@ fn a_pair_that_stops_on_its_threshold_has_reached_it() {
 // Brute force
 
 /// The phase changes found by dense sampling, with times by bisection.
-fn brute_force(
-    paths: &PairTracks<'_>,
-    law: &Thresholds,
-    mut phase: Phase,
-    end: f64,
-    samples: u32,
-) -> Vec<(f64, Phase)> {
+fn brute_force(paths: &PairPaths<'_>, law: &Thresholds, mut phase: Phase, end: f64, samples: u32) -> Vec<(f64, Phase)> {
     let time = |k: u32| end * f64::from(k) / f64::from(samples);
     let mut found = vec![];
     for k in 0..samples {
@@ -498,7 +492,7 @@ proptest! {
             Path::Keyframes(Spline::new(&keys))
         };
         let (a, b) = (spline(&a, 1.0), spline(&b, 0.9));
-        let paths = PairTracks { a: (&a).into(), b: (&b).into(), radii: 1.3 };
+        let paths = PairPaths { a: &a, b: &b, radii: 1.3 };
         let law = thresholds(core_at, 1.0, 1.0 + more);
         let first = law.initial(paths.q(0.0));
         let (end, samples) = (4.0, 8000);
@@ -576,7 +570,7 @@ proptest! {
         for a in 0..scene.bodies.len() {
             for b in a + 1..scene.bodies.len() {
                 let (one, other) = (&scene.bodies[a], &scene.bodies[b]);
-                let paths = PairTracks { a: one.path().unwrap().into(), b: other.path().unwrap().into(), radii: one.radius + other.radius };
+                let paths = PairPaths { a: one.path().unwrap(), b: other.path().unwrap(), radii: one.radius + other.radius };
                 let first = scene.thresholds.initial(paths.q(0.0));
                 let changes = changes_by_steps(&paths, &scene.thresholds, first, dt, steps);
                 expected.extend(changes.into_iter().map(|(time, to)| (time, a, b, to)));

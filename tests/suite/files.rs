@@ -12,7 +12,6 @@ use meldscope::{
     Scene, World,
     recording::Recorded,
     sdk::{self, AnyValues, StoreId, StoreKind, TextDocument, components::Text},
-    sim::Options,
     stream::{
         Recorder, Settings,
         chunks::Chunks,
@@ -386,8 +385,8 @@ fn count() -> impl Strategy<Value = u64> {
     prop_oneof![3 => prop::sample::select(edges.to_vec()), 1 => 1u64..100, 1 => 1u64..]
 }
 
-/// Settings, Δt, tolerance and whether to skip.
-fn settings() -> impl Strategy<Value = (Settings, (f64, f64, bool))> {
+/// Settings, Δt and tolerance.
+fn settings() -> impl Strategy<Value = (Settings, (f64, f64))> {
     let detail = prop_oneof![
         Just(Detail::Surface),
         Just(Detail::Forces),
@@ -399,7 +398,7 @@ fn settings() -> impl Strategy<Value = (Settings, (f64, f64, bool))> {
         2 => (count(), prop::sample::subsequence(Trigger::ALL.to_vec(), 0..=4), prop_oneof![Just(0), count()])
             .prop_map(|(most, on, after)| Frames::Last { most, on, after }),
     ];
-    let numbers = (Scene::POSITIVE, Scene::POSITIVE, prop::option::of(count()), any::<bool>(), count());
+    let numbers = (Scene::POSITIVE, Scene::POSITIVE, prop::option::of(count()), count());
     let kind = prop::option::of(prop::sample::select(Trigger::ALL.to_vec()));
     let pair = || prop::sample::select(vec!["a~b".to_owned(), "a~c-1".to_owned(), "b_2~d".to_owned()]);
     let around = (kind, prop::option::of(pair()), count());
@@ -407,8 +406,8 @@ fn settings() -> impl Strategy<Value = (Settings, (f64, f64, bool))> {
     let entities = prop::sample::select(Entities::ALL.to_vec());
     let shown = (0usize..=1000, prop::collection::vec(pair(), 0..3), around);
     (numbers, detail, frames, entities, shown).prop_map(
-        move |((dt, tolerance, steps, skip, every), detail, frames, entities, (pairs, only, around))| {
-            (Settings { steps, every, detail, frames, entities, pairs, only, around }, (dt, tolerance, skip))
+        move |((dt, tolerance, steps, every), detail, frames, entities, (pairs, only, around))| {
+            (Settings { steps, every, detail, frames, entities, pairs, only, around }, (dt, tolerance))
         },
     )
 }
@@ -430,13 +429,12 @@ proptest! {
 
     /// A recording with any settings can be read and verified.
     #[test]
-    fn every_setting_replays((settings, (dt, tolerance, skip)) in settings(), taken in 0u64..12) {
+    fn every_setting_replays((settings, (dt, tolerance)) in settings(), taken in 0u64..12) {
         let dir = Dir::new();
         let mut scene = Scene::parse(SCENE, "small").expect("a scene");
         scene.tolerance = tolerance.clamp(1e-9, 1e-3);
         scene.dt = dt.clamp(1e-4, 0.1);
-        let mut world =
-            World::with_options(scene.clone(), Options { skip, ..Options::default() }).expect("enough memory");
+        let mut world = World::new(scene.clone()).expect("enough memory");
         let mut sinks = Sinks::open(&to_file(&dir.file("x.rrd"))).expect("a file");
         let steps = settings.steps.unwrap_or(taken).min(taken);
         let mut recorder = Recorder::new(&world, settings.clone());
@@ -450,7 +448,6 @@ proptest! {
         let recorded = Recorded::open(&dir.file("x.rrd")).expect("a recording");
         prop_assert_eq!(&recorded.settings, &settings);
         prop_assert_eq!((recorded.schema.dt, recorded.schema.tolerance), (scene.dt, scene.tolerance));
-        prop_assert_eq!(recorded.run.contains_key("skip"), !skip);
         prop_assert_eq!(recorded.last(), steps);
         let verdict = meldscope::recording::replay::verify(&recorded, |_| true).expect("a recording");
         prop_assert_eq!(verdict, meldscope::recording::replay::Verdict::Identical);
@@ -469,7 +466,7 @@ fn every_option_that_a_run_accepts_replays() {
         &["--keep", "9223372036854775808"],
         &["--keep", "18446744073709551615", "--on", "merge,core"],
         &["--detail", "surface", "--pairs", "0", "--every", "7"],
-        &["--entities", "batch", "--integrator", "rk4", "--no-skip"],
+        &["--entities", "batch", "--integrator", "rk4"],
         &["--dt", "1e-3", "--tolerance", "1e-12"],
         &["--thin", "--steps", "17"],
     ] {

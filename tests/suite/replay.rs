@@ -90,13 +90,12 @@ fn every_kind_of_recording_is_replayed() {
     let kinds = [
         own.clone(),
         Settings { every: 7, steps: Some(100), ..own.clone() },
-        own.clone(),
         Settings { frames: Frames::Thin, ..own.clone() },
         Settings { frames: Frames::Last { most: 5, on: vec![], after: 0 }, ..own.clone() },
         Settings { frames: Frames::Last { most: 5, on: vec![Trigger::Core], after: 2 }, ..own },
     ];
-    for (i, settings) in kinds.into_iter().enumerate() {
-        record_with(&path, &scene, Options { skip: i != 2, ..Options::default() }, settings.clone());
+    for settings in kinds {
+        record_with(&path, &scene, Options::default(), settings.clone());
         let recorded = Recorded::open(&path).expect("a recording");
         assert_eq!((recorded.first, recorded.last()), (0, settings.steps.expect("a last step")));
         let mut steps = Vec::new();
@@ -105,7 +104,6 @@ fn every_kind_of_recording_is_replayed() {
             true
         });
         assert_eq!(verdict.expect("it runs"), Verdict::Identical, "{settings:?}");
-        assert_eq!(recorded.run.contains_key("skip"), i == 2);
         assert_eq!(steps, (0..=recorded.last()).collect::<Vec<_>>());
     }
 }
@@ -175,9 +173,9 @@ fn a_thin_recording_leads_to_the_steps_in_question() {
     assert_eq!(steps, (80..=90).collect::<Vec<_>>());
     let output = succeeds(&dir, &["replay", "odd.rrd"]);
     assert!(output.starts_with("odd.rrd: identical, 11 steps (80 to 90)"), "{output}");
-    succeeds(&dir, &["run", "two", "--thin", "--no-skip", "--integrator", "verlet", "--save", "plain.rrd"]);
+    succeeds(&dir, &["run", "two", "--thin", "--integrator", "verlet", "--save", "plain.rrd"]);
     let output = succeeds(&dir, &["replay", "plain.rrd"]);
-    assert_eq!(output, "plain.rrd: identical, 300 steps (run with integrator = \"verlet\", --no-skip)\n");
+    assert_eq!(output, "plain.rrd: identical, 300 steps (run with integrator = \"verlet\")\n");
     let output = succeeds(&dir, &["replay", "bug.rrd", "--integrator", "rk4"]);
     assert!(output.contains("with rk4") && output.contains("merge a~b") && output.contains("not verified"), "{output}");
 }

@@ -64,16 +64,10 @@ fn every_family_is_measured_at_every_size() {
     assert_eq!([Family::Contact, Family::Hundredth, Family::Rest].map(|family| at(family).touching), [10, 2, 2]);
     assert_eq!(report.free_oscillation.len(), 2);
     assert!(report.free_oscillation.iter().all(|one| one.one > 1e6));
-    assert_eq!(
-        report.decay.iter().map(|decay| (decay.skip, decay.steps)).collect::<Vec<_>>(),
-        [(true, 60_000), (false, 3_000)]
-    );
+    assert_eq!(report.decay.steps, 60_000);
     let is_time = |time: f64| time.is_finite() && time > 0.0;
-    assert!(
-        report.decay.iter().all(|decay| [decay.early, decay.slowest, decay.late].into_iter().all(is_time)),
-        "{:?}",
-        report.decay
-    );
+    let decay = &report.decay;
+    assert!([decay.early, decay.slowest, decay.late].into_iter().all(is_time), "{decay:?}");
 
     let machine = Machine { cpu: "a, \"b\"".to_owned(), cores: 2, version: "0" };
     let csv = csv::csv(&report, &machine).expect("made");

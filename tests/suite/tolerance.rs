@@ -97,25 +97,20 @@ fn tight_tolerances_take_few_steps() {
     }
 }
 
-/// The number of halvings depends neither on the instruction set nor on skipping.
+/// The number of halvings does not depend on the instruction set.
 #[test]
 fn tight_tolerances_are_met_by_the_same_steps_everywhere() {
     for (text, dt, tolerance) in [(TWO, 1.0 / 60.0, 1e-9), (TWO, 1.0 / 15.0, 1e-7), (STIFF, 0.02, 1e-6)] {
         let scene = Scene { dt, tolerance, ..Scene::parse(text, "tolerance.toml").expect("a valid scene") };
         let scene = Scene { duration: scene.duration.min(2.0), ..scene };
-        let world = |skip, arch| {
-            World::with_options(scene.clone(), Options { skip, arch, ..Options::default() }).expect("enough memory")
-        };
-        let mut worlds = [world(true, Arch::new()), world(true, Arch::Scalar), world(false, Arch::new())];
+        let mut worlds = [Arch::new(), Arch::Scalar].map(|arch| {
+            World::with_options(scene.clone(), Options { arch, ..Options::default() }).expect("enough memory")
+        });
         for _ in 0..scene.steps() {
             worlds.iter_mut().for_each(|world| {
                 world.step();
             });
-            let [usual, scalar, plain] = &worlds;
-            assert_eq!(usual.checksum(), scalar.checksum());
-            for (body, expected) in usual.bodies().zip(plain.bodies()) {
-                assert!(body.positions().zip(expected.positions()).all(|(x, y)| x.distance(y) < 1e-12));
-            }
+            assert_eq!(worlds[0].checksum(), worlds[1].checksum());
         }
     }
 }

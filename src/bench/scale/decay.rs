@@ -6,17 +6,11 @@
 use std::time::Instant;
 
 use super::free_oscillation;
-use crate::{
-    Scene, World,
-    bench::MeasureError,
-    sim::{Options, States},
-};
+use crate::{Scene, World, bench::MeasureError, sim::States};
 
 /// The measured step times.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Decay {
-    /// Whether inactive parts were skipped.
-    pub skip: bool,
     /// Number of steps taken.
     pub steps: u64,
     /// Time of a step and of reading all vertices at the start [s].
@@ -33,14 +27,10 @@ pub struct Decay {
 const STEPS: u64 = 200;
 const BLOCKS: usize = 10;
 
-/// Measures the decay with skipping over `steps` steps, and without over a twentieth of that.
-pub(super) fn measure(two: &Scene, steps: u64) -> Result<Vec<Decay>, MeasureError> {
-    [(true, steps), (false, steps / 20)].into_iter().map(|(skip, steps)| follow(two, skip, steps)).collect()
-}
-
-fn follow(two: &Scene, skip: bool, steps: u64) -> Result<Decay, MeasureError> {
+/// Measures the decay over `steps` steps.
+pub(super) fn measure(two: &Scene, steps: u64) -> Result<Decay, MeasureError> {
     let scene = free_oscillation::scene(free_oscillation::Cause::Sphere, two, 1);
-    let mut world = World::with_options(scene, Options { skip, ..Options::default() })?;
+    let mut world = World::new(scene)?;
     while world.time() < free_oscillation::LEFT_ALONE && world.step().failure.is_none() {}
     let mut states = States::default();
     let mut block = || {
@@ -59,7 +49,6 @@ fn follow(two: &Scene, skip: bool, steps: u64) -> Result<Decay, MeasureError> {
         times.chunks_exact(BLOCKS).map(|times| times.iter().copied().fold(f64::INFINITY, f64::min)).collect();
     let of = |time: Option<&f64>| time.copied().unwrap_or(f64::NAN);
     Ok(Decay {
-        skip,
         steps,
         early: of(best.first()),
         slowest: best.iter().copied().fold(0.0, f64::max),

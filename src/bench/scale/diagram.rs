@@ -35,7 +35,7 @@ pub fn svg(report: &Report, machine: &Machine) -> Result<String, String> {
         title: "Cost and size",
         heading: [
             "Time of a step against the number of bodies, 266 vertices each, on one core: down is faster.",
-            "Crosses: the naive baseline, the thesis’s scheme with every vertex and all pairs, as far as it was measured.",
+            "Crosses: the naive baseline, the thesis’s scheme with every vertex, as far as it was measured.",
         ],
         notes: &["Run times: the best of 9 blocks of steps, or of 3 long ones.", &machine],
     };

@@ -21,7 +21,7 @@ use crate::{
     },
     scene::{Integrator, Model, Scene, TearMode},
     sim::{
-        Cause, Options, World, simulation,
+        Cause, World, simulation,
         simulation::{ANGULAR_MOMENTUM, MOMENTUM, least_range},
     },
 };
@@ -145,8 +145,8 @@ fn scalars(scene: &Scene) -> Vec<Scalar> {
 }
 
 /// The schema of a scene of bodies made of cells.
-pub fn schema(scene: &Scene, options: Options) -> Schema {
-    let mut schema = simulation::schema(scene, options);
+pub fn schema(scene: &Scene) -> Schema {
+    let mut schema = simulation::schema(scene);
     let integrator = match (scene.model, scene.integrator) {
         (Model::Fem, _) => "midpoint",
         (_, Integrator::Exponential) => "substeps",
@@ -405,7 +405,7 @@ fn at_vertices(body: &Body, nodes: &[DVec3], count: usize, vertices: &mut Vector
 
 impl Simulation for Elastic {
     fn schema(&self) -> Schema {
-        schema(&self.scene, self.options)
+        schema(&self.scene)
     }
 
     fn overrides(&self, steps: Option<u64>) -> String {

@@ -301,7 +301,7 @@ impl Metaballs {
 
 impl Simulation for Metaballs {
     fn schema(&self) -> Schema {
-        schema(&self.scene, self.world.options())
+        schema(&self.scene)
     }
 
     fn overrides(&self, steps: Option<u64>) -> String {
@@ -427,8 +427,8 @@ impl Simulation for Metaballs {
 const SCALARS: usize = 3;
 
 /// The schema of a scene's metaballs.
-pub fn schema(scene: &Scene, options: Options) -> Schema {
-    let oscillators = simulation::schema(scene, options);
+pub fn schema(scene: &Scene) -> Schema {
+    let oscillators = simulation::schema(scene);
     let net = TermSchema { can_act: false, is_shown: false, ..TermSchema::new("net", "Net", colors::WHITE) };
     let mut warnings = oscillators.warnings;
     warnings.extend(idle(scene));

@@ -22,8 +22,7 @@ fn axis(active: &mut Active, number: usize) -> Vec<&mut f64> {
     fn of<const V: usize>(blocks: &mut Blocks<V>, v: usize, axis: usize, count: usize) -> Vec<&mut f64> {
         blocks.all_mut().iter_mut().flat_map(|block| &mut block.0[v][axis]).take(count).collect()
     }
-    let Deformation { active_set, free_vertices, hash_of_kept, .. } = &mut active.state.deformation;
-    hash_of_kept.forget();
+    let Deformation { active_set, free_vertices } = &mut active.state.deformation;
     if number < 6 {
         of(&mut active_set.blocks, number / 3, number % 3, active_set.vertices.len())
     } else {
@@ -51,7 +50,7 @@ fn every_bit_of_the_state_counts() {
             }
         }
         let flip = |world: &mut World| {
-            world.actives.all_mut()[slot].state.common.carried.u.y += 1.0;
+            world.actives.all_mut()[slot].state.carried.u.y += 1.0;
             world.checksum()
         };
         assert_ne!(flip(&mut world), before);

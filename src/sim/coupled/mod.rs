@@ -89,7 +89,6 @@ pub(super) struct Coupled {
     /// … and how many have begun.
     started: usize,
     arch: Arch,
-    skip: bool,
     forest: Forest,
     jobs: Vec<Job>,
     /// Buffers, reused; `before` holds the islands of the previous step.
@@ -104,26 +103,19 @@ pub(super) struct Coupled {
 
 impl Coupled {
     /// The bodies at t = 0; `None` if there are more than `max_pairs` pairs of nearby bodies.
-    pub fn new(
-        scene: &Scene,
-        meshes: &[Arc<Mesh>],
-        (skip, arch): (bool, Arch),
-        max_pairs: u64,
-        work: &Work,
-    ) -> Option<Coupled> {
+    pub fn new(scene: &Scene, meshes: &[Arc<Mesh>], arch: Arch, max_pairs: u64, work: &Work) -> Option<Coupled> {
         let mut shapes = Shapes::default();
         let members = meshes.iter().enumerate().map(|(index, mesh)| Member::new(scene, index, mesh, &mut shapes));
         let mut starts: Vec<(f64, u32)> = scene.pushes.iter().map(|push| (push.start, push.body as u32)).collect();
         starts.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut coupled = Coupled {
             members: members.collect(),
-            near: Near::new(scene, !skip),
+            near: Near::new(scene),
             awake: Vec::new(),
             resting_hash: 0,
             starts,
             started: 0,
             arch,
-            skip,
             forest: Forest::default(),
             jobs: Vec::new(),
             before: Vec::new(),
@@ -168,7 +160,7 @@ impl Coupled {
             member.expect(&scene.bodies[index], scene.gravity, span);
         }
         let tally = Tally::unlimited();
-        self.near = Near::new(scene, !self.skip);
+        self.near = Near::new(scene);
         self.near.start(scene, &mut self.members, u64::MAX, &tally);
         let mut now_at = vec![None; before.members.len()];
         for (index, kept) in kept.iter().enumerate() {
@@ -242,7 +234,7 @@ impl Coupled {
             let mut any = false;
             for job in &mut self.jobs {
                 for (&body, way) in job.group.bodies.iter().zip(&job.parts.ways) {
-                    if self.skip && self.members[body as usize].strayed(way) {
+                    if self.members[body as usize].strayed(way) {
                         (any, job.is_done) = (true, false);
                     }
                 }
@@ -398,7 +390,7 @@ impl Coupled {
 
     /// Whether an island must be integrated: something acts on its bodies, or they are deformed.
     fn needs_steps(&self, scene: &Scene, span: Span, group: &Group) -> bool {
-        if !self.skip || group.bodies.len() > 1 || !group.pairs.is_empty() {
+        if group.bodies.len() > 1 || !group.pairs.is_empty() {
             return true;
         }
         let index = group.bodies[0] as usize;
@@ -494,9 +486,7 @@ impl Coupled {
         self.fly(scene, span, &jobs);
         report.sleeping_bodies = self.members.len() as u64 - stepped;
         report.events.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
-        if self.skip {
-            self.rest(scene, span, &jobs, report);
-        }
+        self.rest(scene, span, &jobs, report);
         jobs.iter_mut().for_each(|job| job.is_done = false);
         self.jobs = jobs;
         let Coupled { awake, members, .. } = self;

@@ -35,24 +35,16 @@ pub(in crate::sim) struct Near {
     hash: u64,
     found: Vec<u32>,
     kept: Vec<Neighbour>,
-    /// Whether every body is a neighbour of every other (the naive baseline).
-    pub all: bool,
 }
 
 impl Near {
-    pub fn new(scene: &Scene, all: bool) -> Near {
+    pub fn new(scene: &Scene) -> Near {
         let merge_at = scene.laws().map(|law| law.thresholds.merge_at).fold(0.0, f64::max);
-        Near { merge_at, all, ..Near::default() }
+        Near { merge_at, ..Near::default() }
     }
 
     /// Finds the pairs of all bodies at the start; false if there are more than `max`.
     pub fn start(&mut self, scene: &Scene, members: &mut [Member], max: u64, work: &Tally<'_>) -> bool {
-        if self.all {
-            let n = members.len() as u64;
-            if n * n.saturating_sub(1) / 2 > max {
-                return false;
-            }
-        }
         for i in 0..members.len() {
             self.place(scene, members, i);
         }
@@ -70,9 +62,6 @@ impl Near {
 
     /// Finds the neighbours of a body again if it may leave its fat bounds in this step.
     pub fn follow(&mut self, scene: &Scene, members: &mut [Member], i: usize, t: f64, work: &Tally<'_>) {
-        if self.all {
-            return;
-        }
         let Member { body, bounds, fat, .. } = &members[i];
         if body.centre.distance(fat.centre) + bounds.way > fat.skin || bounds.extent > fat.extent {
             self.place(scene, members, i);
@@ -95,11 +84,7 @@ impl Near {
     fn find(&mut self, scene: &Scene, members: &mut [Member], i: usize, t: f64, work: &Tally<'_>) {
         let (mut found, mut kept) = (std::mem::take(&mut self.found), std::mem::take(&mut self.kept));
         found.clear();
-        if self.all {
-            found.extend((0..members.len() as u32).filter(|&j| j as usize != i));
-        } else {
-            self.grid.touching(i as u32, &mut found);
-        }
+        self.grid.touching(i as u32, &mut found);
         work.spend(NEAR_ENOUGH * found.len() as u64);
         kept.clear();
         kept.append(&mut members[i].neighbours);
@@ -192,7 +177,7 @@ impl Near {
     pub fn is_coupled(&self, scene: &Scene, index: u32, members: &[Member]) -> bool {
         let pair = &self.pairs[index as usize];
         let (a, b) = (&members[pair.a as usize], &members[pair.b as usize]);
-        if pair.phase != Phase::Apart || self.all {
+        if pair.phase != Phase::Apart {
             return true;
         }
         let sphere = |member: &Member| scene.influence.sphere_radius(member.body.radius);

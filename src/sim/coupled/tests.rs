@@ -10,7 +10,7 @@ use crate::{
         Force, Integrator, Motion, Path,
         path::{Bounds, Given, Kinematics},
     },
-    sim::{EditError, Failure, Options, report::Toil},
+    sim::{EditError, Failure, report::Toil},
 };
 
 fn scene(text: &str) -> Scene {
@@ -56,41 +56,6 @@ fn an_isolated_body_flies_in_closed_form() {
     assert!(world.body(0).is_at_rest());
 }
 
-/// A damped body that turns about its axis of largest moment stops swinging. It then goes on in closed form, like the
-/// same body with steps, until it is pushed. Without damping it swings for ever.
-#[test]
-fn steady_rotation_needs_no_steps() {
-    let turning = |spin: DVec3| {
-        let motion =
-            format!("{{ free = {{ from = [0, 0, 0], velocity = [0.1, 0, 0], spin = {:?} }} }}", spin.to_array());
-        let push = "[[push]]\nbody = \"a\"\ndirection = [1, 0, 0]\nstrength = 9.0\nstart = 5.5\nduration = 0.2\n";
-        format!("[material]\nomega = 12.0\ndamping = 8.0\n{}{push}", ball("a", &motion))
-    };
-    let text = turning(2.0 * DVec3::Z);
-    let mut world = World::new(scene(&text)).unwrap();
-    let mut naive = World::with_options(scene(&text), Options { skip: false, ..Options::default() }).unwrap();
-    run(&mut world, 300);
-    run(&mut naive, 300);
-    assert_eq!((world.report().substeps, naive.report().substeps), (0, 1));
-    let kept = world.conserved().unwrap();
-    run(&mut world, 28);
-    run(&mut naive, 28);
-    assert_eq!(world.report().substeps, 0);
-    let off = difference(&world, &naive);
-    assert!(off < 1e-7 * world.time(), "{off:e}");
-    let now = world.conserved().unwrap();
-    assert!((now.angular_momentum - kept.angular_momentum).length() < 1e-14);
-    assert!((now.elastic - kept.elastic).abs() < 1e-14 && (now.spin - kept.spin).abs() < 1e-13);
-    run(&mut world, 12);
-    run(&mut naive, 12);
-    assert!(world.report().substeps > 0);
-    let off = difference(&world, &naive);
-    assert!(off < 1e-6 * world.time(), "{off:e}");
-    let mut swinging = World::new(scene(&text.replace("damping = 8.0", "damping = 0.0"))).unwrap();
-    run(&mut swinging, 300);
-    assert_eq!(swinging.report().substeps, 1);
-}
-
 /// Bodies that fall on a plane come to rest, cost nothing then, and wake when another body touches them.
 #[test]
 fn resting_bodies_cost_nothing_until_touched() {
@@ -115,37 +80,6 @@ fn resting_bodies_cost_nothing_until_touched() {
     run(&mut world, 60);
     assert!(world.body(0).centre().distance(centre) > 1e-3);
     assert_eq!(world.body(1).position(3), before);
-}
-
-#[test]
-fn skipping_makes_no_difference() {
-    let text = format!(
-        "gravity = [0, 0, -3]\n[material]\ndamping = 3.0\n[influence]\ncore_at = 0.6\ncore_width = 0.3\n{FLOOR}{}{}{}{}{}{}[[push]]\nbody = \"e\"\ndirection = [1, 0, 1]\nstrength = 20.0\nstart = 0.71\nduration = 0.2\n",
-        free("a", [0.0, 0.0, 1.2], [0.5, 0.0, 0.0]),
-        free("b", [2.5, 0.2, 0.6], [-0.5, 0.0, 0.0]),
-        ball("c", "{ sine = { center = [0, 4, 0.2], amplitude = [0, 0.8, 0], frequency = 0.4 } }"),
-        ball("d", "{ fixed = [0, 7, 0.2] }"),
-        free("e", [-9.0, 0.0, 0.0], [0.0; 3]),
-        ball("f", "{ fixed = [20, 0, 3] }"),
-    );
-    let mut skipping = World::new(scene(&text)).unwrap();
-    let mut naive = World::with_options(scene(&text), Options { skip: false, ..Options::default() }).unwrap();
-    let mut events = [vec![], vec![]];
-    for _ in 0..90 {
-        for (world, events) in [&mut skipping, &mut naive].into_iter().zip(&mut events) {
-            run(world, 1);
-            events.extend(world.report().events.iter().map(|event| (event.a, event.b, event.to, event.time)));
-        }
-        assert_eq!(naive.report().sleeping_bodies, 0);
-        let error = difference(&skipping, &naive);
-        assert!(error < 2e-6 * skipping.time().max(0.1), "{}: {error:e}", skipping.time());
-    }
-    assert!(!events[0].is_empty());
-    assert_eq!(events[0].len(), events[1].len());
-    for (a, b) in events[0].iter().zip(&events[1]) {
-        assert_eq!((a.0, a.1, a.2), (b.0, b.1, b.2));
-        assert!((a.3 - b.3).abs() < 1e-7);
-    }
 }
 
 /// With a plane out of reach, the coupled engine steps a scene of prescribed paths: both engines give the same result.
@@ -349,44 +283,6 @@ fn a_path_by_a_function_equals_that_path_in_the_scene() {
         assert_eq!(parsed.checksum(), given.checksum(), "step {step}");
     }
     assert_eq!(parsed.phase(0, 1), Phase::Core);
-}
-
-/// Bodies that lie on each other and on a plane rest together, within the tolerance of the motion without rest; the
-/// ledger holds the lost energy. A push on one wakes all of them.
-#[test]
-fn a_pile_rests_and_wakes_as_a_whole() {
-    let rough = FLOOR.replace("slip = 0.05", "slip = 0.5");
-    let fixed =
-        |name: &str, from: [f64; 3]| ball(name, &format!("{{ free = {{ from = {from:?}, rotation = \"fixed\" }} }}"));
-    let text = format!(
-        "gravity = [0, 0, -9.81]\ntolerance = 1e-2\n[material]\nomega = 20.0\ndamping = 12.0\n[influence]\ncore_at = 0.8\ncore_width = 0.4\n{rough}{}{}{}[[push]]\nbody = \"c\"\ndirection = [1, 0, 0]\nstrength = 20.0\nstart = 11.0\nduration = 0.1\n",
-        fixed("a", [-0.9, 0.0, 0.0]),
-        fixed("b", [0.9, 0.1, 0.0]),
-        fixed("c", [0.0, 0.0, 1.7]),
-    );
-    let mut world = World::new(scene(&text)).unwrap();
-    let mut naive = World::with_options(scene(&text), Options { skip: false, ..Options::default() }).unwrap();
-    let first = world.conserved().unwrap().energy();
-    let mut rested = None;
-    for _ in 0..660 {
-        run(&mut world, 1);
-        run(&mut naive, 1);
-        let resting = world.report().sleeping_bodies;
-        assert!(resting == 0 || resting == 3, "{resting} at {}", world.time());
-        if resting == 3 && rested.is_none() {
-            rested = Some(world.time());
-        }
-        let error = difference(&world, &naive);
-        assert!(error < 1e-2 * world.time().max(0.5), "{}: {error:e}", world.time());
-    }
-    assert!(rested.is_some_and(|time| time < 10.0), "{rested:?}");
-    let (now, ledger) = (world.conserved().unwrap(), world.ledger());
-    assert_eq!((now.kinetic, now.spin, now.vibration), (0.0, 0.0, 0.0));
-    assert!(ledger.rest < 0.0 && ledger.rest > -1e-3, "{ledger:?}");
-    let left = now.energy() - first - ledger.total();
-    assert!(left.abs() < 1e-3, "{left:e}");
-    run(&mut world, 3);
-    assert_eq!(world.report().sleeping_bodies, 0);
 }
 
 /// A body that starts from rest and speeds up does not count as resting, however slow it is at first.

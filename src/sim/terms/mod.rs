@@ -9,20 +9,19 @@
 pub(super) mod carry;
 mod free;
 pub(super) mod oscillator;
-mod push;
+pub(super) mod push;
 pub(super) mod spheres;
 
 use glam::DVec3;
 
-use super::{neighbours::Neighbour, push_list::PushList, span::Span, tracks::Tracks};
+use super::{neighbours::Neighbour, span::Span, tracks::Tracks};
 use crate::{
     model::{
         influence::{self, Weight},
         phase::Phase,
     },
-    scene::{Material, Scene, path::Kinematics},
+    scene::{Material, Push, Scene, path::Kinematics},
 };
-pub(super) use carry::Steady;
 pub use push::Weighted;
 pub use spheres::{Source, Sphere};
 
@@ -68,7 +67,7 @@ macro_rules! terms {
             /// Collects what acts on the body at an instant; no vertex is farther from its centre than `farthest`
             /// [scene unit].
             pub fn surroundings_into(&self, moment: Moment, farthest: f64, surroundings: &mut Surroundings) {
-                let motion = self.tracks.track(self.index as usize).at(moment.time);
+                let motion = self.tracks.path(self.index as usize).at(moment.time);
                 surroundings.clear();
                 $(surroundings.uniform.extend($module::$Term::uniform(self.material, &motion));)*
                 $($module::$Term::at(self, moment, &motion, farthest, surroundings);)*
@@ -177,7 +176,7 @@ pub(super) struct On<'a, P> {
     /// Nearby bodies.
     pub neighbours: &'a [Neighbour],
     /// The scene's pushes on it.
-    pub pushes: &'a PushList,
+    pub pushes: &'a [Push],
     pub tracks: &'a Tracks,
     /// The phases of its pairs.
     pub phases: P,
@@ -255,21 +254,16 @@ impl Surroundings {
     }
 }
 
-/// What acts on the vertices of a body throughout a part of a step without jumps, except what all of them share; see
-/// [`uniform`].
+/// The influence spheres that can reach a body throughout a part of a step without jumps. What else acts there is the
+/// same for all vertices ([`uniform`]) or constant for each ([`push::accelerations`]).
 #[derive(Clone, Debug, Default)]
 pub(super) struct Acting {
-    /// The body's weighted terms; one that does not act now has strength zero. Many pushes are a [`PushField`] instead.
-    ///
-    /// [`PushField`]: super::push_list::PushField
-    pub weighted: Vec<Weighted>,
     /// The influence spheres that can reach the body.
     pub spheres: Vec<Sphere>,
 }
 
 impl Acting {
     fn clear(&mut self) {
-        self.weighted.clear();
         self.spheres.clear();
     }
 }

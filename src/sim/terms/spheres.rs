@@ -1,6 +1,6 @@
 //! Influence spheres of other bodies: attraction (3.4), repulsion (3.5), and repulsion in the core.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use glam::DVec3;
 
@@ -8,7 +8,7 @@ use super::{Acting, Cause, Moment, On, Phases, Surroundings, Term};
 use crate::{
     geometry::Rest,
     model::{PairLaw, energy, influence::Weight, phase::Phase},
-    scene::{Body, Members, Scene, path::Kinematics},
+    scene::{Members, Scene, path::Kinematics},
     sim::{arrays::Vectors, neighbours::Neighbour, span::Span},
 };
 
@@ -68,7 +68,7 @@ impl Term for Spheres {
             if strength == 0.0 {
                 continue;
             }
-            let centre = on.tracks.track(neighbour.other as usize).position(moment.time) - motion.position;
+            let centre = on.tracks.path(neighbour.other as usize).position(moment.time) - motion.position;
             if centre.length() <= sphere_radius + farthest {
                 surroundings.sources.push(Source { body: neighbour.other, centre, sphere_radius, strength, phase });
             }
@@ -191,76 +191,40 @@ fn outside_per_vertex(scene: &Scene, law: &PairLaw, radius: f64, source: f64, ph
     scene.strength(law, phase, radius, source) * energy::influence_potential(scene.influence.weight, sphere, sphere)
 }
 
-/// Σ [`energy_outside`] over all ordered pairs of bodies as if all were apart: a constant of the scene, computed in
-/// O(bodies · distinct radii).
-pub fn energy_of_distant_pairs(scene: &Scene) -> f64 {
-    let common = scene.common_law();
-    let mut radii: Vec<f64> = scene.bodies.iter().map(|body| body.radius).collect();
-    radii.sort_by(f64::total_cmp);
-    let sources = radii.chunk_by(|a, b| a == b);
-    let per_vertex = |radius, source| outside_per_vertex(scene, &common, radius, source, Phase::Apart);
-    let all_of = |radius| sources.clone().map(|same| same.len() as f64 * per_vertex(radius, same[0])).sum::<f64>();
-    let energy = |body: &Body| {
-        let others = all_of(body.radius) - per_vertex(body.radius, body.radius);
-        others * body.shape.vertex_count() as f64
-    };
-    let sum: f64 = scene.bodies.iter().map(energy).sum();
-    if scene.pairs.is_empty() { sum } else { sum + excess_of_own_laws(scene, &common) }
-}
-
-/// Bodies of the same radius.
-#[derive(Clone, Copy, Default)]
+/// Bodies of the same radius to which the same laws of pairs apply.
 struct Alike {
-    radius: f64,
-    /// Number of bodies.
+    /// The index of one of them.
+    body: usize,
     bodies: f64,
     /// Number of vertices of all of them.
     vertices: f64,
 }
 
-/// The difference in [`energy_of_distant_pairs`] between pairs' own laws and the common law, in O(laws · distinct
-/// radii²) of their groups.
-fn excess_of_own_laws(scene: &Scene, common: &PairLaw) -> f64 {
-    let mut groups: BTreeMap<u32, BTreeMap<u64, Alike>> = BTreeMap::new();
+/// Σ [`energy_outside`] over all ordered pairs of bodies as if all were apart: a constant of the scene, computed for
+/// pairs of [`Alike`] bodies at once.
+pub fn energy_of_distant_pairs(scene: &Scene) -> f64 {
+    let named: BTreeSet<Members> = scene.pairs.rules().flat_map(|(sides, _)| sides).collect();
+    let mut all: BTreeMap<(Option<Members>, u64), Alike> = BTreeMap::new();
     for (index, body) in scene.bodies.iter().enumerate() {
-        let Some(group) = scene.pairs.group_of(index) else { continue };
-        let alike = groups.entry(group).or_default().entry(body.radius.to_bits()).or_default();
-        alike.radius = body.radius;
+        let itself = Members::Body(index as u32);
+        let side = if named.contains(&itself) { Some(itself) } else { scene.pairs.group_of(index).map(Members::Group) };
+        let first = Alike { body: index, bodies: 0.0, vertices: 0.0 };
+        let alike = all.entry((side, body.radius.to_bits())).or_insert(first);
         alike.bodies += 1.0;
         alike.vertices += body.shape.vertex_count() as f64;
     }
-    let one = |body: u32| {
-        let Body { radius, shape, .. } = &scene.bodies[body as usize];
-        Alike { radius: *radius, bodies: 1.0, vertices: shape.vertex_count() as f64 }
-    };
-    let members = |side| match side {
-        Members::Body(body) => vec![one(body)],
-        Members::Group(group) => groups.get(&group).map_or(vec![], |group| group.values().copied().collect()),
-    };
-    let mut rules: Vec<_> = scene.pairs.rules().collect();
-    rules.sort_by_key(|&(sides, _)| sides); // for a fixed order of summation
-    let excess = |(sides, law): ([Members; 2], PairLaw)| {
-        let of = |radius, source| {
-            outside_per_vertex(scene, &law, radius, source, Phase::Apart)
-                - outside_per_vertex(scene, common, radius, source, Phase::Apart)
-        };
-        let on = |these: &[Alike], others: &[Alike]| -> f64 {
-            let each = |this: &Alike| -> f64 {
-                this.vertices * others.iter().map(|other| other.bodies * of(this.radius, other.radius)).sum::<f64>()
-            };
-            these.iter().map(each).sum()
-        };
-        let itself = |these: &[Alike]| -> f64 { these.iter().map(|a| a.vertices * of(a.radius, a.radius)).sum() };
-        let [a, b] = sides.map(members);
-        match sides {
-            [Members::Group(x), Members::Group(y)] if x == y => on(&a, &a) - itself(&a),
-            [Members::Body(x), Members::Group(y)] if scene.pairs.group_of(x as usize) == Some(y) => {
-                on(&a, &b) + on(&b, &a) - 2.0 * itself(&a)
+    let mut sum = 0.0;
+    for this in all.values() {
+        for source in all.values() {
+            let sources = if source.body == this.body { source.bodies - 1.0 } else { source.bodies };
+            if sources > 0.0 {
+                let [radius, of_source] = [this, source].map(|alike| scene.bodies[alike.body].radius);
+                let law = scene.law(this.body, source.body);
+                sum += this.vertices * sources * outside_per_vertex(scene, &law, radius, of_source, Phase::Apart);
             }
-            _ => on(&a, &b) + on(&b, &a),
         }
-    };
-    rules.into_iter().map(excess).sum()
+    }
+    sum
 }
 
 #[cfg(test)]

@@ -1,16 +1,15 @@
 //! The forces on a body at any instant of an interval without jumps.
 
+use std::borrow::Cow;
+
 use glam::DVec3;
 
 use crate::{
-    geometry::Mesh,
     model::{influence::Weight, oscillator::Oscillator},
-    scene::{Material, Scene, path::Bounds},
+    scene::{Material, Path, Scene, path::Bounds},
     sim::{
         arrays::Vectors,
-        state::State,
-        terms::{self, Sphere, Steady, Weighted},
-        track::Track,
+        terms::{self, Sphere},
         tracks::Tracks,
     },
 };
@@ -26,8 +25,8 @@ pub struct Course<'a> {
     pub material: Material,
     /// Its radius [scene unit].
     pub radius: f64,
-    /// Its rest shape.
-    pub mesh: &'a Mesh,
+    /// Number of its vertices.
+    pub vertices: usize,
     /// Start of the interval [s].
     pub start: f64,
     /// Length of the interval [s].
@@ -38,8 +37,6 @@ pub struct Course<'a> {
     pub is_whole: bool,
     /// Spheres that can reach the body.
     pub spheres: &'a [Sphere],
-    /// The body's weighted terms.
-    pub weighted: &'a [Weighted],
     /// Constant accelerations of single vertices; `None` if there are none.
     pub local: Option<Local<'a>>,
 }
@@ -64,48 +61,29 @@ impl Course<'_> {
         Oscillator { omega: self.material.omega, damping: self.material.damping }
     }
 
-    /// The weight of a vertex in a weighted term along `direction` d, that is, how squarely the vertex faces it [–]:
-    /// max(0, −l̂·d) for rest position l (Fig. 4.1).
-    pub fn facing(&self, direction: DVec3, rest: DVec3) -> f64 {
-        let length = if self.mesh.is_round() { self.radius } else { rest.length() };
-        f64::max(0.0, -(rest.dot(direction) / length)) // 0 for a vertex at the centre
-    }
-
     /// The weight (3.3).
     pub fn weight(&self) -> Weight {
         self.scene.influence.weight
     }
 
-    /// The track of a body over the interval.
-    pub fn track(&self, body: usize) -> Track<'_> {
-        self.tracks.track(body).between(self.start, self.end())
+    /// The path of a body over the interval.
+    pub fn path(&self, body: usize) -> Cow<'_, Path> {
+        self.tracks.path(body).between(self.start, self.end())
     }
 
-    /// The track of a sphere's centre over the interval.
-    pub fn sphere_track(&self, sphere: usize) -> Track<'_> {
-        self.track(self.spheres[sphere].body as usize)
+    /// The path of a sphere's centre over the interval.
+    pub fn sphere_path(&self, sphere: usize) -> Cow<'_, Path> {
+        self.path(self.spheres[sphere].body as usize)
     }
 
     /// Writes the centres of the spheres relative to that of the body at time `t` [s] to `centres` [scene unit], and
     /// returns the acceleration that all vertices share [scene unit/s²]; at the end of the interval, the left limits.
     pub fn sample(&self, t: f64, centres: &mut Vec<DVec3>) -> DVec3 {
-        let track = self.track(self.index);
-        let own = if t >= self.end() { track.before(t) } else { track.at(t) };
+        let path = self.path(self.index);
+        let own = if t >= self.end() { path.before(t) } else { path.at(t) };
         centres.clear();
-        centres.extend((0..self.spheres.len()).map(|j| self.sphere_track(j).position(t) - own.position));
+        centres.extend((0..self.spheres.len()).map(|j| self.sphere_path(j).position(t) - own.position));
         terms::uniform(&self.material, &own)
-    }
-
-    /// The response to the body's own motion at the end of the interval, given the response `carried` at its start, in
-    /// closed form; `None` unless steps would not resolve the motion.
-    pub fn carried_over(&self, carried: State) -> Option<State> {
-        let steady = Steady::of(&self.material, self.track(self.index), self.length)?;
-        // bit-identical to the start of the next step, which matters if the body oscillates a million times in between
-        let end = if self.is_whole { ((self.start / self.length).round() + 1.0) * self.length } else { self.end() };
-        let (from, to) = (steady.at(self.start), steady.at(end));
-        let (x, u) = (carried.x - from.x, carried.u - from.u);
-        let [xx, xu, ux, uu] = self.oscillator().flow(self.length);
-        Some(State { x: xx * x + xu * u + to.x, u: ux * x + uu * u + to.u })
     }
 
     /// Bounds on the motion of a sphere's centre relative to the body's within `[start, end]` [s].
@@ -116,7 +94,7 @@ impl Course<'_> {
         match (own, its) {
             // at least one of the two does not move
             (None, moves) | (moves, None) if self.is_whole => moves.unwrap_or(still),
-            _ => self.track(other).relative_bounds(self.track(self.index), start, end),
+            _ => self.path(other).relative_bounds(&self.path(self.index), start, end),
         }
     }
 

@@ -86,7 +86,7 @@ pub fn error(
             let [w0, w1, w2, w3] = stage.force;
             positions[node] = (stage.xx * x + stage.xu * u) + ((w0 * f0 + w1 * f1) + (w2 * f2 + w3 * f3));
         }
-        positions[node] += vertex.rest_at(course, &step.moments[node].pushed);
+        positions[node] += vertex.rest;
     }
     let mut sum = 0.0;
     for (j, sphere) in course.spheres.iter().enumerate() {

@@ -28,11 +28,7 @@ use std::ops::Range;
 
 use pulp::Arch;
 
-use crate::sim::{
-    deformation::ActiveSet,
-    state::{Common, State},
-    work::Tally,
-};
+use crate::sim::{deformation::ActiveSet, state::State, work::Tally};
 use course::Course;
 use single::Single;
 use step::{Outcome, Pull, SHORTER, Step, Vertex};
@@ -91,11 +87,11 @@ pub struct StepControl<'a> {
     pub work: &'a Tally<'a>,
 }
 
-/// The work of a step of `vertices` vertices under `spheres` spheres and `pushes` pushes, acting or not.
-pub fn work_of(vertices: usize, spheres: usize, pushes: usize) -> u64 {
+/// The work of a step of `vertices` vertices under `spheres` spheres.
+pub fn work_of(vertices: usize, spheres: usize) -> u64 {
     /// Evaluations of a force: at four nodes, at three of them in each of two corrections, in the middle and at the sixth sample.
     const FORCES: u64 = 12;
-    vertices as u64 * (FORCES * (1 + spheres as u64) + pushes as u64)
+    vertices as u64 * FORCES * (1 + spheres as u64)
 }
 
 /// Advances the shared motion of a body's vertices, and the vertices in its active set, over `course`, in steps
@@ -104,7 +100,7 @@ pub fn work_of(vertices: usize, spheres: usize, pushes: usize) -> u64 {
 pub fn advance(
     course: &Course<'_>,
     control: StepControl<'_>,
-    common: &mut Common,
+    carried: &mut State,
     active_set: &mut ActiveSet,
     halvings: &mut u32,
     scratch: &mut Scratch,
@@ -122,14 +118,14 @@ pub fn advance(
         let start = course.start + f64::from(step) * length;
         let is_whole = course.is_whole && steps == 1.0;
         let part = Course { start, length, is_whole, ..*course };
-        halve(&part, control, common, active_set, scratch, MAX_HALVINGS, &mut statistics);
+        halve(&part, control, carried, active_set, scratch, MAX_HALVINGS, &mut statistics);
         if control.work.is_over() {
             return statistics;
         }
     }
     if course.is_whole {
         let StepStatistics { hard, near, .. } = statistics;
-        let vertices = course.mesh.vertex_count() as u64 * steps as u64;
+        let vertices = course.vertices as u64 * steps as u64;
         *halvings = match *halvings {
             now if now < MAX_HALVINGS && hard * MANY > vertices => now + 1,
             1.. if near == 0 => 0,
@@ -144,41 +140,38 @@ pub fn advance(
 fn halve(
     course: &Course<'_>,
     control: StepControl<'_>,
-    common: &mut Common,
+    carried: &mut State,
     active_set: &mut ActiveSet,
     scratch: &mut Scratch,
     halvings: u32,
     statistics: &mut StepStatistics,
 ) {
     let h = course.length;
-    if !control.work.spend((64 + 32 * course.spheres.len() + 5 * course.weighted.len()) as u64) {
+    if !control.work.spend((64 + 32 * course.spheres.len()) as u64) {
         return;
     }
     let wanted = control.tolerance * h;
     let weights = scratch.known.get(course.oscillator(), h, step::is_sampled_aside(course, h, wanted));
-    scratch.whole.prepare(course, weights, common, wanted);
-    // vertices near a sphere depend on the body's motion within the step, not only on its end
-    let carried = if active_set.vertices.is_empty() { course.carried_over(common.carried) } else { None };
-    let uniform_error = if carried.is_some() { 0.0 } else { scratch.whole.uniform_error() };
+    scratch.whole.prepare(course, weights, *carried, wanted);
+    let uniform_error = scratch.whole.uniform_error();
     let middle = course.start + 0.5 * h;
     if uniform_error > wanted && halvings > 0 && course.start < middle {
         for start in [course.start, middle] {
             let half = Course { start, length: 0.5 * h, is_whole: false, ..*course };
-            halve(&half, control, common, active_set, scratch, halvings - 1, statistics);
+            halve(&half, control, carried, active_set, scratch, halvings - 1, statistics);
         }
         return;
     }
     statistics.substeps += 1;
     let mut error = 0.0;
     if !active_set.vertices.is_empty() {
-        error = step_active_set(course, control, common, active_set, scratch, statistics);
+        error = step_active_set(course, control, *carried, active_set, scratch, statistics);
     }
     statistics.error += uniform_error.max(error);
     if !(uniform_error <= wanted) {
         statistics.excess += uniform_error - wanted;
     }
-    scratch.whole.advance_common(course, common);
-    common.carried = carried.unwrap_or(common.carried);
+    *carried = scratch.whole.carried_at_end(*carried);
 }
 
 /// Steps the active set: all vertices together, then individually those for which that is not accurate enough or that
@@ -186,7 +179,7 @@ fn halve(
 fn step_active_set(
     course: &Course<'_>,
     control: StepControl<'_>,
-    common: &Common,
+    carried: State,
     active_set: &mut ActiveSet,
     scratch: &mut Scratch,
     statistics: &mut StepStatistics,
@@ -216,7 +209,7 @@ fn step_active_set(
     let mut alone = Single {
         course,
         whole,
-        common,
+        carried,
         tolerance: control.tolerance,
         force,
         max_steps: *max_steps,

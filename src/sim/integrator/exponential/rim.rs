@@ -88,10 +88,7 @@ impl<'a> Motion<'a> {
         samples_left: &mut u32,
     ) -> Result<Option<f64>, Unresolved> {
         let rim = trajectories.course.spheres[sphere].radius;
-        let mut bounds = step.relative[sphere];
-        if !trajectories.whole.smooth {
-            bounds = trajectories.bounds(self.vertex, bounds);
-        }
+        let bounds = step.relative[sphere];
         // in units of the step length
         let speed = (self.speed + bounds.speed) * self.h;
         let acceleration = (self.acceleration + bounds.acceleration) * self.h * self.h;
@@ -100,8 +97,7 @@ impl<'a> Motion<'a> {
         // linear interpolation by at most curvature/8
         let last = self.coefficients.iter().sum::<DVec3>();
         let distance = |node: usize, displacement: DVec3| {
-            let moment = &step.moments[node];
-            (moment.centres[sphere] - self.vertex.rest_at(trajectories.course, &moment.pushed) - displacement).length()
+            (step.moments[node].centres[sphere] - self.vertex.rest - displacement).length()
         };
         let (d0, d1) = (distance(0, self.coefficients[0]), distance(3, last));
         let mut gap = Gap {

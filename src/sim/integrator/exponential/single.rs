@@ -14,11 +14,7 @@ use super::{
 };
 use crate::{
     model::{energy, influence},
-    sim::{
-        state::{Common, State},
-        terms::Sphere,
-        work::Tally,
-    },
+    sim::{state::State, terms::Sphere, work::Tally},
 };
 
 /// Upper limit on the steps of a vertex in one step of the world. The rest is then taken in a single step, unchecked
@@ -76,8 +72,8 @@ pub struct Single<'a> {
     pub course: &'a Course<'a>,
     /// The step over the whole interval.
     pub whole: &'a Step,
-    /// The shared motion of all vertices at its start.
-    pub common: &'a Common,
+    /// The shared response of all vertices at its start.
+    pub carried: State,
     /// The largest acceptable error per unit of time [scene unit/s].
     pub tolerance: f64,
     /// Upper limit on the steps of a vertex in the interval, see [`MAX_STEPS`].
@@ -169,7 +165,7 @@ impl Single<'_> {
                 left.push((next.0 + next.1, next.1));
             }
             let prepare = if self.whole.smooth { STEP } else { STEP_EXACTLY };
-            let forces = ALONE * work_of(1, course.spheres.len(), course.weighted.len());
+            let forces = ALONE * work_of(1, course.spheres.len());
             if !self.work.spend(prepare + forces) {
                 break;
             }
@@ -178,7 +174,7 @@ impl Single<'_> {
             steps += 1;
             if steps == self.max_steps {
                 let weights = Weights::new(course.oscillator(), course.end() - start, false);
-                part.prepare_part(course, self.whole, self.common, start, &weights);
+                part.prepare_part(course, self.whole, self.carried, start, &weights);
                 let held = hold(course, part, &vertex, state);
                 error += (held.x - state.x).length();
                 excess += (held.x - state.x).length();
@@ -187,7 +183,7 @@ impl Single<'_> {
             }
             let is_outside = has_kink && spheres.iter().all(|&word| word == 0);
             outcome = if is_outside && vertex.local == DVec3::ZERO {
-                part.prepare_ends(course, self.whole, self.common, start, h);
+                part.prepare_ends(course, self.whole, self.carried, start, h);
                 free(course, state, h)
             } else {
                 // the length of the part beyond a rim does not recur, so its weights are not cached
@@ -210,7 +206,7 @@ impl Single<'_> {
                         *prepared += 1;
                     }
                     let step = shared.map_or(&mut *part, |index| &mut halved[index]);
-                    step.prepare_part(course, self.whole, self.common, start, weights);
+                    step.prepare_part(course, self.whole, self.carried, start, weights);
                 }
                 let step = shared.map_or(&*part, |index| &halved[index]);
                 let inside = has_kink.then_some(&**spheres);
@@ -237,9 +233,9 @@ impl Single<'_> {
         if inside.iter().all(|&word| word == 0) {
             return State { x, u }; // the force is constant
         }
-        self.whole.sample_at(course, self.common, step.start + ASIDE * step.h, aside);
+        self.whole.sample_at(course, self.carried, step.start + ASIDE * step.h, aside);
         let displaced = Dense::new(course.oscillator(), step.h, ASIDE).state(state, forces).x;
-        let position = vertex.rest_at(course, &aside.pushed) + displaced;
+        let position = vertex.rest + displaced;
         let mut found = vertex.local;
         for (j, sphere) in course.spheres.iter().enumerate().filter(|&(j, _)| is_inside(inside, j)) {
             let to_centre = aside.centres[j] - position;
@@ -270,7 +266,7 @@ impl Single<'_> {
     /// Spheres whose rim the vertex can cross in a step.
     fn near_rims(&self, step: &Step, vertex: &Vertex, state: State) -> impl Iterator<Item = usize> {
         let moment = &step.moments[0];
-        let position = vertex.rest_at(self.course, &moment.pushed) + state.x;
+        let position = vertex.rest + state.x;
         let (h, course) = (step.h, self.course);
         let travel = self.travel(h, state);
         (0..course.spheres.len()).filter(move |&j| {
@@ -291,7 +287,7 @@ impl Single<'_> {
     /// force is negligible (with the Wendland weight: 4e-8 of the strength).
     fn passes_no_sphere(&self, step: &Step, vertex: &Vertex, state: State) -> bool {
         let moment = &step.moments[0];
-        let position = vertex.rest_at(self.course, &moment.pushed) + state.x;
+        let position = vertex.rest + state.x;
         let travel = self.travel(step.h, state);
         self.course.spheres.iter().zip(&moment.centres).zip(&step.relative).all(|((sphere, centre), bounds)| {
             let reach = travel + bounds.speed * step.h;
@@ -327,15 +323,14 @@ impl Single<'_> {
             return Ok(None);
         }
         let motion = Motion::new(self.course, step, vertex, state, outcome);
-        let trajectories = Trajectories { course: self.course, whole: self.whole, common: self.common };
+        let trajectories = Trajectories { course: self.course, whole: self.whole, carried: self.carried };
         let mut first: Option<(f64, usize)> = None;
         for j in near {
             let mut samples_left = rim::MAX_SAMPLES;
             let rim = Rim { sphere: j, is_inside: is_inside(inside, j), is_start: crossed == Some(j) };
             let crossing = motion.crossing(trajectories, step, rim, &mut samples_left);
             let samples = u64::from(rim::MAX_SAMPLES - samples_left);
-            let work_of_sample =
-                if self.whole.smooth { SAMPLE } else { SAMPLE_EXACTLY + self.course.weighted.len() as u64 };
+            let work_of_sample = if self.whole.smooth { SAMPLE } else { SAMPLE_EXACTLY };
             if !self.work.spend(samples * work_of_sample) {
                 return Ok(None);
             }
@@ -361,8 +356,7 @@ pub fn is_stiff(course: &Course<'_>, h: f64) -> bool {
 fn hold(course: &Course<'_>, step: &Step, vertex: &Vertex, state: State) -> State {
     let (Weights { ux, uu, constant, .. }, Stage { xx, xu, .. }) = (step.weights, step.weights.nodes[3]);
     let moment = &step.moments[0];
-    let rest = vertex.rest_at(course, &moment.pushed);
-    let to_centres = |x: DVec3| moment.centres.iter().map(move |centre| *centre - rest - x);
+    let to_centres = |x: DVec3| moment.centres.iter().map(move |centre| *centre - vertex.rest - x);
     let pull = |(sphere, to_centre): (&Sphere, DVec3)| {
         influence::acceleration(course.weight(), sphere.strength, sphere.radius, to_centre)
     };
@@ -417,11 +411,7 @@ fn collocate(
     }
     let simd = Scalar;
     let [rest, local, x, u] = [vertex.rest, vertex.local, state.x, state.u].map(|vector| Vector::splat(simd, vector));
-    let end = if course.weighted.is_empty() {
-        Group::<_, 1, 1>::new(simd, course, step, rest, local, pulls).collocate(x, u, wanted)
-    } else {
-        Group::<_, 1, 6>::new(simd, course, step, rest, local, pulls).collocate(x, u, wanted)
-    };
+    let end = Group::<_, 1> { simd, course, step, rest, local, pulls }.collocate(x, u, wanted);
     let Collocated { x, u, forces, bend, error, bent, passed } = end;
     let only = |values: Reals<Scalar, 1>| {
         let mut only = [0.0];
@@ -429,7 +419,7 @@ fn collocate(
         only[0]
     };
     let forces = forces.map(first);
-    let position = vertex.rest_at(course, &step.moments[0].pushed) + state.x;
+    let position = vertex.rest + state.x;
     let mut kinks = 0.0;
     for pull in &*pulls {
         let distance = (step.moments[0].centres[pull.sphere] - position).length();

@@ -11,11 +11,7 @@ use super::{
 use crate::{
     model::influence::Weight,
     scene::{Material, path::Bounds},
-    sim::{
-        nodes,
-        state::{Common, Pushed, State},
-        terms::{Sphere, Weighted},
-    },
+    sim::{nodes, state::State, terms::Sphere},
 };
 
 /// A step that has not converged after this many corrections is rejected.
@@ -38,8 +34,6 @@ pub struct Moment {
     pub uniform: DVec3,
     /// Shared response of all vertices to that acceleration [scene unit].
     pub carried: DVec3,
-    /// Response to each push, for a vertex that faces it squarely [scene unit].
-    pub pushed: Vec<f64>,
 }
 
 /// A step: its weights, and its influences at the samples.
@@ -99,18 +93,6 @@ pub struct Vertex {
     pub local: DVec3,
 }
 
-impl Vertex {
-    /// Its rest position moved by the responses to pushes, given as `pushed` [scene unit].
-    pub fn rest_at(&self, course: &Course<'_>, pushed: &[f64]) -> DVec3 {
-        let moved = course
-            .weighted
-            .iter()
-            .zip(pushed)
-            .map(|(push, x)| push.direction * (course.facing(push.direction, self.rest) * x));
-        self.rest + moved.sum::<DVec3>()
-    }
-}
-
 /// The result of a step for a vertex.
 #[derive(Clone, Copy, Debug)]
 pub struct Outcome {
@@ -126,19 +108,18 @@ pub struct Outcome {
     pub bent: f64,
 }
 
-/// Vertices that take a step together, and the influences on them. `SAMPLES` is the number of their rest positions: one
-/// if these are constant, six (one per sample) if pushes move them.
-pub struct Group<'a, S: Simd, const W: usize, const SAMPLES: usize> {
+/// Vertices that take a step together, and the influences on them.
+pub struct Group<'a, S: Simd, const W: usize> {
     /// The instruction set.
     pub simd: S,
     /// The body's course.
     pub course: &'a Course<'a>,
     /// The step.
     pub step: &'a Step,
-    /// Rest positions, moved by the response to pushes.
-    rest: [Vector<S, W>; SAMPLES],
+    /// Their rest positions.
+    pub rest: Vector<S, W>,
     /// Their constant accelerations.
-    local: Vector<S, W>,
+    pub local: Vector<S, W>,
     /// The spheres that contain them.
     pub pulls: &'a [Pull],
 }
@@ -178,55 +159,16 @@ fn predict<S: Simd, const W: usize, const N: usize>(
 
 /// `flow + Σ wᵢ fᵢ`, the response to forces at the nodes.
 #[inline(always)]
-fn respond<S: Simd, const W: usize>(flow: Vector<S, W>, w: &[f64; 4], f: &[Vector<S, W>; 4]) -> Vector<S, W> {
+pub fn respond<S: Simd, const W: usize>(flow: Vector<S, W>, w: &[f64; 4], f: &[Vector<S, W>; 4]) -> Vector<S, W> {
     flow + ((f[0] * w[0] + f[1] * w[1]) + (f[2] * w[2] + f[3] * w[3]))
 }
 
-impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES> {
-    /// Vertices with rest positions `rest`, each moved by pushes in proportion to how squarely it faces them, and with
-    /// constant accelerations `local`.
-    #[inline(always)]
-    pub fn new(
-        simd: S,
-        course: &'a Course<'a>,
-        step: &'a Step,
-        rest: Vector<S, W>,
-        local: Vector<S, W>,
-        pulls: &'a [Pull],
-    ) -> Group<'a, S, W, SAMPLES> {
-        let mut group = Group { simd, course, step, rest: [rest; SAMPLES], local, pulls };
-        if SAMPLES > 1 {
-            let none = Reals::splat(simd, 0.0);
-            // on a round body the length of a rest position is the radius; it is computed only for other shapes
-            let per_length = if course.mesh.is_round() {
-                Reals::splat(simd, 1.0 / course.radius)
-            } else {
-                Reals::splat(simd, 1.0) / rest.length_squared().sqrt()
-            };
-            for (p, push) in course.weighted.iter().enumerate() {
-                let d = Vector::splat(simd, push.direction);
-                let facing = none - (rest.x * d.x + rest.y * d.y + rest.z * d.z) * per_length;
-                let along = d * none.larger(facing); // zero for a vertex at the centre, where it would be NaN
-                let looks = if step.weights.is_sampled_aside { SAMPLES } else { SAMPLES - 1 };
-                for (look, rest) in group.rest[..looks].iter_mut().enumerate() {
-                    *rest = *rest + along * step.moments[look].pushed[p];
-                }
-            }
-        }
-        group
-    }
-
-    /// Rest positions at sample `look`, moved by the responses to pushes.
-    #[inline(always)]
-    pub fn rest_at(&self, look: usize) -> Vector<S, W> {
-        self.rest[look.min(SAMPLES - 1)]
-    }
-
+impl<S: Simd, const W: usize> Group<'_, S, W> {
     /// F of each vertex for displacement `x` at one of the step's moments [scene unit/s²].
     #[inline(always)]
     fn force(&self, look: usize, x: Vector<S, W>) -> Vector<S, W> {
         let moment = &self.step.moments[look];
-        let (one, position) = (Reals::splat(self.simd, 1.0), self.rest_at(look) + x);
+        let (one, position) = (Reals::splat(self.simd, 1.0), self.rest + x);
         let mut force = self.local;
         for pull in self.pulls {
             let to_centre = Vector::splat(self.simd, moment.centres[pull.sphere]) - position;
@@ -258,7 +200,7 @@ impl<'a, S: Simd, const W: usize, const SAMPLES: usize> Group<'a, S, W, SAMPLES>
     fn roughness(&self, start: Vector<S, W>, end: Vector<S, W>) -> [Reals<S, W>; 2] {
         let (simd, step) = (self.simd, self.step);
         let material = self.course.material;
-        let travelled = (self.rest_at(3) + end) - (self.rest_at(0) + start);
+        let travelled = end - start;
         let zero = Reals::splat(simd, 0.0);
         let (mut stiffness, mut passed) = (zero, zero);
         for pull in self.pulls {
@@ -423,9 +365,9 @@ pub fn left_out<S: Simd, const W: usize>(
 }
 
 impl Step {
-    /// Prepares the step over a whole interval, with `common` at its start and an acceptable error of `wanted`
+    /// Prepares the step over a whole interval, with the shared response `carried` at its start and an acceptable error of `wanted`
     /// [scene unit].
-    pub fn prepare(&mut self, course: &Course<'_>, weights: &Weights, common: &Common, wanted: f64) {
+    pub fn prepare(&mut self, course: &Course<'_>, weights: &Weights, carried: State, wanted: f64) {
         let h = weights.h;
         self.start = course.start;
         self.set_weights(weights);
@@ -437,20 +379,14 @@ impl Step {
             }
         }
         let forces: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].uniform);
-        let State { x, u } = common.carried;
-        self.ringing = self.shared_ringing(course, common);
+        let State { x, u } = carried;
+        self.ringing = self.shared_ringing(carried);
         for (look, moment) in self.moments[..5].iter_mut().enumerate() {
-            moment.pushed.clear();
             if look == 0 {
                 moment.carried = x;
-                moment.pushed.extend(common.pushed.iter().map(|pushed| pushed.x));
             } else {
                 let stage = self.weights.stage(look);
                 moment.carried = stage.xx * x + stage.xu * u + combine(&stage.force, &forces);
-                let constant: f64 = stage.force.iter().sum();
-                let response = |p: &Pushed, strength| stage.xx * p.x + stage.xu * p.u + constant * strength;
-                let pushed = common.pushed.iter().zip(course.weighted);
-                moment.pushed.extend(pushed.map(|(pushed, push)| response(pushed, push.strength)));
             }
             for centre in &mut moment.centres {
                 *centre -= moment.carried;
@@ -458,19 +394,17 @@ impl Step {
         }
         if self.weights.is_sampled_aside {
             let mut aside = std::mem::take(&mut self.moments[ASIDE_LOOK]);
-            aside.sample(Trajectories { course, whole: self, common }, self.start + ASIDE * h);
+            aside.sample(Trajectories { course, whole: self, carried }, self.start + ASIDE * h);
             self.moments[ASIDE_LOOK] = aside;
         }
-        let own = self.common_bounds(course, common, |_| 1.0);
+        let own = self.carried_bounds(course, carried);
         self.relative.clear();
         self.relative.extend((0..course.spheres.len()).map(|j| {
             let Bounds { speed, acceleration } = course.relative_bounds(j, course.start, course.start + h);
             Bounds { speed: speed + own.speed, acceleration: acceleration + own.acceleration }
         }));
         let limits = self.largest_left_out(course, wanted);
-        self.smooth = (0..course.spheres.len()).all(|j| self.is_smooth(limits, |look| self.moments[look].centres[j]))
-            && (0..course.weighted.len())
-                .all(|p| self.is_smooth(limits, |look| DVec3::X * self.moments[look].pushed[p]));
+        self.smooth = (0..course.spheres.len()).all(|j| self.is_smooth(limits, |look| self.moments[look].centres[j]));
         self.noise = self.rounding(course);
     }
 
@@ -525,7 +459,7 @@ impl Step {
         let of_times = force(0).length() + changes.length() * (1.0 + self.end() / self.h);
         let position = |body: usize| match course.is_whole {
             true => course.tracks.motion_bounds(body as u32).centre,
-            false => course.track(body).position(self.start),
+            false => course.path(body).position(self.start),
         };
         let distance = |body: usize| position(body).abs().element_sum();
         let own = distance(course.index);
@@ -534,28 +468,19 @@ impl Step {
         ROUNDING * (of_times + course.spheres.iter().map(of_sphere).sum::<f64>())
     }
 
-    /// Advances the shared motion of all vertices from the start to the end of the step.
-    pub fn advance_common(&self, course: &Course<'_>, common: &mut Common) {
-        let Weights { ux, uu, velocity, nodes, .. } = &self.weights;
+    /// The shared response of all vertices at the end of the step, given that at its start.
+    pub fn carried_at_end(&self, State { x, u }: State) -> State {
+        let Weights { ux, uu, velocity, .. } = &self.weights;
         let forces: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].uniform);
-        let State { x, u } = common.carried;
-        common.carried = State { x: self.moments[3].carried, u: *ux * x + *uu * u + combine(velocity, &forces) };
-        for (p, (pushed, push)) in common.pushed.iter_mut().zip(course.weighted).enumerate() {
-            // a constant unit force adds S(h) to the velocity, as a unit velocity adds to the displacement
-            let u = ux * pushed.x + uu * pushed.u + nodes[3].xu * push.strength;
-            *pushed = Pushed { x: self.moments[3].pushed[p], u };
-        }
+        State { x: self.moments[3].carried, u: *ux * x + *uu * u + combine(velocity, &forces) }
     }
 
-    /// Bounds on the speed and the acceleration of the shared motion within the step, for vertices whose
-    /// weights in the weighted terms are `facing`.
-    fn common_bounds(&self, course: &Course<'_>, common: &Common, facing: impl Fn(&Weighted) -> f64) -> Bounds {
-        let material = course.material;
+    /// Bounds on the speed and the acceleration of the shared motion within the step.
+    fn carried_bounds(&self, course: &Course<'_>, carried: State) -> Bounds {
+        let Material { omega, damping, .. } = course.material;
         let uniform = self.moments[..5].iter().map(|moment| moment.uniform.length()).fold(0.0, f64::max);
-        let weighted: f64 = course.weighted.iter().map(|weighted| facing(weighted) * weighted.strength.abs()).sum();
-        let momentum = common.momentum(material.omega, course.weighted.iter().map(facing));
-        let speed = momentum + (uniform + weighted) * self.h;
-        Bounds { speed, acceleration: (material.omega + 2.0 * material.damping) * speed + uniform + weighted }
+        let speed = carried.momentum(omega) + uniform * self.h;
+        Bounds { speed, acceleration: (omega + 2.0 * damping) * speed + uniform }
     }
 
     /// The error caused by interpolating the shared acceleration by a cubic [scene unit]; see [`Group::collocate`].
@@ -570,26 +495,20 @@ impl Step {
     }
 
     /// See [`Step::ringing`].
-    fn shared_ringing(&self, course: &Course<'_>, common: &Common) -> f64 {
+    fn shared_ringing(&self, State { x, u }: State) -> f64 {
         let Some(modes) = &self.weights.ringing else { return 0.0 };
         let forces: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].uniform);
-        let State { x, u } = common.carried;
-        let of_mode = |mode: &Mode| {
-            let constant: f64 = mode.force.iter().sum();
-            let pushed = common.pushed.iter().zip(course.weighted);
-            let pushed = pushed.map(|(p, push)| (mode.x * p.x + mode.u * p.u + constant * push.strength).abs());
-            (mode.x * x + mode.u * u + combine(&mode.force, &forces)).length() + pushed.sum::<f64>()
-        };
+        let of_mode = |mode: &Mode| (mode.x * x + mode.u * u + combine(&mode.force, &forces)).length();
         modes.iter().map(of_mode).sum()
     }
 
     /// Prepares the step over a part of an interval; `whole` is the step over all of it.
-    pub fn prepare_part(&mut self, course: &Course<'_>, whole: &Step, common: &Common, start: f64, weights: &Weights) {
+    pub fn prepare_part(&mut self, course: &Course<'_>, whole: &Step, carried: State, start: f64, weights: &Weights) {
         self.start = start;
         self.set_weights(weights);
         self.ringing = if self.weights.ringing.is_some() { whole.ringing } else { 0.0 };
         for look in 0..if self.weights.is_sampled_aside { 6 } else { 5 } {
-            self.sample_within(course, whole, common, look);
+            self.sample_within(course, whole, carried, look);
         }
         self.bound_within(course, whole);
         self.noise = whole.noise;
@@ -606,31 +525,30 @@ impl Step {
 
     /// Like [`Step::prepare_part`], for a vertex on which nothing acts: only the positions of the spheres at the start
     /// and at the end.
-    pub fn prepare_ends(&mut self, course: &Course<'_>, whole: &Step, common: &Common, start: f64, h: f64) {
+    pub fn prepare_ends(&mut self, course: &Course<'_>, whole: &Step, carried: State, start: f64, h: f64) {
         self.start = start;
         self.h = h;
         for look in [0, 3] {
-            self.sample_within(course, whole, common, look);
+            self.sample_within(course, whole, carried, look);
         }
         self.bound_within(course, whole);
     }
 
-    fn sample_within(&mut self, course: &Course<'_>, whole: &Step, common: &Common, look: usize) {
+    fn sample_within(&mut self, course: &Course<'_>, whole: &Step, carried: State, look: usize) {
         let t = time_of(look, self.start, self.h);
-        whole.sample_at(course, common, t, &mut self.moments[look]);
+        whole.sample_at(course, carried, t, &mut self.moments[look]);
     }
 
     /// Sets a moment to time `t` [s] of this step, which is that over the whole interval.
-    pub fn sample_at(&self, course: &Course<'_>, common: &Common, t: f64, moment: &mut Moment) {
+    pub fn sample_at(&self, course: &Course<'_>, carried: State, t: f64, moment: &mut Moment) {
         if self.smooth {
             self.interpolate((t - self.start) / self.h, moment);
         } else {
-            moment.sample(Trajectories { course, whole: self, common }, t);
+            moment.sample(Trajectories { course, whole: self, carried }, t);
         }
     }
 
-    /// Sphere positions and push responses at `theta` of this step, interpolated by the quartics through its five
-    /// moments.
+    /// Sphere positions at `theta` of this step, interpolated by the quartics through its five moments.
     fn interpolate(&self, theta: f64, moment: &mut Moment) {
         let [w0, w1, w2, w3, w4] = quartic(theta);
         let [m0, m1, m2, m3, m4, _] = &self.moments;
@@ -638,11 +556,6 @@ impl Step {
         for j in 0..self.relative.len() {
             let (a, b, c) = (w0 * m0.centres[j], w1 * m1.centres[j], w2 * m2.centres[j]);
             moment.centres.push((a + b) + (c + w3 * m3.centres[j]) + w4 * m4.centres[j]);
-        }
-        moment.pushed.clear();
-        for p in 0..m0.pushed.len() {
-            let (a, b, c) = (w0 * m0.pushed[p], w1 * m1.pushed[p], w2 * m2.pushed[p]);
-            moment.pushed.push((a + b) + (c + w3 * m3.pushed[p]) + w4 * m4.pushed[p]);
         }
     }
 
@@ -674,10 +587,7 @@ impl Moment {
     /// Sets the moment to time `t` [s].
     fn sample(&mut self, trajectories: Trajectories<'_>, t: f64) {
         self.uniform = trajectories.course.sample(t, &mut self.centres);
-        let common = trajectories.common_at(t);
-        self.carried = common.carried.x;
-        self.pushed.clear();
-        self.pushed.extend(common.pushed.iter().map(|pushed| pushed.x));
+        self.carried = trajectories.carried_at(t).x;
         for centre in &mut self.centres {
             *centre -= self.carried;
         }
@@ -728,8 +638,8 @@ pub struct Trajectories<'a> {
     pub course: &'a Course<'a>,
     /// The step over all of the interval.
     pub whole: &'a Step,
-    /// The shared motion of all vertices at the interval's start.
-    pub common: &'a Common,
+    /// The shared response of all vertices at the interval's start.
+    pub carried: State,
 }
 
 /// Position of a sphere during a step relative to a vertex, without the vertex's own displacement.
@@ -754,10 +664,7 @@ impl<'a> Trajectories<'a> {
         if !whole.smooth {
             return Apart::Exact(ExactPath { trajectories: self, vertex, sphere });
         }
-        let known = std::array::from_fn(|look| {
-            let moment = &whole.moments[look];
-            moment.centres[sphere] - vertex.rest_at(self.course, &moment.pushed)
-        });
+        let known = std::array::from_fn(|look| whole.moments[look].centres[sphere] - vertex.rest);
         let mut c = quartic_through(&known);
         if start != whole.start || h != whole.h {
             // the same polynomial in the time of the part: shifted by theta₀ (Horner) and rescaled
@@ -776,41 +683,14 @@ impl<'a> Trajectories<'a> {
         Apart::Quartic(c)
     }
 
-    /// Bounds on the motion of a sphere's centre relative to a vertex, without its own displacement. They are tighter
-    /// than those for all vertices, which must cover vertices that face pushes more squarely.
-    pub fn bounds(&self, vertex: &Vertex, all: Bounds) -> Bounds {
-        let Trajectories { course, whole, common } = *self;
-        let squarely = whole.common_bounds(course, common, |_| 1.0);
-        let own = whole.common_bounds(course, common, |push| course.facing(push.direction, vertex.rest));
-        // with a margin for the rounding of the subtracted terms
-        let less = |all: f64, squarely: f64, own: f64| all - (squarely - own) + 1e-9 * squarely;
-        Bounds {
-            speed: all.speed.min(less(all.speed, squarely.speed, own.speed)),
-            acceleration: all.acceleration.min(less(all.acceleration, squarely.acceleration, own.acceleration)),
-        }
-    }
-
-    /// The shared motion of all vertices at `t` [s], with the velocities of the responses to pushes.
-    fn common_at(&self, t: f64) -> Common {
-        let Trajectories { course, whole, common } = *self;
-        if t <= whole.start {
-            return common.clone();
-        }
-        let h = whole.h;
+    /// The shared response of all vertices at `t` [s].
+    fn carried_at(&self, t: f64) -> State {
+        let Trajectories { course, whole, carried } = *self;
         let forces: [DVec3; 4] = std::array::from_fn(|node| whole.moments[node].uniform);
-        if common.is_zero() && forces == [DVec3::ZERO; 4] && course.weighted.is_empty() {
-            return common.clone(); // it stays at rest
+        if t <= whole.start || (carried.is_zero() && forces == [DVec3::ZERO; 4]) {
+            return carried;
         }
-        let dense = Dense::new(course.oscillator(), h, (t - whole.start) / h);
-        let constant: (f64, f64) = (dense.x.iter().sum(), dense.u.iter().sum());
-        let respond = |p: &Pushed, strength: f64| Pushed {
-            x: dense.xx * p.x + dense.xu * p.u + constant.0 * strength,
-            u: dense.ux * p.x + dense.uu * p.u + constant.1 * strength,
-        };
-        Common {
-            carried: dense.state(common.carried, &forces),
-            pushed: common.pushed.iter().zip(course.weighted).map(|(p, push)| respond(p, push.strength)).collect(),
-        }
+        Dense::new(course.oscillator(), whole.h, (t - whole.start) / whole.h).state(carried, &forces)
     }
 }
 
@@ -818,13 +698,9 @@ impl ExactPath<'_> {
     /// Position [scene unit] and velocity [scene unit/s] at `t` [s].
     pub fn at(&self, t: f64) -> (DVec3, DVec3) {
         let course = self.trajectories.course;
-        let (own, other) = (course.track(course.index).at(t), course.sphere_track(self.sphere).at(t));
-        let common = self.trajectories.common_at(t);
-        let (mut x, mut u) = (self.vertex.rest + common.carried.x, common.carried.u);
-        for (push, pushed) in course.weighted.iter().zip(&common.pushed) {
-            let along = push.direction * course.facing(push.direction, self.vertex.rest);
-            (x, u) = (x + along * pushed.x, u + along * pushed.u);
-        }
+        let (own, other) = (course.path(course.index).at(t), course.sphere_path(self.sphere).at(t));
+        let State { x, u } = self.trajectories.carried_at(t);
+        let x = self.vertex.rest + x;
         (other.position - own.position - x, other.velocity - own.velocity - u)
     }
 }

@@ -9,7 +9,7 @@ use super::{
     course::Course,
     kinks,
     lanes::{LANES, Mask, Reals, Vector},
-    step::{Collocated, Group, Pull, SHORTER, Step, has_kink},
+    step::{Collocated, Group, Pull, SHORTER, Step, has_kink, respond},
 };
 use crate::sim::{
     arrays::{Block, Blocks},
@@ -20,7 +20,7 @@ use crate::sim::{
 /// A vertex with |x|² + |u|² below this, in scene units and seconds, is at rest.
 const REST_SQUARED: f64 = 1e-300;
 
-/// Work of a step of a vertex, and of each sphere or weighted term that is examined for it, …
+/// Work of a step of a vertex, and of each sphere that is examined for it, …
 const EXAMINE: u64 = 2;
 /// … and of each sphere that contains it.
 const PULL: u64 = 24;
@@ -144,8 +144,7 @@ impl WithSimd for Together<'_> {
     fn with_simd<S: Simd>(mut self, simd: S) {
         let count = self.active_set.vertices.len();
         self.outcomes.resize(count.next_multiple_of(LANES), self.course.spheres.len());
-        let is_pushed = !self.course.weighted.is_empty();
-        let of_vertex = EXAMINE * (1 + self.course.spheres.len() + self.course.weighted.len()) as u64;
+        let of_vertex = EXAMINE * (1 + self.course.spheres.len()) as u64;
         for first in (0..count).step_by(Reals::<S, 2>::COUNT) {
             // counted per block and per vertex, so that the work is the same on all instruction sets
             if first.is_multiple_of(LANES) {
@@ -154,11 +153,7 @@ impl WithSimd for Together<'_> {
                     return;
                 }
             }
-            if is_pushed {
-                self.step_group::<S, 2, 6>(simd, first);
-            } else {
-                self.step_group::<S, 2, 1>(simd, first);
-            }
+            self.step_group::<S, 2>(simd, first);
         }
         self.work.spend(self.uncounted);
     }
@@ -167,7 +162,7 @@ impl WithSimd for Together<'_> {
 impl Together<'_> {
     /// Steps one group of vertices, from `first` on.
     #[inline(always)]
-    fn step_group<S: Simd, const W: usize, const SAMPLES: usize>(&mut self, simd: S, first: usize) {
+    fn step_group<S: Simd, const W: usize>(&mut self, simd: S, first: usize) {
         let Together { course, step, ref active_set, .. } = *self;
         let (block, lane) = (first / LANES, first % LANES);
         let [x, u, rest] = &active_set.blocks.all()[block].0;
@@ -187,30 +182,25 @@ impl Together<'_> {
             Some(local) => Vector::load(simd, local.accelerations, first),
             None => Vector::splat(simd, DVec3::ZERO),
         };
-        let group = Group::<S, W, SAMPLES>::new(simd, course, step, rest, local, &[]);
-        let ends_at_rest = [group.rest_at(0), group.rest_at(3)];
-        let Near { rims: near, passing, distance } = self.find_pulls(simd, first, ends_at_rest[0] + x, travel);
+        let Near { rims: near, passing, distance } = self.find_pulls(simd, first, rest + x, travel);
 
         let zero = Vector::splat(simd, DVec3::ZERO);
         let end = if self.pulls.is_empty() {
-            let last = &weights.nodes[3];
-            let (mut x1, mut u1) = (x * last.xx + u * last.xu, x * weights.ux + u * weights.uu);
-            if course.local.is_some() {
-                // a constant unit force adds S(h) to the velocity, as a unit velocity adds to the displacement
-                (x1, u1) = (x1 + local * weights.constant, u1 + local * last.xu);
-            }
+            // as by collocation with the same force at all nodes, so that the result does not depend on the other lanes
+            let (last, forces) = (&weights.nodes[3], [local; 4]);
+            let x1 = respond(x * last.xx + u * last.xu, &last.force, &forces);
+            let u1 = respond(x * weights.ux + u * weights.uu, &weights.velocity, &forces);
             Collocated {
                 x: x1,
                 u: u1,
-                forces: [local; 4],
+                forces,
                 bend: zero,
                 error: Reals::splat(simd, 0.0),
                 bent: Reals::splat(simd, 0.0),
                 passed: Reals::splat(simd, 0.0),
             }
         } else {
-            let group = Group::<S, W, SAMPLES>::new(simd, course, step, rest, local, &*self.pulls);
-            group.collocate(x, u, self.wanted)
+            Group { simd, course, step, rest, local, pulls: &*self.pulls }.collocate(x, u, self.wanted)
         };
         let (x1, u1) = (end.x, end.u);
         let mut attention = end.error.at_most(Reals::splat(simd, self.wanted)).negated().or(passing);
@@ -222,7 +212,7 @@ impl Together<'_> {
             attention = attention.or(if self.stiff {
                 near
             } else {
-                let ends = [ends_at_rest[0] + x, ends_at_rest[1] + x1];
+                let ends = [rest + x, rest + x1];
                 let force = end.forces[0].length_squared().larger(end.forces[3].length_squared()).sqrt();
                 may_cross(simd, course, step, ends, swing, force)
             });
