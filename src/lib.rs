@@ -27,16 +27,20 @@
 //! | [`model`] | the equations, scalar and readable, each with its number | | |
 //! | [`geometry`] | rest shapes (positions, normals, triangles, masses) and the union of overlapping surfaces | | |
 //! | `text` | formatting of numbers and text for output | | |
+//! | [`hash`] | hashes of exact states | | |
+//! | [`colors`] | a palette | | |
 //! | [`scene`] | scene files: parsing, validation, centre paths | `model`, `geometry`, `text` | |
-//! | [`observe`] | what an observer sees of any simulation: schema, frames, events | `geometry` | |
-//! | [`sim`] | the world and its step: forces, integrators, events, solver of free bodies | all above | |
+//! | [`sim`] | the world and its step: forces, integrators, events, solver of free bodies | `model`, `geometry`, `text`, `hash`, `scene` | |
+//! | [`observe`] | the contract between a simulation and its observers: schema, frames, events | `model`, `geometry`, `colors` | |
+//! | [`analysis`] | what is computed from frames: surfaces, touches, closest approaches | `geometry`, `observe` | |
+//! | [`view`] | how the world presents itself: titles, colours, plots, arrows, cameras | all above but `analysis` | |
 //! | [`models`] | the models of a soft body, and which of them runs a scene | all above | |
 //! | `atomic` | files that are either complete or not there | | `viewer` |
 //! | [`sdk`] | the parts of the Rerun SDK that are used | | `viewer` |
-//! | [`stream`] | frames as Rerun data: entities, blueprint, sinks | `observe`, `geometry`, `text`, `atomic`, `sdk` | `viewer` |
+//! | [`stream`] | frames as Rerun data: entities, blueprint, sinks | `geometry`, `text`, `hash`, `colors`, `observe`, `analysis`, `atomic`, `sdk` | `viewer` |
 //! | [`table`] | tables as CSV, JSON and Parquet files | `atomic`, `sdk` | `cli` |
 //! | [`recording`] | reading recordings: replay, check, diff | all above | `viewer` |
-//! | [`sweep`] | grids of runs over a scene's parameters, refinement, thresholds, maps | `scene`, `sim`, `observe`, `stream`, `recording`, `text`, `atomic`, `sdk` | `cli` |
+//! | [`sweep`] | grids of runs over a scene's parameters, refinement, thresholds, maps | all above | `cli` |
 //! | [`bench`] | benchmarks, and an independent reference solution | all above | `cli` |
 //! | [`cli`] | the command line, one file per subcommand | all above | `cli` |
 //!
@@ -94,6 +98,7 @@
 // No input may crash the program.
 #![cfg_attr(not(test), warn(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+pub mod analysis;
 #[cfg(feature = "viewer")]
 #[cfg_attr(not(feature = "cli"), allow(dead_code))] // recordings need a part of it
 mod atomic;
@@ -101,7 +106,10 @@ mod atomic;
 pub mod bench;
 #[cfg(feature = "cli")]
 pub mod cli;
+pub mod colors;
 pub mod geometry;
+#[doc(hidden)]
+pub mod hash;
 pub mod model;
 pub mod models;
 pub mod observe;
@@ -119,6 +127,8 @@ pub mod sweep;
 pub mod table;
 #[doc(hidden)]
 pub mod text;
+#[doc(hidden)]
+pub mod view;
 
 pub use scene::{Scene, SceneError};
 pub use sim::{StepReport, World};

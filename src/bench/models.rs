@@ -15,13 +15,10 @@ use super::{
 };
 use crate::{
     Scene,
+    analysis::{surface::Merger, touch::Touches},
     geometry::Vectors,
     models::SceneRun,
-    observe::{
-        Experiment as _, Frame, Schema, Simulation, StepSummary, SurfaceEvent, Want,
-        surface::Merger,
-        touch::{Finding, Touches},
-    },
+    observe::{Experiment as _, Frame, Schema, Simulation, StepSummary, SurfaceEvent, Want, surface::Finding},
     scene::Model,
     sim::Options,
     text::{bytes, counted, significant},

@@ -7,6 +7,7 @@ use glam::DVec3;
 use super::tables;
 use crate::{
     Scene, World,
+    analysis::surface::Merger,
     geometry::{
         Mesh, Sphere,
         shape::Solid as _,
@@ -15,7 +16,6 @@ use crate::{
     observe::{
         BodyFrame, Frame, PairFrame, Schema, Simulation as _, Want,
         schema::{BodySchema, PhaseSchema},
-        surface::Merger,
     },
     text::thousands,
 };

@@ -16,9 +16,10 @@ use super::{
     run, say,
 };
 use crate::{
+    analysis::{surface::Merger, touch::Touches},
     atomic::{self, AtomicFile},
     models::{self, SceneRun},
-    observe::{Experiment as _, Frame, Simulation, StepSummary, Want, row::rows, surface::Merger, touch::Touches},
+    observe::{Experiment as _, Frame, Simulation, StepSummary, Want, row::rows},
     recording::{Recorded, existing::Existing},
     scene::Model,
     sim::Options,

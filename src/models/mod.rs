@@ -79,8 +79,9 @@ use std::sync::Arc;
 use crate::{
     observe::{Experiment, Refusal, Schema, Simulation},
     scene::{Integrator, Model, Scene},
-    sim::{Options, World, simulation},
+    sim::{Options, World},
     text::did_you_mean,
+    view,
 };
 use metaballs::Metaballs;
 use side_by_side::SideBySide;
@@ -116,7 +117,7 @@ pub struct Unsupported {
 impl Experiment for SceneRun {
     fn schema(&self) -> Schema {
         match self.scene.model {
-            Model::Oscillators => simulation::schema(&self.scene),
+            Model::Oscillators => view::schema(&self.scene),
             Model::Metaballs => metaballs::schema(&self.scene),
             Model::Lattice | Model::Fem => elastic::schema(&self.scene),
         }

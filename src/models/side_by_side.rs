@@ -10,12 +10,13 @@ use glam::DVec3;
 
 use super::SceneRun;
 use crate::{
+    analysis::{surface::Merger, touch::Touches},
+    colors, hash,
     observe::{
         BodyEvent, BodyFrame, Experiment, Frame, Instant, NearPair, PairEvent, PairFrame, Refusal, Schema, Simulation,
-        StepFailure, StepSummary, SurfaceEvent, Want, checksum, colors,
+        StepFailure, StepSummary, SurfaceEvent, Want,
         schema::{BodySchema, OwnLevels, OwnSurfaces, ScalarOf, ScalarSchema, TermSchema},
-        surface::{Group, Merger, Surfaced, Surfaces},
-        touch::{Finding, Touches},
+        surface::{Finding, Group, Surfaced, Surfaces},
     },
     scene::{Model, Scene},
     sim::Options,
@@ -329,7 +330,7 @@ impl Simulation for SideBySideRun {
     }
 
     fn checksum(&self) -> u64 {
-        checksum::sequence(self.parts.iter().map(|part| part.simulation.checksum()))
+        hash::sequence(self.parts.iter().map(|part| part.simulation.checksum()))
     }
 
     fn observe(&self, want: Want, frame: &mut Frame) {

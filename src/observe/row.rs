@@ -1,6 +1,6 @@
 //! The events of a step as rows, the same in summaries, recordings and tables: one for each event, in order of time.
 
-use super::{BodyEvent, PairEvent, Schema, SurfaceEvent};
+use super::{BodyEvent, PairEvent, Schema, surface::SurfaceEvent};
 
 /// An event.
 #[derive(Clone, Debug, PartialEq)]

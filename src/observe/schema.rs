@@ -4,8 +4,11 @@ use std::{collections::BTreeMap, fmt, sync::Arc};
 
 use glam::DVec3;
 
-use super::{colors::Rgb, event::PairEvent, surface::Surfaces};
-use crate::geometry::{Mesh, Rest, fairing};
+use super::{event::PairEvent, surface::Surfaces};
+use crate::{
+    colors::Rgb,
+    geometry::{Mesh, Rest, fairing},
+};
 
 /// The schema of a simulation. Frames refer to its entries by index.
 #[derive(Clone, Debug)]
@@ -319,16 +322,4 @@ impl BodySchema {
     pub fn rest(&self) -> Rest<'_> {
         self.mesh.at(self.radius)
     }
-}
-
-/// Arrow length per acceleration [scene unit per scene unit/s²]: 1, 2 or 5 times a power of ten, chosen so that the
-/// arrow of the `strongest` acceleration [scene unit/s²] is about 0.4 `radius` long.
-pub fn arrow_scale(radius: f64, strongest: f64) -> f64 {
-    let wanted = 0.4 * radius / strongest;
-    if !(wanted.is_finite() && wanted > 0.0) {
-        return 0.01;
-    }
-    let decade = 10f64.powf(wanted.log10().floor());
-    let step = [5.0, 2.0, 1.0].into_iter().find(|step| step * decade <= wanted * 1.0001).unwrap_or(1.0);
-    step * decade
 }

@@ -11,11 +11,10 @@ use glam::DVec3;
 use crate::model::hermite::Hermite;
 
 use super::{
-    approach::NearPair,
     event::{BodyEvent, Instant, PairEvent},
     frame::{BodyFrame, Frame, PairFrame, Want},
     schema::Schema,
-    touch::SurfaceEvent,
+    surface::SurfaceEvent,
 };
 
 /// A simulation that can be stepped and observed. Observation never changes the simulation.
@@ -102,8 +101,8 @@ pub trait Simulation {
     }
 
     /// Touch and part events of pairs in the last step, in order of time, if the simulation detects them itself
-    /// ([`Finding::Touch`](super::touch::Finding::Touch) and `Part` only). If `None`, [`super::touch`] searches for
-    /// them in the states that [`within`](Simulation::within) returns.
+    /// ([`Finding::Touch`](super::surface::Finding::Touch) and `Part` only). If `None`, they are searched for in
+    /// the states that [`within`](Simulation::within) returns.
     fn contacts(&self) -> Option<&[SurfaceEvent]> {
         None
     }
@@ -168,6 +167,21 @@ pub fn between(schema: &Schema, ends: [&Frame; 2], time: f64, bodies: &[usize], 
         }
         now.displaced(to.rest_of(body));
     }
+}
+
+/// A pair that can interact, and how its centres move.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct NearPair {
+    /// Index of the first body.
+    pub a: usize,
+    /// Index of the second body; a < b.
+    pub b: usize,
+    /// Index into the schema's phases.
+    pub phase: usize,
+    /// Centre of the second body as seen from that of the first [scene unit].
+    pub apart: DVec3,
+    /// Its rate of change [scene unit/s].
+    pub rate: DVec3,
 }
 
 /// A scene, from which a simulation can be started any number of times.

@@ -12,7 +12,8 @@ use super::{
     recorded::RecordedEvent,
 };
 use crate::{
-    observe::{Frame, Schema, Simulation, StepSummary, Want, Worst},
+    analysis::Worst,
+    observe::{Frame, Schema, Simulation, StepSummary, Want},
     stream::{
         settings::Frames,
         sinks::{Saved, SinkError},

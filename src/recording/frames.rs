@@ -14,8 +14,9 @@ use super::{
     recorded::{cell, step_of},
 };
 use crate::{
+    analysis::Worst,
     geometry::{Mesh, Vectors},
-    observe::{Frame, Instant, Schema, Worst},
+    observe::{Frame, Instant, Schema},
     sdk::{
         Chunk,
         datatypes::{Float64, Quaternion, UVec3D, Utf8, Vec3D},

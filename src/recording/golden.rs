@@ -22,11 +22,10 @@ use super::{
     replay,
 };
 use crate::{
+    analysis::{Worst, surface::Merger},
     geometry::Vectors,
-    observe::{
-        BodyFrame, Experiment, Frame, Schema, Simulation, StepSummary, Want, Worst, checksum, schema::BodySchema,
-        surface::Merger,
-    },
+    hash,
+    observe::{BodyFrame, Experiment, Frame, Schema, Simulation, StepSummary, Want, schema::BodySchema},
     sdk::{
         self, AnyValues,
         arrow::{
@@ -160,7 +159,7 @@ pub fn prepare(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<(Ble
 
 /// Combines all checksums of a recording into one number.
 pub fn digest(checksums: &[u64]) -> u64 {
-    checksum::sequence(checksums.iter().copied())
+    hash::sequence(checksums.iter().copied())
 }
 
 /// The geometric quantities of a frame.
@@ -185,7 +184,7 @@ fn vertex_hashes(body: &BodySchema, now: &BodyFrame) -> Vec<u16> {
     let hash = |vertex: usize| {
         let velocity = if now.is_at_rest { DVec3::ZERO } else { now.velocities.get(vertex) };
         let state = [now.displacement(vertex), velocity].into_iter().flat_map(|v| v.to_array());
-        checksum::sequence(pose.into_iter().flatten().chain(state).map(checksum::bits)) as u16
+        hash::sequence(pose.into_iter().flatten().chain(state).map(hash::bits)) as u16
     };
     (0..body.vertex_count()).map(hash).collect()
 }

@@ -8,7 +8,8 @@ use super::{
     recorded::{cell, step_of},
 };
 use crate::{
-    observe::{Schema, surface::Merged},
+    analysis::surface::Merged,
+    observe::Schema,
     sdk::datatypes::Float64,
     stream::{
         instant::STAGE,

@@ -10,8 +10,8 @@ use super::{
     read::{End, Reader},
 };
 use crate::{
-    models,
-    observe::{Experiment, Refusal, Schema, Simulation, checksum, simulation::ReadExperiment},
+    hash, models,
+    observe::{Experiment, Refusal, Schema, Simulation, simulation::ReadExperiment},
     sdk::{
         Chunk, Loggable,
         arrow::{
@@ -257,7 +257,7 @@ impl Properties {
                 return Err(damaged(format!("its checksums begin with step {}", sums.first)));
             }
             (_, Some(digest)) => {
-                let found = checksum::sequence(sums.values.iter().copied());
+                let found = hash::sequence(sums.values.iter().copied());
                 if *digest != format!("{found:016x}") {
                     return Err(damaged("its checksums do not match its digest".to_owned()));
                 }

@@ -3,7 +3,10 @@
 use std::path::Path;
 
 use super::{ReadError, Recorded, frames};
-use crate::observe::{Frame, Simulation, StepSummary, Want, Worst};
+use crate::{
+    analysis::Worst,
+    observe::{Frame, Simulation, StepSummary, Want},
+};
 
 /// The result of a replay.
 #[derive(Clone, Debug, PartialEq)]

@@ -13,8 +13,8 @@ use super::{
     state::State,
 };
 use crate::{
+    hash::{SEED, bits, mix},
     model::phase::Phase,
-    observe::checksum::{SEED, bits, mix},
 };
 
 /// The sum of the hashes of bodies; a body at rest adds nothing.

@@ -11,7 +11,6 @@ use super::{
 };
 use crate::{
     model::phase::{Phase, Thresholds},
-    observe::PairEvent,
     scene::{
         Path,
         path::{Bounds, Kinematics},
@@ -50,24 +49,6 @@ impl Event {
             (_, Phase::Core) => "core",
             (Phase::Core, Phase::Merged) => "core left",
             (_, Phase::Merged) => "merge",
-        }
-    }
-}
-
-impl From<&Event> for PairEvent {
-    /// The observer's view of an event, without the energy.
-    fn from(event: &Event) -> PairEvent {
-        PairEvent {
-            name: event.name(),
-            time: event.time,
-            step: event.step,
-            a: event.a as usize,
-            b: event.b as usize,
-            q: event.q,
-            rate: event.rate,
-            from: event.from as usize,
-            to: event.to as usize,
-            energy: None,
         }
     }
 }

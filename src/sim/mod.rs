@@ -15,8 +15,7 @@
 //! | scenes with free bodies or planes: their step | `coupled` |
 //! | changes between steps | `edit` |
 //! | observation: forces by cause, energy | `observe` |
-//! | the observer's interface | `simulation` |
-//! | the stages inside a step, on request | `stages` |
+//! | the solution within a step, on request | `within` |
 //! | what a step reports | `report` |
 //! | how much work a step may do | `work` |
 //! | hash of the exact state | `checksum` |
@@ -49,7 +48,6 @@ mod deformation;
 mod edit;
 #[doc(hidden)]
 pub mod events;
-mod frames;
 #[doc(hidden)]
 pub mod free;
 #[doc(hidden)]
@@ -57,26 +55,24 @@ pub mod integrator;
 pub(crate) mod memory;
 mod neighbours;
 mod nodes;
-mod observe;
+pub(crate) mod observe;
 mod pairs;
 #[doc(hidden)]
 pub mod reach;
 mod report;
 pub(crate) mod roots;
-#[doc(hidden)]
-pub mod simulation;
 mod span;
-mod stages;
 mod state;
-mod terms;
+pub(crate) mod terms;
 mod tracks;
-mod work;
+pub(crate) mod within;
+pub(crate) mod work;
 mod world;
 
 pub use arrays::Vectors;
 pub use events::Event;
 pub use memory::TooLarge;
 pub use observe::{BodyForces, Energy};
-pub use report::{Diverged, EditError, Failure, Overworked, Stage, StepReport, Strain, Toil};
+pub use report::{Diverged, EditError, Failure, Overworked, Shortfall, Stage, StepReport, Strain, Toil};
 pub use terms::Cause;
 pub use world::{BodyView, Options, PairView, States, World};

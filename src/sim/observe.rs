@@ -55,12 +55,12 @@ impl World {
     }
 
     /// The current state of all bodies of a coupled scene; `None` for other scenes.
-    pub(super) fn snapshot(&self) -> Option<Snapshot<'_>> {
+    pub(crate) fn snapshot(&self) -> Option<Snapshot<'_>> {
         Some(self.coupled.as_ref()?.snapshot(self.scene(), self.time()))
     }
 
     /// The inertial response of a body on a path to its own motion [scene unit/s²]; zero for a free body.
-    pub(super) fn carry(&self, index: usize) -> DVec3 {
+    pub(crate) fn carry(&self, index: usize) -> DVec3 {
         driven(self.scene(), index as u32, self.time(), false).carry
     }
 
@@ -95,12 +95,12 @@ impl World {
     }
 
     /// The influence energy as if every pair were apart and out of reach [scene unit²/s²].
-    pub(super) fn energy_of_distant_pairs(&self) -> f64 {
+    pub(crate) fn energy_of_distant_pairs(&self) -> f64 {
         *self.energy_of_distant_pairs.get_or_init(|| spheres::energy_of_distant_pairs(self.scene()))
     }
 
     /// A body in the given state. Displacements and velocities are empty if all are zero.
-    pub(super) fn seen<'a>(
+    pub(crate) fn seen<'a>(
         &'a self,
         index: usize,
         [displacement, velocity]: [&'a Vectors; 2],
@@ -113,7 +113,7 @@ impl World {
 
 /// A body in some state and what acts on it: the input for its forces and its energy.
 #[derive(Clone, Copy)]
-pub(super) struct Observed<'a> {
+pub(crate) struct Observed<'a> {
     pub body: &'a Body,
     pub rest: Rest<'a>,
     /// Empty if all are zero.
@@ -177,7 +177,7 @@ pub struct Energy {
 }
 
 impl Energy {
-    pub(super) fn of(conserved: &Conserved, reached_vertices: u64) -> Energy {
+    pub(crate) fn of(conserved: &Conserved, reached_vertices: u64) -> Energy {
         let Conserved { kinetic, spin, vibration, elastic, influence, gravity, plane, .. } = *conserved;
         Energy { kinetic: kinetic + spin + vibration, elastic, influence, external: gravity + plane, reached_vertices }
     }
@@ -189,7 +189,7 @@ impl Energy {
 }
 
 /// An energy sum that is accumulated body by body.
-pub(super) struct EnergySum {
+pub(crate) struct EnergySum {
     weight: Weight,
     pub sum: Energy,
 }

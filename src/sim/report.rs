@@ -5,10 +5,7 @@ use std::time::Duration;
 use glam::DVec3;
 
 use super::{events::Event, free::Ledger, memory::TooLarge};
-use crate::{
-    observe::{Shortfall, StepFailure},
-    scene::Integrator,
-};
+use crate::scene::Integrator;
 
 /// The stages of a step, in the order in which they run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -220,15 +217,15 @@ impl Failure {
     }
 }
 
-impl From<&Failure> for StepFailure {
-    fn from(failure: &Failure) -> StepFailure {
-        let words = failure.to_string();
-        match failure {
-            Failure::Diverged(_) => StepFailure::Diverged(words),
-            Failure::Overworked(_) => StepFailure::NotTaken(words),
-            Failure::Interrupted { .. } => StepFailure::Interrupted(words),
-        }
-    }
+/// A body whose estimated error exceeds the tolerance because steps cannot be made shorter.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shortfall {
+    /// Index of the body with the largest ratio of `error` to `allowed`.
+    pub body: usize,
+    /// Estimated error of the step [radii of the body].
+    pub error: f64,
+    /// The error that the tolerance allows in a step [radii of the body].
+    pub allowed: f64,
 }
 
 /// What happened in one step. Reused for every step.

@@ -37,7 +37,7 @@ pub(super) const NEW_PAIR: u64 = 600;
 
 /// The work of a step.
 #[derive(Default)]
-pub(super) struct Work {
+pub(crate) struct Work {
     /// Debt: work of the steps so far beyond their allowances.
     debt: u64,
     /// [Base](super::integrator::exponential::StepStatistics::base) of the last step; before the first, an estimate.
@@ -118,7 +118,7 @@ impl Work {
     }
 
     /// Whether the step can continue.
-    pub fn check(&self) -> Result<(), Stop> {
+    pub(super) fn check(&self) -> Result<(), Stop> {
         match () {
             () if self.is_interrupted() => Err(Stop::Interrupted),
             () if self.total.load(Ordering::Relaxed) > self.limit => Err(Stop::Overworked),

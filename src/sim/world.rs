@@ -24,7 +24,7 @@ use super::{
     integrator::exponential,
     memory::{self, TooLarge},
     pairs::{Moving, Pair, Pairs, Surrounded},
-    report::{Diverged, EditError, Failure, Overworked, Stage, StepReport, Strain, Toil},
+    report::{Diverged, EditError, Failure, Overworked, Shortfall, Stage, StepReport, Strain, Toil},
     span::Span,
     state::State,
     terms::{self, Moment, Surroundings},
@@ -32,9 +32,8 @@ use super::{
     work::{Stop, Tally, Work},
 };
 use crate::{
-    geometry::Mesh,
+    geometry::{Mesh, Rest},
     model::phase::Phase,
-    observe::Shortfall,
     scene::{self, Path, Scene},
 };
 
@@ -87,7 +86,7 @@ pub struct World {
     /// Energy brought to free bodies so far, by cause.
     pub(super) ledger: Ledger,
     /// Energy of free bodies at t = 0.
-    pub(super) first_energy: f64,
+    pub(crate) first_energy: f64,
     /// Computed when the energy is first requested.
     pub(super) energy_of_distant_pairs: OnceLock<f64>,
 }
@@ -572,6 +571,14 @@ impl World {
         self.bodies.len()
     }
 
+    /// Number of bodies that are undeformed, or that rest on or against each other.
+    pub fn resting_count(&self) -> usize {
+        match &self.coupled {
+            Some(coupled) => self.body_count() - coupled.awake_count(),
+            None => self.bodies().filter(BodyView::is_at_rest).count(),
+        }
+    }
+
     /// Body `index`, in the order of the scene; panics if out of range.
     pub fn body(&self, index: usize) -> BodyView<'_> {
         let body = &self.scene.bodies[index];
@@ -595,7 +602,7 @@ impl World {
     }
 
     /// The path of body `index`.
-    pub(super) fn path(&self, index: usize) -> &Path {
+    pub(crate) fn path(&self, index: usize) -> &Path {
         self.tracks.path(index)
     }
 
@@ -657,7 +664,7 @@ impl World {
     }
 
     /// Bodies and phase of every pair that may not be apart.
-    pub(super) fn phases(&self) -> impl Iterator<Item = (usize, usize, Phase)> + '_ {
+    pub(crate) fn phases(&self) -> impl Iterator<Item = (usize, usize, Phase)> + '_ {
         self.known_pairs().map(|pair| (pair.a as usize, pair.b as usize, pair.phase))
     }
 
@@ -692,7 +699,7 @@ impl World {
     }
 
     /// Like [`World::surroundings`], into an existing value (reused).
-    pub(super) fn surroundings_into(&self, index: usize, surroundings: &mut Surroundings) {
+    pub(crate) fn surroundings_into(&self, index: usize, surroundings: &mut Surroundings) {
         if let Some(coupled) = &self.coupled {
             coupled.surroundings_into(&self.scene, index, self.time(), surroundings);
             return;
@@ -772,6 +779,11 @@ impl<'a> BodyView<'a> {
     /// Its rest shape.
     pub fn mesh(&self) -> &'a Mesh {
         &self.fixed.mesh
+    }
+
+    /// Its rest shape at its scale, in the axes of the body.
+    pub fn rest_shape(&self) -> Rest<'a> {
+        self.fixed.rest()
     }
 
     /// Rest position l of vertex `i` from the centre, in the axes of the body [scene unit]; panics if out of range.

@@ -23,7 +23,8 @@ use super::{
     settings::{Detail, Entities, Frames, Settings},
 };
 use crate::{
-    observe::{Schema, Simulation, colors, schema::TermSchema},
+    colors,
+    observe::{Schema, Simulation, schema::TermSchema},
     sdk::{
         self, AsComponents, BlueprintActivationCommand, LogMsg, Mesh3D, Points3D, SeriesLines, StoreId, StoreKind,
         TimePoint,

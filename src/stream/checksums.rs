@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::{chunks::Chunks, instant::Instant};
-use crate::observe::checksum::followed_by;
+use crate::hash::followed_by;
 use crate::sdk::{
     ChunkComponents, ComponentDescriptor, RowId, TimeColumn, Tuid,
     arrow::{

@@ -1,13 +1,11 @@
-//! Colours of everything without a colour in the schema, in the viewer's types; see
-//! [`colors`](crate::observe::colors).
+//! Colours of everything without a colour in the schema, in the viewer's types; see [`colors`](crate::colors).
 
-pub use crate::observe::colors::Rgb;
-use crate::observe::{
-    Schema,
-    colors::{BLUE, GREEN, GREY, ORANGE, PURPLE, SILVER, SKY_BLUE, VERMILION},
-    surface::VertexOrigin,
-};
+pub use crate::colors::Rgb;
 use crate::sdk::{Color, Rgba32};
+use crate::{
+    colors::{BLUE, GREEN, GREY, ORANGE, PURPLE, SILVER, SKY_BLUE, VERMILION},
+    observe::{Schema, surface::VertexOrigin},
+};
 
 /// Background colour of 3D views.
 pub const BACKGROUND: Rgb = [0x10, 0x13, 0x18];

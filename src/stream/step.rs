@@ -3,8 +3,9 @@
 use std::time::{Duration, Instant as Clock};
 
 use super::settings::Settings;
-use crate::observe::{
-    Approaches, BodyEvent, Frame, Schema, Simulation, StageFrame, StepSummary, SurfaceEvent, Want, touch::Touches,
+use crate::{
+    analysis::{Approaches, touch::Touches},
+    observe::{BodyEvent, Frame, Schema, Simulation, StageFrame, StepSummary, SurfaceEvent, Want},
 };
 
 /// The data of a step to be recorded, apart from its frame. Reused.

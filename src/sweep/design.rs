@@ -7,7 +7,7 @@
 //! point belongs to the first level that contains it.
 
 use crate::{
-    observe::checksum::mix,
+    hash::mix,
     scene::template::{KeyPath, Setting},
 };
 

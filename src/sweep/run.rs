@@ -35,13 +35,10 @@ use super::{
 };
 use crate::{
     Scene, World,
+    analysis::{approach::lowest, touch::Touches},
     model::phase::Phase,
     models,
-    observe::{
-        Frame, Simulation as _, StepSummary, Want,
-        approach::lowest,
-        touch::{Finding, Touches},
-    },
+    observe::{Frame, Simulation as _, StepSummary, Want, surface::Finding},
     scene::{
         Motion, Path,
         template::{Setting, Template},

@@ -10,6 +10,7 @@ mod faults;
 mod files;
 mod free_bodies;
 mod integrators;
+mod layers;
 mod models;
 mod octahedra;
 mod physics;

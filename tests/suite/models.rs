@@ -4,16 +4,17 @@ use std::{path::Path, process::Command, sync::Arc};
 
 use glam::DVec3;
 use meldscope::{
-    Scene, bench,
+    Scene,
+    analysis::surface::Merger,
+    bench,
     geometry::Mesh,
     models::{self, SceneRun, side_by_side::SideBySide},
-    observe::{Experiment, Frame, Refusal, Schema, Simulation, StepSummary, Want, surface::Merger},
+    observe::{Experiment, Frame, Refusal, Schema, Simulation, StepSummary, Want},
     recording::{
         Recorded, diff,
         frames::FrameReader,
         golden::{self, GoldenOutcome},
-        replay,
-        replay::Verdict,
+        replay::{self, Verdict},
     },
     scene::{Model, builtin},
     sim::Options,

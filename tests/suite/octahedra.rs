@@ -5,10 +5,11 @@ use std::{sync::Arc, time::Duration};
 
 use glam::{DQuat, DVec3};
 use meldscope::{
+    colors,
     geometry::{Mesh, Vectors},
+    hash,
     observe::{
         BodyFrame, Experiment, Frame, Instant, PairEvent, PairFrame, Refusal, Schema, Simulation, StepSummary, Want,
-        checksum, colors,
         frame::TermFrame,
         schema::{BodySchema, ScalarOf, ScalarSchema, TermSchema},
     },
@@ -79,7 +80,7 @@ impl Simulation for Projected {
     }
     fn checksum(&self) -> u64 {
         let numbers = self.moved.iter().chain(&self.velocity).flat_map(Vectors::iter).flat_map(|v| v.to_array());
-        checksum::sequence(numbers.map(f64::to_bits).chain([self.phase as u64]))
+        hash::sequence(numbers.map(f64::to_bits).chain([self.phase as u64]))
     }
     fn observe(&self, want: Want, frame: &mut Frame) {
         frame.at = Instant { step: self.step, time: self.time() };

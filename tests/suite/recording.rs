@@ -23,10 +23,7 @@ use meldscope::{
         components::{AlbedoFactor, ViewCoordinates},
         datatypes::{Float64, Rgba32, UVec3D, Utf8, Vec3D},
     },
-    sim::{
-        BodyForces, BodyView, Cause, Event,
-        simulation::{arrow_scale, phase_color},
-    },
+    sim::{BodyForces, BodyView, Cause, Event},
     stream::{
         Recorder, Settings,
         blueprint::Tab,
@@ -35,6 +32,7 @@ use meldscope::{
         settings::{FORMAT, Frames, MOST_PAIRS_OF_MANY},
         sinks::{Destinations, Sinks},
     },
+    view::{scales::arrow_scale, terms::phase_color},
 };
 use re_dataframe::{QueryEngine, QueryExpression, SparseFillStrategy, StorageEngine, TimeInt};
 use rerun::external::re_chunk_store::{

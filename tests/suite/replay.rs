@@ -8,7 +8,8 @@ use std::{
 
 use meldscope::{
     Scene, World,
-    observe::{Frame, Simulation as _, Want, surface::Merger},
+    analysis::surface::Merger,
+    observe::{Frame, Simulation as _, Want},
     recording::{
         Recorded, diff,
         golden::{self, GoldenOutcome},

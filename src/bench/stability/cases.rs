@@ -2,7 +2,7 @@
 
 use std::{f64::consts::PI, fmt, fmt::Write as _};
 
-use crate::{Scene, SceneError, observe::checksum::mix};
+use crate::{Scene, SceneError, hash::mix};
 
 /// Seed of all cases.
 pub const SEED: u64 = 2006;

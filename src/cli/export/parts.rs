@@ -3,8 +3,9 @@
 use glam::DVec3;
 
 use crate::{
+    analysis::surface::Merged,
     geometry::Vectors,
-    observe::{Frame, Schema, surface::Merged},
+    observe::{Frame, Schema},
     stream::palette,
 };
 

@@ -12,17 +12,19 @@ use super::{
 };
 use crate::{
     geometry::Vectors,
+    hash,
     model::phase::Phase,
     models::lattice::Constants,
     observe::{
         BodyEvent, BodyFrame, Frame, Instant, MotionFrame, NearPair, NetForce, PairFrame, Schema, Simulation,
-        StepSummary, Want, checksum,
+        StepSummary, Want,
         schema::{ScalarOf, ScalarSchema},
     },
     scene::{Integrator, Model, Scene, TearMode},
-    sim::{
-        Cause, World, simulation,
-        simulation::{ANGULAR_MOMENTUM, MOMENTUM, least_range},
+    sim::{Cause, World},
+    view::{
+        self,
+        scalars::{ANGULAR_MOMENTUM, MOMENTUM, least_range},
     },
 };
 
@@ -146,7 +148,7 @@ fn scalars(scene: &Scene) -> Vec<Scalar> {
 
 /// The schema of a scene of bodies made of cells.
 pub fn schema(scene: &Scene) -> Schema {
-    let mut schema = simulation::schema(scene);
+    let mut schema = view::schema(scene);
     let integrator = match (scene.model, scene.integrator) {
         (Model::Fem, _) => "midpoint",
         (_, Integrator::Exponential) => "substeps",
@@ -348,7 +350,7 @@ impl Elastic {
             NetForce { force, torque }
         });
         let label = |i: usize| {
-            simulation::label([Cause::Attraction, Cause::Repulsion, Cause::Core].map(|cause| {
+            view::terms::label([Cause::Attraction, Cause::Repulsion, Cause::Core].map(|cause| {
                 let at = causes.iter().position(|known| *known == cause);
                 let forces = at.map(|at| &now.terms[at].accelerations);
                 forces.is_some_and(|forces| !forces.is_empty() && forces.get(i) != DVec3::ZERO)
@@ -469,11 +471,11 @@ impl Simulation for Elastic {
     }
 
     fn apart(&self, a: usize, b: usize, time: f64) -> Option<DVec3> {
-        simulation::apart_on_paths(&self.scene, a, b, time)
+        view::apart_on_paths(&self.scene, a, b, time)
     }
 
     fn framing(&self, only_what_happens: bool) -> Vec<(DVec3, f64)> {
-        simulation::framing(&self.scene, only_what_happens)
+        view::camera::framing(&self.scene, only_what_happens)
     }
 
     fn interrupt(&self) -> Option<&'static AtomicBool> {
@@ -519,15 +521,15 @@ impl Simulation for Elastic {
             let vectors = places.iter().chain(velocities).flat_map(|v| v.to_array());
             [body.index as u64, body.x.len() as u64, body.statistics.torn, body.statistics.split]
                 .into_iter()
-                .chain(vectors.map(checksum::bits))
+                .chain(vectors.map(hash::bits))
         });
         let phases =
             self.phases.iter().flat_map(|(pair, phase)| [u64::from(pair[0]), u64::from(pair[1]), *phase as u64]);
         let free = self.bodies.iter().filter_map(|body| body.free.as_ref()).flat_map(|free| {
             let vectors = [free.centre, free.velocity].into_iter().flat_map(|v| v.to_array());
-            vectors.chain(free.rotation.to_array()).map(checksum::bits)
+            vectors.chain(free.rotation.to_array()).map(hash::bits)
         });
-        checksum::sequence([self.step].into_iter().chain(words).chain(phases).chain(free))
+        hash::sequence([self.step].into_iter().chain(words).chain(phases).chain(free))
     }
 
     fn observe(&self, want: Want, frame: &mut Frame) {

@@ -38,14 +38,17 @@ use glam::DVec3;
 
 use super::Unsupported;
 use crate::{
+    colors,
     geometry::Rest,
+    hash,
     observe::{
-        BodyFrame, Frame, Instant, NearPair, Schema, Simulation, StepSummary, SurfaceEvent, Want, checksum, colors,
+        BodyFrame, Frame, Instant, NearPair, Schema, Simulation, StepSummary, SurfaceEvent, Want,
         schema::{OwnSurfaces, ScalarOf, ScalarSchema, TermSchema},
-        touch::Finding,
+        surface::Finding,
     },
     scene::{Body, Model, Path, Scene},
-    sim::{Options, World, roots::root, simulation},
+    sim::{Options, World, roots::root},
+    view,
 };
 use contact::are_one;
 use density::{Ball, Kernel};
@@ -373,10 +376,10 @@ impl Simulation for Metaballs {
     }
 
     fn checksum(&self) -> u64 {
-        let centres = self.centres.iter().flat_map(|centre| centre.to_array()).map(checksum::bits);
+        let centres = self.centres.iter().flat_map(|centre| centre.to_array()).map(hash::bits);
         let ones = self.ones.iter().filter(|(_, is_one)| **is_one);
         let ones = ones.map(|([a, b], _)| (*a as u64) << 32 | *b as u64);
-        checksum::sequence(std::iter::once(World::checksum(&self.world)).chain(centres).chain(ones))
+        hash::sequence(std::iter::once(World::checksum(&self.world)).chain(centres).chain(ones))
     }
 
     fn observe(&self, want: Want, frame: &mut Frame) {
@@ -428,7 +431,7 @@ const SCALARS: usize = 3;
 
 /// The schema of a scene's metaballs.
 pub fn schema(scene: &Scene) -> Schema {
-    let oscillators = simulation::schema(scene);
+    let oscillators = view::schema(scene);
     let net = TermSchema { can_act: false, is_shown: false, ..TermSchema::new("net", "Net", colors::WHITE) };
     let mut warnings = oscillators.warnings;
     warnings.extend(idle(scene));

@@ -19,10 +19,11 @@ use super::{
     density::{Ball, Kernel},
 };
 use crate::{
+    analysis::surface::{connected, for_all},
     geometry::union::is_raised,
     observe::{
         Frame, Schema,
-        surface::{Group, PairMeasures, Surfaced, Surfaces, VertexOrigin, connected, for_all},
+        surface::{Group, PairMeasures, Surfaced, Surfaces, VertexOrigin},
     },
     sim::roots::root,
 };

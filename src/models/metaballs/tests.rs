@@ -10,8 +10,9 @@ use super::{
     surface::{Mesh, extract, volume},
 };
 use crate::{
+    analysis::surface::Merger,
     geometry::union::Topology,
-    observe::{Frame, Simulation, SurfaceEvent, Want, surface::Merger, touch::Finding},
+    observe::{Frame, Simulation, SurfaceEvent, Want, surface::Finding},
     scene::{Model, Scene},
     sim::{Options, roots::root},
 };

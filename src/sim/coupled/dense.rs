@@ -57,7 +57,7 @@ struct Interval {
 }
 
 /// The interpolated state of a body.
-pub(in crate::sim) struct Interpolated<'a> {
+pub(crate) struct Interpolated<'a> {
     bodies: [&'a Body; 2],
     at: Hermite,
 }

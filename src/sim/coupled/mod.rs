@@ -27,7 +27,7 @@
 //! - A body comes to rest when its whole island is nearly still ([`member::Member::is_calm`]), and costs nothing until
 //!   a moving body comes near it or a push begins. Its island then wakes as a whole.
 
-mod dense;
+pub(super) mod dense;
 mod explicit;
 mod islands;
 pub(super) mod member;

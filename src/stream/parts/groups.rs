@@ -5,10 +5,8 @@ use std::collections::BTreeMap;
 
 use super::{FrameView, pairs::has_named_pairs};
 use crate::{
-    observe::{
-        Schema,
-        surface::{Group, Merged},
-    },
+    analysis::surface::Merged,
+    observe::{Schema, surface::Group},
     sdk::{AnyValues, components::Text},
     stream::{
         chunks::Chunks,

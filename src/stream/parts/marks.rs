@@ -1,7 +1,8 @@
 //! Events as markers in every plot: at q in the plots of q, on the axis in all others.
 
 use crate::{
-    observe::{PairEvent, Schema, colors::GREY},
+    colors::GREY,
+    observe::{PairEvent, Schema},
     sdk::{Scalars, SeriesPoints, components::MarkerShape},
     stream::{chunks::Chunks, instant::Instant, palette::color},
 };

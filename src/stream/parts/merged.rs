@@ -11,9 +11,10 @@ use rayon::prelude::*;
 
 use super::FrameView;
 use crate::{
+    analysis::surface::{Merged, Merger},
     observe::{
         self, Frame, Schema,
-        surface::{Group, Merged, Merger, VertexOrigin},
+        surface::{Group, VertexOrigin},
     },
     sdk::{self, AnnotationContext, AnyValues, ComponentDescriptor, LineStrips3D, Mesh3D, components::TriangleIndices},
     stream::{

@@ -4,7 +4,8 @@ use glam::DVec3;
 
 use super::{FrameView, forces};
 use crate::{
-    observe::{NetForce, Schema, colors, schema::BodySchema},
+    colors,
+    observe::{NetForce, Schema, schema::BodySchema},
     sdk::{self, Arrows3D},
     stream::{
         chunks::{Chunks, TrackId},

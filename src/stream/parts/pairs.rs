@@ -4,9 +4,10 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use super::{FrameView, marks::Marks};
 use crate::{
+    colors,
     observe::{
-        BodyEvent, EventRow, Frame, PairEvent, PairFrame, Schema, Shortfall, SurfaceEvent, colors,
-        surface::PairMeasures, touch::Finding,
+        BodyEvent, EventRow, Frame, PairEvent, PairFrame, Schema, Shortfall, SurfaceEvent,
+        surface::{Finding, PairMeasures},
     },
     sdk::{
         AnyValues, AsComponents, SerializedComponentBatch, SeriesLines, StateChange, StateConfiguration, TextLog,

@@ -1,4 +1,4 @@
-//! Hashes for [`Simulation::checksum`](super::Simulation::checksum): equal for equal sequences of words, different for
+//! Hashes for [`Simulation::checksum`](crate::observe::Simulation::checksum): equal for equal sequences of words, different for
 //! different ones (barring collisions).
 
 /// The hash of a sequence; 0 for the empty one.

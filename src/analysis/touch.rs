@@ -13,17 +13,15 @@ use std::{
 
 use glam::DVec3;
 
-use super::{
-    Frame, Schema,
-    approach::NearPair,
-    event::PairEvent,
-    frame::{PairFrame, Want},
-    simulation::{Simulation, between},
-    surface::{Merger, PairMeasures},
-};
-use crate::geometry::{
-    Vectors,
-    union::{Contact, Crossing, contact, is_raised},
+use super::surface::Merger;
+use crate::{
+    geometry::{
+        Vectors,
+        union::{Contact, Crossing, contact, is_raised},
+    },
+    observe::{
+        Frame, NearPair, PairEvent, PairFrame, Schema, Simulation, SurfaceEvent, Want, between, surface::Finding,
+    },
 };
 
 /// Precision of the times found [s].
@@ -42,94 +40,6 @@ const MAX_LOOKS: f64 = 8.0;
 const TREMBLE: f64 = 1e-6;
 /// Upper limit on the phase changes of a step for which the surfaces are compared.
 const MAX_CHANGES: usize = 16;
-
-/// A geometric finding about a pair at an instant.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SurfaceEvent {
-    /// What was found.
-    pub what: Finding,
-    /// Time of the event [s].
-    pub time: f64,
-    /// The first step whose state is affected by the event.
-    pub step: u64,
-    /// Index of the first body of the pair.
-    pub a: usize,
-    /// Index of the second body of the pair; a < b.
-    pub b: usize,
-    /// Centre distance over the sum of the radii at that time [–].
-    pub q: f64,
-}
-
-/// A geometric finding about a pair.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Finding {
-    /// The surfaces begin to touch.
-    Touch,
-    /// The surfaces part.
-    Part,
-    /// The phase changes; the fields describe the surfaces at that time.
-    Phase {
-        /// Kind of event: `merge`, `split`, …
-        name: &'static str,
-        /// Whether the surfaces touch at that time.
-        is_touching: bool,
-        /// Time at which they began to touch [s], if they touch and the time is known.
-        touched: Option<f64>,
-        /// The measures at that time, if they could be computed.
-        measures: Option<PairMeasures>,
-    },
-}
-
-impl SurfaceEvent {
-    /// Kind of event in one word.
-    pub fn name(&self) -> &'static str {
-        match self.what {
-            Finding::Touch => "touch",
-            Finding::Part => "part",
-            Finding::Phase { name, .. } => name,
-        }
-    }
-
-    /// Describes the event in words.
-    pub fn describe(&self, schema: &Schema) -> String {
-        let pair = schema.pair_name(self.a, self.b);
-        match self.what {
-            Finding::Touch | Finding::Part => {
-                let name = self.name();
-                format!("{name} {pair} at t = {:.7} s, q = {:.6}, step {}", self.time, self.q, self.step)
-            }
-            Finding::Phase { name, .. } => match self.findings() {
-                Some(findings) => format!("{name} {pair}: {findings}"),
-                None => format!("{name} {pair}: the surfaces could not be compared"),
-            },
-        }
-    }
-
-    /// Whether the surfaces begin to touch, or part: an event of its own, not a remark on a phase change.
-    pub fn is_contact(&self) -> bool {
-        matches!(self.what, Finding::Touch | Finding::Part)
-    }
-
-    /// Whether this is the remark on a phase change.
-    pub fn is_on(&self, event: &PairEvent) -> bool {
-        let is_same = (self.a, self.b, self.time) == (event.a, event.b, event.time);
-        is_same && matches!(self.what, Finding::Phase { name, .. } if name == event.name)
-    }
-
-    /// Describes the surfaces at a phase change in words; `None` if there are no measures.
-    pub fn findings(&self) -> Option<String> {
-        let Finding::Phase { is_touching, touched, measures, .. } = self.what else { return None };
-        let PairMeasures { gap, share, neck, .. } = measures?;
-        if !is_touching {
-            return Some(format!("surfaces {:.3} R apart", gap.max(0.0)));
-        }
-        let touched = match touched {
-            Some(time) => format!("surfaces touched {:.3} s before", self.time - time),
-            None => "surfaces touch".to_owned(),
-        };
-        Some(format!("{touched}; overlap {:.1} %, neck {neck:.2} R", 100.0 * share))
-    }
-}
 
 /// Watches the surfaces of pairs over successive steps.
 pub struct Touches {

@@ -2,9 +2,7 @@
 
 use std::{collections::BTreeMap, mem::take};
 
-use glam::DVec3;
-
-use super::{PairEvent, Schema, Simulation};
+use crate::observe::{NearPair, PairEvent, Schema, Simulation};
 
 /// Upper limit on the number of tracked pairs.
 const MAX_PAIRS: usize = 1 << 16;
@@ -20,21 +18,6 @@ pub struct Approach {
     pub q: f64,
     /// Time of the closest approach [s].
     pub time: f64,
-}
-
-/// A pair that can interact, and how its centres move.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct NearPair {
-    /// Index of the first body.
-    pub a: usize,
-    /// Index of the second body; a < b.
-    pub b: usize,
-    /// Index into the schema's phases.
-    pub phase: usize,
-    /// Centre of the second body as seen from that of the first [scene unit].
-    pub apart: DVec3,
-    /// Its rate of change [scene unit/s].
-    pub rate: DVec3,
 }
 
 /// Number of places in a step at which the distance of a pair is looked at.

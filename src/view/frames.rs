@@ -4,16 +4,16 @@ use std::mem::take;
 
 use glam::DVec3;
 
-use super::{
-    free::{Forces, Snapshot},
-    observe::Observed,
-    simulation,
-    terms::{Cause, Surroundings},
-    world::{PairView, World},
-};
+use super::label;
 use crate::{
     geometry::Vectors,
     observe::{BodyFrame, NetForce, PairFrame},
+    sim::{
+        Cause, PairView, World,
+        free::{Forces, Snapshot},
+        observe::Observed,
+        terms::Surroundings,
+    },
 };
 
 /// The frame of a pair.
@@ -32,8 +32,8 @@ pub(super) fn add_coupled_forces(
     snapshot.forces(index, world.carry(index), forces);
     now.has_forces = true;
     now.terms.resize_with(Cause::of(true).count(), Default::default);
-    let rest = world.bodies[index].rest();
-    label(rest.len(), &forces.by_cause, now);
+    let rest = world.body(index).rest_shape();
+    add_labels(rest.len(), &forces.by_cause, now);
     for (cause, term) in Cause::of(true).zip(&mut now.terms) {
         term.source = forces.sources[cause as usize];
         std::mem::swap(&mut term.accelerations, &mut forces.by_cause[cause as usize]);
@@ -43,11 +43,11 @@ pub(super) fn add_coupled_forces(
 }
 
 /// Labels the vertices of a body by the kinds of sphere that act on them.
-fn label(count: usize, by_cause: &[Vectors; Cause::ALL.len()], now: &mut BodyFrame) {
+fn add_labels(count: usize, by_cause: &[Vectors; Cause::ALL.len()], now: &mut BodyFrame) {
     let contributing = [Cause::Attraction, Cause::Repulsion, Cause::Core].map(|cause| &by_cause[cause as usize]);
     now.labels.clear();
     let feels = |i: usize| contributing.map(|forces| !forces.is_empty() && forces.get(i) != DVec3::ZERO);
-    now.labels.extend((0..count).map(|i| simulation::label(feels(i))));
+    now.labels.extend((0..count).map(|i| label(feels(i))));
 }
 
 /// Adds the forces on a body in the state of `now`, in a scene that is not coupled, and the labels of its vertices.
@@ -60,7 +60,7 @@ pub(super) fn add_forces(world: &World, index: usize, surroundings: &Surrounding
     }
     let seen: Observed<'_> = world.seen(index, [&now.displacements, &now.velocities], surroundings);
     seen.forces(world.scene().influence.weight, &mut by_cause);
-    label(seen.rest.len(), &by_cause, now);
+    add_labels(seen.rest.len(), &by_cause, now);
     for (cause, term) in Cause::of(false).zip(&mut now.terms) {
         let mut sources = surroundings.sources.iter().filter(|source| source.cause() == cause);
         term.source = match (sources.next(), sources.next()) {

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::{event::Instant, schema::BodySchema};
+use crate::observe::{Instant, schema::BodySchema};
 
 /// The vertex at which two states differ most.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,0 +1,204 @@
+//! The solution within a step, recomputed for debugging and for what is searched for between the ends of steps.
+
+use glam::DVec3;
+
+use super::{
+    arrays::{LANES, Vectors},
+    body::Body,
+    coupled::dense::Interpolated,
+    deformation::Deformation,
+    integrator::exponential::{self, StepControl, course::Course},
+    neighbours::Neighbour,
+    span::Span,
+    state::State,
+    terms::{Acting, Moment, On, Phases, Surroundings, carry, push::PushField},
+    work::{Tally, Work},
+    world::{States, World},
+};
+use crate::model::{oscillator::Oscillator, phase::Phase};
+
+/// The state of a world before its last step.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Before {
+    /// Simulated time [s].
+    pub time: f64,
+    /// The bodies of the pairs that were near each other, in ascending order, and their phases.
+    pub phases: Vec<([usize; 2], Phase)>,
+}
+
+/// The last step of a world of bodies on paths, recomputed from the state before it. The world is only read, and steps
+/// that are not inspected cost nothing.
+pub(crate) struct Recomputed<'a> {
+    /// The world after the step.
+    world: &'a World,
+    before: Before,
+    work: Tally<'a>,
+}
+
+impl<'a> Recomputed<'a> {
+    /// The last step of `world`, recomputed within the limit of `work`.
+    pub fn new(world: &'a World, before: Before, work: &'a Work) -> Recomputed<'a> {
+        Recomputed { world, before, work: Tally::new(work, None) }
+    }
+
+    /// Whether the limit of work is reached: the states are then meaningless.
+    pub fn is_over(&self) -> bool {
+        self.work.is_over()
+    }
+
+    fn body(&self, index: usize) -> &Body {
+        &self.world.bodies[index]
+    }
+
+    fn oscillator(&self, index: usize) -> Oscillator {
+        let material = self.world.scene().bodies[index].material;
+        Oscillator { omega: material.omega, damping: material.damping }
+    }
+
+    /// The phase of a pair from `t` on.
+    pub fn phase(&self, a: usize, b: usize, t: f64) -> Phase {
+        let (a, b) = (a.min(b), a.max(b));
+        let is_it = |x: usize, y: usize| (x, y) == (a, b);
+        let mut events = self.world.report().events.iter();
+        let last = events.rfind(|event| event.time <= t && is_it(event.a as usize, event.b as usize));
+        let before = || self.before.phases.iter().find(|&&([a, b], _)| is_it(a, b)).map(|known| known.1);
+        last.map(|event| event.to).or_else(before).unwrap_or(Phase::Apart)
+    }
+
+    /// The instants at which something jumps, and both ends of the step [s].
+    pub fn breaks(&self) -> Vec<f64> {
+        let scene = self.world.scene();
+        let span = Span { start: self.before.time, end: self.world.time() };
+        let tracks = self.world.reading().tracks;
+        let knots = (0..scene.bodies.len()).flat_map(|body| tracks.path(body).knots().iter().copied());
+        let mut breaks: Vec<f64> = knots.filter(|&t| span.holds(t)).chain([span.start, span.end]).collect();
+        for index in 0..self.world.body_count() {
+            self.on(index).jumps(&self.body(index).neighbours, span, &mut breaks);
+        }
+        breaks.sort_by(f64::total_cmp);
+        breaks.dedup();
+        breaks
+    }
+
+    /// The input of force terms for a body.
+    fn on(&self, index: usize) -> On<'_, &Self> {
+        self.world.reading().on(index as u32).with_phases(self)
+    }
+
+    /// What acts on a body at `t`, with the phases that hold from `phases_at` on.
+    pub fn surroundings(&self, index: usize, t: f64, phases_at: f64, states: &States) -> Surroundings {
+        let radius = self.world.scene().bodies[index].radius;
+        let farthest = states.displacement.iter().map(DVec3::length).fold(0.0, f64::max) + radius;
+        let mut surroundings = Surroundings::default();
+        self.on(index).surroundings_into(Moment { time: t, phases_at }, farthest, &mut surroundings);
+        surroundings
+    }
+
+    /// The states after the step under the oscillators alone.
+    pub fn flow(&self, index: usize, states: &States) -> States {
+        let [xx, xu, ux, uu] = self.oscillator(index).flow(self.world.time() - self.before.time);
+        let both = || states.displacement.iter().zip(states.velocity.iter());
+        States {
+            displacement: both().map(|(x, u)| xx * x + xu * u).collect(),
+            velocity: both().map(|(x, u)| ux * x + uu * u).collect(),
+        }
+    }
+
+    /// Velocities after the forces have acted, and the resulting positions.
+    pub fn predict(&self, index: usize, states: &States) -> States {
+        let h = self.world.time() - self.before.time;
+        let scene = self.world.scene();
+        let surroundings = self.surroundings(index, self.before.time, self.before.time, states);
+        let rest = self.body(index).rest();
+        let acting =
+            states.displacement.iter().enumerate().map(|(i, x)| {
+                surroundings.acceleration(scene.influence.weight, rest.position(i), rest.direction(i), x)
+            });
+        let velocity = states.velocity.iter().zip(acting).map(|(u, force)| u + h * force).collect();
+        let moved = |(x, u): (DVec3, DVec3)| x + h * u;
+        let velocity: Vectors = velocity;
+        let displacement = states.displacement.iter().zip(velocity.iter()).map(moved).collect();
+        States { displacement, velocity }
+    }
+
+    /// Advances a body over an interval without a jump, each vertex separately.
+    pub fn advance(&self, index: usize, from: f64, to: f64, states: &mut States) {
+        let scene = self.world.scene();
+        let (this, body) = (&scene.bodies[index], self.body(index));
+        let surroundings = self.surroundings(index, from, from, states);
+        // a sphere may come within reach during the interval
+        let mut acting = Acting::default();
+        self.on(index).over(&body.neighbours, Span { start: from, end: to }, &mut acting);
+        let Acting { spheres } = &acting;
+        let is_still = states.displacement.iter().chain(states.velocity.iter()).all(|v| v == DVec3::ZERO);
+        if is_still && spheres.is_empty() && surroundings.is_idle() && self.world.path(index).is_fixed() {
+            return;
+        }
+        let every: Vec<u32> = (0..body.rest().len() as u32).collect();
+        let mut pushes = PushField::default();
+        pushes.begin(&body.pushes, Span { start: from, end: to }, &every, LANES);
+        pushes.advance(from + 0.5 * (to - from), body.rest(), &every);
+        let tracks = self.world.reading().tracks;
+        let course = Course {
+            scene,
+            index,
+            material: body.material,
+            radius: body.radius,
+            vertices: body.mesh.vertex_count(),
+            start: from,
+            length: to - from,
+            tracks,
+            is_whole: false,
+            spheres,
+            local: pushes.local(),
+        };
+        let mut deformation = Deformation::default();
+        deformation.wake_all(body.rest());
+        let active_set = &mut deformation.active_set;
+        for i in 0..body.rest().len() {
+            active_set.set_state(i, State { x: states.displacement.get(i), u: states.velocity.get(i) });
+        }
+        active_set.pad_again();
+        let mut carried = State { x: DVec3::ZERO, u: carry::kick(&body.material, self.world.path(index), from) };
+        let tolerance = scene.tolerance * this.radius;
+        let control = StepControl { arch: self.world.options().arch, tolerance, work: &self.work };
+        let scratch = &mut exponential::Scratch::default();
+        exponential::advance(&course, control, &mut carried, active_set, &mut 0, scratch);
+        for i in 0..body.rest().len() {
+            let own = active_set.state(i);
+            states.displacement.set(i, carried.x + own.x);
+            states.velocity.set(i, carried.u + own.u);
+        }
+    }
+}
+
+impl Phases for &Recomputed<'_> {
+    fn from(&self, index: u32, neighbour: &Neighbour, t: f64) -> Phase {
+        self.phase(index as usize, neighbour.other as usize, t)
+    }
+
+    fn changes(&self, index: u32, neighbour: &Neighbour, times: &mut Vec<f64>) {
+        let (a, b) = (index.min(neighbour.other), index.max(neighbour.other));
+        let events = self.world.report().events.iter().filter(|event| (event.a, event.b) == (a, b));
+        times.extend(events.map(|event| event.time));
+    }
+}
+
+impl World {
+    /// Calls `write` with the states of some bodies of a coupled scene at `time` [s] within the last step, which began at
+    /// `start` [s], on the solver's own solution. Omits bodies that took no step of the solver, and those that would be
+    /// too much work.
+    pub(crate) fn coupled_within(
+        &self,
+        start: f64,
+        time: f64,
+        bodies: &[usize],
+        work: &Work,
+        write: impl FnMut(usize, &Interpolated<'_>),
+    ) {
+        if let Some(coupled) = &self.coupled {
+            let ends = [start, self.time()];
+            coupled.within(self.scene(), ends, time, bodies, &Tally::new(work, None), write);
+        }
+    }
+}

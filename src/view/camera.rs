@@ -1,0 +1,100 @@
+//! What a camera should have in view.
+
+use glam::DVec3;
+
+use crate::scene::{Body, Motion, Plane, Scene};
+
+/// What a camera should have in view, see [`Simulation::framing`](crate::observe::Simulation::framing).
+pub fn framing(scene: &Scene, only_affected_bodies: bool) -> Vec<(DVec3, f64)> {
+    if only_affected_bodies { affected_bodies(scene) } else { all_spheres(scene) }
+}
+
+/// Instants within the first minute at which the camera framing samples positions [s].
+fn instants(scene: &Scene) -> impl Iterator<Item = f64> {
+    let duration = scene.duration.min(60.0);
+    (0..=32).map(move |k| duration * f64::from(k) / 32.0)
+}
+
+/// Approximate positions of the bodies at each instant: free bodies fly until they touch a plane or come near another
+/// body, and stay there.
+fn positions(scene: &Scene) -> Vec<Vec<DVec3>> {
+    /// With more free bodies than this, encounters are not searched for.
+    const MAX_FREE: usize = 300;
+
+    let bodies = &scene.bodies;
+    let free = bodies.iter().filter(|body| body.path().is_none()).count();
+    let mut stays: Vec<Option<DVec3>> = vec![None; bodies.len()];
+    let mut at = |time: f64| {
+        let position = |(body, stays): (&Body, &Option<DVec3>)| match (&body.motion, stays) {
+            (_, Some(stays)) => *stays,
+            (Motion::Prescribed(path), _) => path.position(time),
+            (Motion::Free(free), _) => free.from + time * (free.velocity + 0.5 * time * scene.gravity),
+        };
+        let positions: Vec<DVec3> = bodies.iter().zip(&stays).map(position).collect();
+        for (i, body) in bodies.iter().enumerate().filter(|(_, body)| body.path().is_none()) {
+            let near =
+                |j: usize| i != j && positions[i].distance(positions[j]) < 0.9 * (body.radius + bodies[j].radius);
+            let lies = |plane: &&Plane| plane.depth(positions[i]) > -body.radius;
+            if stays[i].is_none() {
+                let on_plane = scene.planes.iter().find(lies);
+                let lifted =
+                    on_plane.map(|plane| positions[i] + (plane.depth(positions[i]) + body.radius) * plane.normal);
+                let is_near = || free <= MAX_FREE && (0..bodies.len()).any(near);
+                stays[i] = lifted.or_else(|| is_near().then_some(positions[i]));
+            }
+        }
+        positions
+    };
+    instants(scene).map(&mut at).collect()
+}
+
+/// Every influence sphere along its path.
+fn all_spheres(scene: &Scene) -> Vec<(DVec3, f64)> {
+    let radius = |body: &Body| scene.influence.sphere_radius(body.radius).min(2.0 * body.radius);
+    let spheres =
+        |centres: Vec<DVec3>| centres.into_iter().zip(&scene.bodies).map(|(centre, body)| (centre, radius(body)));
+    positions(scene).into_iter().flat_map(|centres| spheres(centres).collect::<Vec<_>>()).collect()
+}
+
+/// The bodies that something acts on, where they are then; all spheres if there are none.
+fn affected_bodies(scene: &Scene) -> Vec<(DVec3, f64)> {
+    /// With more bodies than this, pairs are not examined.
+    const MAX_BODIES: usize = 1000;
+    /// Size of a body including its displacements [radii].
+    const SIZE: f64 = 1.15;
+    /// A body larger than this is shown only in part [radii of the other].
+    const MAX_SHOWN: f64 = 3.0;
+
+    let bodies = &scene.bodies;
+    let mut acted_on = Vec::new();
+    for push in &scene.pushes {
+        let body = &bodies[push.body];
+        let centre = match &body.motion {
+            Motion::Prescribed(path) => path.position(push.start),
+            Motion::Free(free) => free.from,
+        };
+        acted_on.push((centre, SIZE * body.radius));
+    }
+    let pairs_of = if bodies.len() > MAX_BODIES { 0 } else { bodies.len() };
+    let movers: Vec<usize> = (0..pairs_of).filter(|&i| bodies[i].path().is_none_or(|path| !path.is_fixed())).collect();
+    let all: Vec<usize> = (0..pairs_of).collect();
+    for (k, centres) in positions(scene).into_iter().enumerate() {
+        // pairs of fixed bodies are examined only at the first instant
+        for &b in if k == 0 { &all } else { &movers } {
+            for a in (0..pairs_of).filter(|&a| a != b) {
+                let reach =
+                    |from: usize, to: usize| scene.influence.sphere_radius(bodies[from].radius) + bodies[to].radius;
+                if centres[a].distance(centres[b]) < f64::max(reach(a, b), reach(b, a)) {
+                    // of a body that is much larger than the other, only the side towards the other
+                    let shown = |i: usize, other: usize| {
+                        let radius = f64::min(bodies[i].radius, MAX_SHOWN * bodies[other].radius);
+                        let towards = (centres[other] - centres[i]).normalize_or_zero();
+                        (centres[i] + (bodies[i].radius - radius) * towards, SIZE * radius)
+                    };
+                    acted_on.extend([shown(a, b), shown(b, a)]);
+                }
+            }
+        }
+    }
+    if acted_on.is_empty() { all_spheres(scene) } else { acted_on }
+}

@@ -1,0 +1,346 @@
+//! How this crate's own simulations present themselves: titles, colours, plots, arrow scales, cameras. [`World`] as a
+//! [`Simulation`], the only interface that recorder, replay, check and diff use.
+//!
+//! | contents | module |
+//! | --- | --- |
+//! | scalars over time | [`scalars`] |
+//! | names and colours of force terms and phases | [`terms`] |
+//! | lengths of arrows | [`scales`] |
+//! | what a camera should have in view | [`camera`] |
+//! | the stages inside a step, on request | [`stages`] |
+//! | parts of the world as frames | `frames` |
+
+pub mod camera;
+mod frames;
+pub mod scalars;
+pub mod scales;
+pub mod stages;
+pub mod terms;
+
+use std::{mem::take, sync::atomic::AtomicBool};
+
+use glam::DVec3;
+
+use crate::{
+    model::phase::Phase,
+    observe::{
+        BodyFrame, Frame, Instant, MotionFrame, NearPair, PairEvent, Schema, Shortfall, Simulation, StageFrame,
+        StepFailure, StepSummary, Want, between,
+        schema::{BodySchema, OwnLevels, OwnSurfaces, PhaseSchema, PlaneSchema, ScalarOf, ScalarSchema, Threshold},
+    },
+    scene::{Integrator, Model, Plane, Scene},
+    sim::{
+        self, Cause, Energy, Event, Failure, Stage, States, World,
+        free::{Forces, Snapshot},
+        observe::EnergySum,
+        terms::Surroundings,
+    },
+};
+use camera::framing;
+use frames::{add_coupled_forces, add_forces, pair_frame};
+use scalars::{Scalar, ScalarValue, StateNumbers, least_range, scalars};
+use scales::{arrow_scale, net_force_scale};
+use terms::{LABELS, PHASES, label, law, level, phase_color, term};
+
+impl Simulation for World {
+    fn schema(&self) -> Schema {
+        schema(self.scene())
+    }
+
+    fn overrides(&self, steps: Option<u64>) -> String {
+        self.scene().overrides(steps)
+    }
+
+    fn steps_taken(&self) -> u64 {
+        World::steps_taken(self)
+    }
+
+    fn time(&self) -> f64 {
+        World::time(self)
+    }
+
+    fn step(&mut self) {
+        World::step(self);
+    }
+
+    fn summary(&self, summary: &mut StepSummary) {
+        let (report, is_coupled) = (self.report(), self.scene().is_coupled());
+        summary.at = Instant { step: report.step, time: report.time };
+        summary.events.clear();
+        summary.events.extend(
+            report
+                .events
+                .iter()
+                .map(|event| PairEvent { energy: is_coupled.then_some(event.energy), ..PairEvent::from(event) }),
+        );
+        summary.timings.clear();
+        summary.timings.extend(report.timings);
+        summary.scalars.clear();
+        summary.scalars.extend(scalars(self.scene()).map(|scalar| match scalar.value {
+            ScalarValue::State(_) => 0.0,
+            ScalarValue::SumOfSteps(value) | ScalarValue::MaxOfSteps(value) => value(report),
+        }));
+        let shortfall =
+            |found: sim::Shortfall| Shortfall { body: found.body, error: found.error, allowed: found.allowed };
+        summary.shortfall = report.shortfall.map(shortfall);
+        summary.warning = report.strain.as_ref().map(ToString::to_string);
+        summary.failure = report.failure.as_ref().map(StepFailure::from);
+    }
+
+    fn interrupt(&self) -> Option<&'static AtomicBool> {
+        self.options().interrupt
+    }
+
+    fn memory(&self) -> Option<u64> {
+        Some(World::memory(self) as u64)
+    }
+
+    fn account(&self) -> Option<String> {
+        let (now, ledger) = (self.conserved()?.energy(), self.ledger());
+        let head = format!("energy of free bodies: {:.4} at the start, {now:.4} at the end", self.first_energy);
+        if self.scene().integrator != Integrator::Exponential {
+            return Some(head);
+        }
+        let brought = [
+            ("events", ledger.events),
+            ("gradual cores", ledger.core),
+            ("damping", ledger.damping),
+            ("friction", ledger.friction),
+            ("pushes", ledger.pushes),
+            ("bodies on paths", ledger.prescribed),
+            ("coming to rest", ledger.rest),
+        ];
+        let brought = brought.into_iter().filter(|&(_, energy)| energy != 0.0);
+        let brought: Vec<String> = brought.map(|(name, energy)| format!("{name} {energy:+.4}")).collect();
+        let left = now - self.first_energy - ledger.total();
+        let brought = if brought.is_empty() { "nothing changed it".to_owned() } else { brought.join(", ") };
+        Some(format!("{head}; {brought}; not accounted for: {left:.1e}"))
+    }
+
+    fn checksum(&self) -> u64 {
+        World::checksum(self)
+    }
+
+    fn observe(&self, want: Want, frame: &mut Frame) {
+        let scene = self.scene();
+        frame.at = Instant { step: World::steps_taken(self), time: World::time(self) };
+        frame.pairs.clear();
+        frame.pairs.extend(self.pairs().map(pair_frame));
+        frame.bodies.resize_with(self.body_count(), BodyFrame::default);
+        let snapshot = self.snapshot().filter(|_| want.forces || want.scalars);
+        let mut energy = (want.scalars && snapshot.is_none())
+            .then(|| EnergySum::new(scene, self.energy_of_distant_pairs(), self.phases()));
+        let (mut surroundings, mut forces) = (Surroundings::default(), Forces::default());
+        for ((index, body), now) in self.bodies().enumerate().zip(&mut frame.bodies) {
+            (now.centre, now.rotation) = (body.centre(), body.rotation());
+            now.motion = body
+                .scene()
+                .path()
+                .is_none()
+                .then(|| MotionFrame { velocity: body.centre_velocity(), spin: body.angular_velocity() });
+            if body.is_at_rest() {
+                now.rest();
+            } else {
+                let mut states =
+                    States { displacement: take(&mut now.displacements), velocity: take(&mut now.velocities) };
+                body.states_into(&mut states);
+                (now.displacements, now.velocities) = (states.displacement, states.velocity);
+                now.displaced(body.rest_shape());
+            }
+            now.clear_forces();
+            if !(want.forces || want.scalars) {
+                continue;
+            }
+            if let Some(snapshot) = &snapshot {
+                if want.forces && !(now.is_at_rest && snapshot.is_idle(index)) {
+                    add_coupled_forces(self, snapshot, index, &mut forces, now);
+                }
+                continue;
+            }
+            self.surroundings_into(index, &mut surroundings);
+            if let Some(energy) = energy.as_mut().filter(|_| !(now.is_at_rest && surroundings.sources.is_empty())) {
+                energy.add(&self.seen(index, [&now.displacements, &now.velocities], &surroundings));
+            }
+            if want.forces && !(now.is_at_rest && surroundings.is_idle()) {
+                add_forces(self, index, &surroundings, now);
+            }
+        }
+        frame.scalars.clear();
+        if want.scalars {
+            let conserved = snapshot.as_ref().map(Snapshot::conserved).unwrap_or_default();
+            let of_coupled = snapshot.as_ref().map(|snapshot| Energy::of(&conserved, snapshot.reached()));
+            let state = StateNumbers {
+                scene,
+                energy: energy.map(|energy| energy.sum).or(of_coupled).unwrap_or_default(),
+                bodies: &frame.bodies,
+                resting: self.resting_count(),
+                conserved,
+                ledger: self.ledger(),
+                first_energy: self.first_energy,
+            };
+            frame.scalars.extend(scalars(scene).map(|scalar| match scalar.value {
+                ScalarValue::State(value) => value(&state),
+                ScalarValue::SumOfSteps(_) | ScalarValue::MaxOfSteps(_) => 0.0,
+            }));
+        }
+    }
+
+    fn near(&self, pairs: &mut Vec<NearPair>) {
+        pairs.clear();
+        pairs.extend(self.pairs().map(|pair| {
+            let (a, b) = (self.body(pair.a), self.body(pair.b));
+            NearPair {
+                a: pair.a,
+                b: pair.b,
+                phase: pair.phase as usize,
+                apart: b.centre() - a.centre(),
+                rate: b.centre_velocity() - a.centre_velocity(),
+            }
+        }));
+    }
+
+    fn apart(&self, a: usize, b: usize, time: f64) -> Option<DVec3> {
+        apart_on_paths(self.scene(), a, b, time)
+    }
+
+    fn stages(&self, before: &Frame) -> Vec<StageFrame> {
+        stages::inside(before, self)
+    }
+
+    fn within(&self, before: &Frame, time: f64, bodies: &[usize], frame: &mut Frame) {
+        let is_exact = self.scene().integrator == Integrator::Exponential;
+        if is_exact && !self.scene().is_coupled() && stages::within(before, self, time, bodies, frame) {
+            return;
+        }
+        let written = if is_exact { stages::within_coupled(before, self, time, bodies, frame) } else { Vec::new() };
+        let others: Vec<usize> = bodies.iter().copied().filter(|body| !written.contains(body)).collect();
+        if !others.is_empty() {
+            let mut after = Frame::default();
+            self.observe(Want::default(), &mut after);
+            between(&Simulation::schema(self), [before, &after], time, &others, frame);
+        }
+        for &index in bodies.iter().filter(|&&index| self.scene().bodies[index].path().is_some()) {
+            frame.bodies[index].centre = self.path(index).position(time);
+        }
+    }
+
+    fn framing(&self, only_affected_bodies: bool) -> Vec<(DVec3, f64)> {
+        framing(self.scene(), only_affected_bodies)
+    }
+}
+
+/// Centre of body `b` as seen from that of body `a` [scene unit], if both are on paths.
+pub fn apart_on_paths(scene: &Scene, a: usize, b: usize, time: f64) -> Option<DVec3> {
+    Some(scene.bodies[b].path()?.position(time) - scene.bodies[a].path()?.position(time))
+}
+
+/// The schema of a scene's world. Other models of the same scene start from it and override what differs.
+pub fn schema(scene: &Scene) -> Schema {
+    let bodies = scene.bodies.iter().map(|body| BodySchema {
+        name: body.name.clone(),
+        radius: body.radius,
+        reach: scene.influence.sphere_radius(body.radius),
+        shape: body.shape.label(),
+        mesh: body.shape.mesh(),
+        is_free: body.path().is_none(),
+        mass: body.mass,
+        color: body.color,
+        can_tear: false,
+    });
+    let bodies = bodies.collect();
+    let thresholds = [
+        ("merge_at", "merge at", Phase::Merged),
+        ("split_at", "split at", Phase::Apart),
+        ("core_at", "core at", Phase::Core),
+    ];
+    let thresholds = thresholds.into_iter().filter_map(|(name, label, phase)| {
+        let lowest = scene.laws().filter_map(|law| level(&law, phase)).reduce(f64::min)?;
+        let level = level(&scene.common_law().of_pair(true), phase).unwrap_or(lowest);
+        Some(Threshold { name, label, level, color: phase_color(phase) })
+    });
+    let own_levels = if scene.has_one_law() {
+        OwnLevels::default()
+    } else {
+        let (pairs, common) = (scene.pairs.clone(), scene.common_law());
+        let is_free: Vec<bool> = scene.bodies.iter().map(|body| body.path().is_none()).collect();
+        OwnLevels::new(move |threshold, a, b| {
+            let law = pairs.of(a, b).unwrap_or(common).of_pair(is_free[a] || is_free[b]);
+            level(&law, *[Phase::Merged, Phase::Apart, Phase::Core].get(threshold)?)
+        })
+    };
+    Schema {
+        name: scene.name.clone(),
+        source: scene.source.clone(),
+        run: scene.run_settings(),
+        model: Model::Oscillators.name().to_owned(),
+        integrator: scene.integrator.name().to_owned(),
+        dt: scene.dt,
+        steps: scene.steps(),
+        tolerance: scene.tolerance,
+        law: law(scene),
+        blend: scene.blend,
+        bodies,
+        terms: Cause::of(scene.is_coupled()).map(|cause| term(scene, cause)).collect(),
+        labels: LABELS.into(),
+        arrow_scale: arrow_scale(scene),
+        planes: scene
+            .planes
+            .iter()
+            .map(|&Plane { normal, offset, friction, .. }| PlaneSchema { normal, offset, friction })
+            .collect(),
+        net_force_scale: net_force_scale(scene),
+        phases: PHASES
+            .map(|phase| PhaseSchema {
+                name: phase.name(),
+                color: phase_color(phase),
+                is_joined: phase != Phase::Apart,
+            })
+            .into(),
+        thresholds: thresholds.collect(),
+        own_levels,
+        surfaces: OwnSurfaces::default(),
+        scalars: scalars(scene)
+            .map(|&Scalar { name, label, plot, ref value, is_smooth }| {
+                let of = match value {
+                    ScalarValue::State(_) => ScalarOf::State,
+                    ScalarValue::SumOfSteps(_) => ScalarOf::SumOfSteps,
+                    ScalarValue::MaxOfSteps(_) => ScalarOf::MaxOfSteps,
+                };
+                // energies jump with the phase: each phase has its own potential
+                let (jumps, least_range) = (name.starts_with("energy"), least_range(scene, plot));
+                ScalarSchema { name, label, plot, of, is_smooth, jumps, least_range }
+            })
+            .collect(),
+        stages: Stage::ALL.map(Stage::name).into(),
+        warnings: scene.warnings(),
+    }
+}
+
+impl From<&Event> for PairEvent {
+    /// The observer's view of an event, without the energy.
+    fn from(event: &Event) -> PairEvent {
+        PairEvent {
+            name: event.name(),
+            time: event.time,
+            step: event.step,
+            a: event.a as usize,
+            b: event.b as usize,
+            q: event.q,
+            rate: event.rate,
+            from: event.from as usize,
+            to: event.to as usize,
+            energy: None,
+        }
+    }
+}
+
+impl From<&Failure> for StepFailure {
+    fn from(failure: &Failure) -> StepFailure {
+        let words = failure.to_string();
+        match failure {
+            Failure::Diverged(_) => StepFailure::Diverged(words),
+            Failure::Overworked(_) => StepFailure::NotTaken(words),
+            Failure::Interrupted { .. } => StepFailure::Interrupted(words),
+        }
+    }
+}

@@ -1,0 +1,171 @@
+//! The scalars of a scene: each entry of the tables below becomes a plot.
+
+use super::scales::strongest_pull;
+use crate::{
+    observe::BodyFrame,
+    scene::{Integrator, Scene},
+    sim::{
+        Energy, StepReport,
+        free::{Conserved, Ledger},
+    },
+};
+
+/// A scalar over time and its source.
+pub struct Scalar {
+    /// Its name, label and plot: see [`ScalarSchema`](crate::observe::schema::ScalarSchema).
+    pub name: &'static str,
+    pub label: &'static str,
+    pub plot: &'static str,
+    pub value: ScalarValue,
+    pub is_smooth: bool,
+}
+
+/// How a scalar is obtained.
+pub enum ScalarValue {
+    State(fn(&StateNumbers<'_>) -> f64),
+    SumOfSteps(fn(&StepReport) -> f64),
+    MaxOfSteps(fn(&StepReport) -> f64),
+}
+
+/// The input for scalars of the state.
+pub struct StateNumbers<'a> {
+    pub scene: &'a Scene,
+    /// Number of bodies that are undeformed, or that rest on or against each other.
+    pub resting: usize,
+    pub energy: Energy,
+    pub bodies: &'a [BodyFrame],
+    /// Zero unless the scene is coupled.
+    pub conserved: Conserved,
+    pub ledger: Ledger,
+    /// Energy at t = 0 [mass · scene unit²/s²].
+    pub first_energy: f64,
+}
+
+/// The scalars of a scene.
+pub fn scalars(scene: &Scene) -> impl Iterator<Item = &'static Scalar> {
+    let is_coupled = scene.is_coupled();
+    let is_accounted_for = is_coupled && scene.integrator == Integrator::Exponential;
+    let parts = if is_coupled { CONSERVED } else { PARTS };
+    SCALARS.iter().chain(parts).chain(LEDGER.iter().filter(move |_| is_accounted_for))
+}
+
+/// A smooth scalar of the state.
+const fn smooth(
+    name: &'static str,
+    label: &'static str,
+    plot: &'static str,
+    value: fn(&StateNumbers<'_>) -> f64,
+) -> Scalar {
+    Scalar { name, label, plot, value: ScalarValue::State(value), is_smooth: true }
+}
+
+/// The parts of the energy of bodies on paths, in units of scene unit²/s².
+const PARTS: &[Scalar] = &[
+    smooth("energy_vibration", "kinetic [unit²/s²]", DEFORMED, |state| state.energy.kinetic),
+    smooth("energy_elastic", "elastic", DEFORMED, |state| state.energy.elastic),
+    // in its own plot: it is thousands of times as large, mostly from vertices that no sphere reaches
+    smooth("energy_influence", "influence", "Energy", |state| state.energy.influence),
+];
+
+const DEFORMED: &str = "Energy of deformation";
+/// The plots of what free bodies conserve.
+pub const MOMENTUM: &str = "Momentum";
+pub const ANGULAR_MOMENTUM: &str = "Angular momentum";
+
+/// Conserved quantities of free bodies. Energies are in units of mass · scene unit²/s².
+const CONSERVED: &[Scalar] = &[
+    smooth("energy_kinetic", "kinetic", "Energy", |state| state.conserved.kinetic),
+    smooth("energy_spin", "spin", "Energy", |state| state.conserved.spin),
+    smooth("energy_vibration", "vibration", "Energy", |state| state.conserved.vibration),
+    smooth("energy_elastic", "elastic", "Energy", |state| state.conserved.elastic),
+    smooth("energy_influence", "influence", "Energy", |state| state.conserved.influence),
+    smooth("energy_gravity", "gravity", "Energy", |state| state.conserved.gravity),
+    smooth("energy_plane", "planes", "Energy", |state| state.conserved.plane),
+    smooth("momentum_x", "momentum x [mass·unit/s]", MOMENTUM, |state| state.conserved.momentum.x),
+    smooth("momentum_y", "momentum y", MOMENTUM, |state| state.conserved.momentum.y),
+    smooth("momentum_z", "momentum z", MOMENTUM, |state| state.conserved.momentum.z),
+    smooth("angular_momentum_x", "about the origin, x [mass·unit²/s]", ANGULAR_MOMENTUM, |state| {
+        state.conserved.angular_momentum.x
+    }),
+    smooth("angular_momentum_y", "y", ANGULAR_MOMENTUM, |state| state.conserved.angular_momentum.y),
+    smooth("angular_momentum_z", "z", ANGULAR_MOMENTUM, |state| state.conserved.angular_momentum.z),
+];
+
+/// Energy brought to free bodies since t = 0 by cause, and the remainder when all causes are subtracted: the
+/// integrator's error.
+const LEDGER: &[Scalar] = &[
+    smooth("brought_by_events", "by events", BROUGHT, |state| state.ledger.events),
+    smooth("brought_by_cores", "by gradual cores", BROUGHT, |state| state.ledger.core),
+    smooth("brought_by_damping", "by damping", BROUGHT, |state| state.ledger.damping),
+    smooth("brought_by_friction", "by friction", BROUGHT, |state| state.ledger.friction),
+    smooth("brought_by_pushes", "by pushes", BROUGHT, |state| state.ledger.pushes),
+    smooth("brought_by_paths", "by bodies on paths", BROUGHT, |state| state.ledger.prescribed),
+    smooth("brought_by_rest", "by coming to rest", BROUGHT, |state| state.ledger.rest),
+    smooth("unaccounted_energy", "not accounted for [mass·unit²/s²]", "Energy not accounted for", |state| {
+        state.conserved.energy() - state.first_energy - state.ledger.total()
+    }),
+];
+
+const BROUGHT: &str = "Energy brought since t = 0";
+
+const SCALARS: &[Scalar] = &[
+    Scalar {
+        name: "energy",
+        label: "energy [unit²/s²]",
+        plot: "Energy",
+        value: ScalarValue::State(|state| state.energy.total()),
+        is_smooth: true,
+    },
+    Scalar {
+        name: "max_displacement",
+        label: "largest displacement [radii]",
+        plot: "Displacement",
+        value: ScalarValue::State(|state| {
+            let bodies = state.bodies.iter().zip(&state.scene.bodies);
+            bodies.map(|(now, body)| now.max_displacement / body.radius).fold(0.0, f64::max)
+        }),
+        is_smooth: true,
+    },
+    Scalar {
+        name: "reached_vertices",
+        label: "vertices inside a sphere",
+        plot: "Counts",
+        value: ScalarValue::State(|state| state.energy.reached_vertices as f64),
+        is_smooth: false,
+    },
+    Scalar {
+        name: "substeps",
+        label: "steps of the integrator",
+        plot: "Counts",
+        value: ScalarValue::SumOfSteps(|report| report.substeps as f64),
+        is_smooth: false,
+    },
+    Scalar {
+        name: "estimated_error",
+        label: "estimated error of the step [radii]",
+        plot: "Estimated error",
+        value: ScalarValue::MaxOfSteps(|report| report.error),
+        is_smooth: false,
+    },
+    Scalar {
+        name: "sleeping_bodies",
+        label: "bodies at rest",
+        plot: "Counts",
+        value: ScalarValue::State(|state| state.resting as f64),
+        is_smooth: false,
+    },
+];
+
+/// The smallest range of a plot, see [`ScalarSchema`](crate::observe::schema::ScalarSchema): 1e-9 of the momentum of all
+/// bodies at the speed that the strongest influence gives a vertex over a radius.
+pub fn least_range(scene: &Scene, plot: &str) -> f64 {
+    const SHARE: f64 = 1e-9;
+    let radius = scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
+    let mass: f64 = scene.bodies.iter().filter(|body| body.path().is_none()).map(|body| body.mass).sum();
+    let momentum = mass * (strongest_pull(scene, radius) * radius).sqrt();
+    match plot {
+        MOMENTUM => SHARE * momentum,
+        ANGULAR_MOMENTUM => SHARE * momentum * radius,
+        _ => 0.0,
+    }
+}

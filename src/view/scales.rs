@@ -1,0 +1,36 @@
+//! Lengths of arrows.
+
+use crate::scene::Scene;
+
+/// Length per acceleration of net force arrows: about a radius for gravity or for a quarter of the strongest influence,
+/// whichever is larger.
+pub fn net_force_scale(scene: &Scene) -> f64 {
+    let radius = scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
+    arrow_length(2.5 * radius, f64::max(scene.gravity.length(), 0.25 * strongest_pull(scene, radius)))
+}
+
+/// The strongest influence on any vertex [scene unit/s²], for the largest radius.
+pub fn strongest_pull(scene: &Scene, radius: f64) -> f64 {
+    let strength = scene.laws().map(|law| law.alpha.max(law.beta)).fold(0.0, f64::max);
+    strength * scene.influence.sphere_radius(radius) * scene.influence.weight.max_pull()
+}
+
+/// Length of an arrow per acceleration [scene unit per scene unit/s²]. The strongest influence or push on the largest
+/// body gets an arrow of about 0.4 of its radius.
+pub fn arrow_scale(scene: &Scene) -> f64 {
+    let radius = scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
+    let pull = strongest_pull(scene, radius);
+    arrow_length(radius, scene.pushes.iter().map(|push| push.strength.abs()).fold(pull, f64::max))
+}
+
+/// Arrow length per acceleration [scene unit per scene unit/s²]: 1, 2 or 5 times a power of ten, chosen so that the
+/// arrow of the `strongest` acceleration [scene unit/s²] is about 0.4 `radius` long.
+fn arrow_length(radius: f64, strongest: f64) -> f64 {
+    let wanted = 0.4 * radius / strongest;
+    if !(wanted.is_finite() && wanted > 0.0) {
+        return 0.01;
+    }
+    let decade = 10f64.powf(wanted.log10().floor());
+    let step = [5.0, 2.0, 1.0].into_iter().find(|step| step * decade <= wanted * 1.0001).unwrap_or(1.0);
+    step * decade
+}

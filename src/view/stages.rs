@@ -1,0 +1,284 @@
+//! The stages inside a step, recomputed outside the world, for debugging integrators.
+//!
+//! Starting from the state before a step and the events in it, every interval between two jumps is integrated again
+//! with the components that the step itself uses. Of a step of free bodies, the states at its events are shown.
+
+use super::frames::{add_forces, pair_frame};
+use crate::{
+    model::phase::Phase,
+    observe::{BodyFrame, Frame, Instant, PairFrame, Simulation as _, StageFrame, Want},
+    scene::Integrator,
+    sim::{
+        Cause, PairView, States, World,
+        within::{Before, Recomputed},
+        work::Work,
+    },
+};
+
+/// The largest number of intervals that are recomputed to find a state within a step.
+const MAX_PARTS: usize = 64;
+
+/// What a stage's frame contains.
+const WANT: Want = Want { forces: true, scalars: false };
+
+/// Frames of all stages of a step have no more vertices than this, but at least [`MIN_STAGES`] are always kept.
+const MAX_VERTICES: u64 = 1 << 20;
+const MIN_STAGES: u64 = 16;
+/// Work limit for recomputing a step [units].
+const MAX_WORK: u64 = 100_000_000;
+/// Work limit for the state of a few bodies at one instant within a step [units].
+const MAX_WORK_WITHIN: u64 = 4_000_000;
+
+/// The stages of the step that led from `before` to the current state of the world, in order. If there are too many,
+/// or they take too much work, or the world was interrupted, middle ones are omitted, and the name of the last one says
+/// so.
+pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
+    let stage = |name: &str, frame: Frame| StageFrame { name: name.to_owned(), frame };
+    let mut stages = vec![
+        stage("start", before.clone()),
+        stage("influence forces", influence_only(before.clone(), world.scene().is_coupled())),
+    ];
+    let max = (MAX_VERTICES / world.scene().vertex_count().max(1)).max(MIN_STAGES) as usize;
+    let last = match world.scene().is_coupled() {
+        true => events_of_free_bodies(before, world, max, &mut stages),
+        false => intervals(before, world, max, &mut stages),
+    };
+    let mut frame = Frame::default();
+    world.observe(WANT, &mut frame);
+    stages.push(stage(&last, frame));
+    stages
+}
+
+/// Adds the states at the phase changes of a step of a coupled scene. Returns the name of the last stage.
+fn events_of_free_bodies(before: &Frame, world: &World, max: usize, stages: &mut Vec<StageFrame>) -> String {
+    let events = &world.report().events;
+    let all: Vec<usize> = (0..world.body_count()).collect();
+    for event in events.iter().take(max) {
+        let mut frame = Frame { pairs: before.pairs.clone(), ..Frame::default() };
+        world.within(before, event.time, &all, &mut frame);
+        stages.push(StageFrame { name: name_of(event, world), frame });
+    }
+    match events.len().saturating_sub(max) {
+        0 => "end".to_owned(),
+        left_out => format!("end; {left_out} events before are left out"),
+    }
+}
+
+/// Adds the stages of a step of bodies on paths. Returns the name of the last one.
+fn intervals(before: &Frame, world: &World, max: usize, stages: &mut Vec<StageFrame>) -> String {
+    let work = Work::limited(MAX_WORK, world.options().interrupt);
+    let recomputed = Recomputed::new(world, before_step(before), &work);
+    let (start, end) = (before.at.time, world.time());
+    let frame =
+        |t: f64, phases_at: f64, states: Vec<States>| frame_of(&recomputed, before, world, t, phases_at, states);
+    let mut states: Vec<States> = (0..world.body_count()).map(|index| states_before(before, world, index)).collect();
+    let flown = states.iter().enumerate().map(|(index, states)| recomputed.flow(index, states)).collect();
+    stages.push(StageFrame { name: "after the flow alone".to_owned(), frame: frame(end, start, flown) });
+    match world.scene().integrator {
+        Integrator::Exponential => {
+            let breaks = recomputed.breaks();
+            for (number, ends) in (1..).zip(breaks.windows(2)) {
+                let (from, to) = (ends[0], ends[1]);
+                if stages.len() >= max || recomputed.is_over() {
+                    return format!("end; sub-steps from {number} to {} are left out", breaks.len() - 1);
+                }
+                for (index, states) in states.iter_mut().enumerate() {
+                    recomputed.advance(index, from, to, states);
+                }
+                if breaks.len() > 2 {
+                    let name = format!("after sub-step {number}, at t = {to:.9} s");
+                    stages.push(StageFrame { name, frame: frame(to, from, states.clone()) });
+                }
+                let events = world.report().events.iter().filter(|event| event.time == to);
+                for event in events.take(max.saturating_sub(stages.len())) {
+                    stages.push(StageFrame { name: name_of(event, world), frame: frame(to, to, states.clone()) });
+                }
+            }
+        }
+        Integrator::Thesis | Integrator::Mps => {
+            let predicted =
+                states.iter().enumerate().map(|(index, states)| recomputed.predict(index, states)).collect();
+            let name = "prediction, (3.6) and (3.7)".to_owned();
+            stages.push(StageFrame { name, frame: frame(end, start, predicted) });
+        }
+        Integrator::Euler | Integrator::Verlet | Integrator::Rk4 => {}
+    }
+    "end".to_owned()
+}
+
+fn name_of(event: &crate::sim::Event, world: &World) -> String {
+    let name = |body: u32| &world.scene().bodies[body as usize].name;
+    format!("{} {}~{}, at t = {:.9} s", event.name(), name(event.a), name(event.b), event.time)
+}
+
+/// What recomputing a step needs of the frame before it.
+fn before_step(before: &Frame) -> Before {
+    let phase = |pair: &PairFrame| [Phase::Apart, Phase::Merged, Phase::Core].get(pair.phase).copied();
+    let phases = before.pairs.iter().filter_map(|pair| Some(([pair.a, pair.b], phase(pair)?)));
+    Before { time: before.at.time, phases: phases.collect() }
+}
+
+fn states_before(before: &Frame, world: &World, index: usize) -> States {
+    let BodyFrame { displacements, velocities, .. } = &before.bodies[index];
+    let mut states = States { displacement: displacements.clone(), velocity: velocities.clone() };
+    states.displacement.resize(world.body(index).vertex_count());
+    states.velocity.resize(world.body(index).vertex_count());
+    states
+}
+
+/// A frame of the same bodies in other states at `t`, with the phases that hold from `phases_at` on.
+fn frame_of(
+    recomputed: &Recomputed<'_>,
+    before: &Frame,
+    world: &World,
+    t: f64,
+    phases_at: f64,
+    states: Vec<States>,
+) -> Frame {
+    let bodies = states.into_iter().enumerate().map(|(index, states)| {
+        let surroundings = recomputed.surroundings(index, t, phases_at, &states);
+        let States { displacement: displacements, velocity: velocities } = states;
+        let centre = world.path(index).position(t);
+        let mut now = BodyFrame { centre, displacements, velocities, ..BodyFrame::default() };
+        now.displaced(world.body(index).rest_shape());
+        add_forces(world, index, &surroundings, &mut now);
+        now
+    });
+    let bodies: Vec<BodyFrame> = bodies.collect();
+    let pairs = before.pairs.iter().map(|&PairFrame { a, b, .. }| {
+        let radii = world.scene().bodies[a].radius + world.scene().bodies[b].radius;
+        let q = bodies[a].centre.distance(bodies[b].centre) / radii;
+        pair_frame(PairView { a, b, q, phase: recomputed.phase(a, b, phases_at) })
+    });
+    let at = Instant { step: world.steps_taken(), time: t };
+    Frame { at, pairs: pairs.collect(), bodies, scalars: Vec::new() }
+}
+
+/// Writes the state of some bodies at a time within the step that led from `before` to the current state of the world,
+/// on the solution of the step; false if that is too much work. Only for the exponential integrator: the others have no
+/// dense output.
+pub fn within(before: &Frame, world: &World, time: f64, bodies: &[usize], frame: &mut Frame) -> bool {
+    let work = Work::limited(MAX_WORK_WITHIN, world.options().interrupt);
+    let recomputed = Recomputed::new(world, before_step(before), &work);
+    let mut breaks = recomputed.breaks();
+    breaks.retain(|&at| at < time);
+    if breaks.len() > MAX_PARTS {
+        return false;
+    }
+    breaks.push(time);
+    frame.at = Instant { step: world.steps_taken(), time };
+    frame.bodies.resize_with(world.body_count(), BodyFrame::default);
+    for &index in bodies {
+        let mut states = states_before(before, world, index);
+        for ends in breaks.windows(2) {
+            recomputed.advance(index, ends[0], ends[1], &mut states);
+        }
+        if recomputed.is_over() {
+            return false;
+        }
+        let now = &mut frame.bodies[index];
+        now.centre = world.path(index).position(time);
+        (now.displacements, now.velocities) = (states.displacement, states.velocity);
+        now.displaced(world.body(index).rest_shape());
+    }
+    true
+}
+
+/// Like [`within`] for a coupled scene. Bodies that took no step in which they act on others are left unchanged; returns
+/// the others.
+pub fn within_coupled(before: &Frame, world: &World, time: f64, bodies: &[usize], frame: &mut Frame) -> Vec<usize> {
+    let work = Work::limited(MAX_WORK, world.options().interrupt);
+    frame.at = Instant { step: world.steps_taken(), time };
+    frame.bodies.resize_with(world.body_count(), BodyFrame::default);
+    let mut written = Vec::new();
+    world.coupled_within(before.at.time, time, bodies, &work, |index, body| {
+        let (now, rest) = (&mut frame.bodies[index], world.body(index).rest_shape());
+        (now.centre, now.rotation) = (body.centre(), body.rotation());
+        now.displacements.reset(rest.len());
+        body.displacements().enumerate().for_each(|(i, x)| now.displacements.set(i, x));
+        now.displaced(rest);
+        written.push(index);
+    });
+    written
+}
+
+/// The frame without the forces that do not come from influence spheres.
+fn influence_only(mut frame: Frame, is_coupled: bool) -> Frame {
+    let is_influence = |cause: Cause| matches!(cause, Cause::Attraction | Cause::Repulsion | Cause::Core);
+    for body in frame.bodies.iter_mut().filter(|body| body.has_forces) {
+        let [terms @ .., net] = body.terms.as_mut_slice() else { continue };
+        let count = net.accelerations.len();
+        net.accelerations.reset(count);
+        for (cause, term) in Cause::of(is_coupled).zip(terms) {
+            if is_influence(cause) {
+                net.accelerations.add_times(1.0, &term.accelerations);
+            } else {
+                term.accelerations.clear();
+            }
+        }
+    }
+    frame
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Scene;
+
+    /// A step with very many events has a bounded number of stages, and the last one reports how many are missing.
+    #[test]
+    fn a_step_with_very_many_events_has_few_stages() {
+        let text = "duration = 1.0\n[material]\nresponse = \"rigid\"\n[influence]\nreach = 0.01\n\
+                    [[body]]\nname = \"a\"\nradius = 1.0\nshape = { sphere = { stacks = 2, slices = 3 } }\nmotion = { fixed = [0, 0, 0] }\n\
+                    [[body]]\nname = \"b\"\nradius = 1.0\nshape = { sphere = { stacks = 2, slices = 3 } }\n\
+                    motion = { sine = { center = [2.1, 0, 0], amplitude = [1.5, 0, 0], frequency = 2e5 } }\n";
+        let mut world = World::new(Scene::parse(text, "events.toml").unwrap()).unwrap();
+        let mut before = Frame::default();
+        world.observe(WANT, &mut before);
+        let report = world.step();
+        assert_eq!(report.failure, None);
+        assert!(report.events.len() > 5000, "{}", report.events.len());
+        let stages = inside(&before, &world);
+        let last = &stages[stages.len() - 1];
+        assert!(
+            stages.len() as u64 <= MAX_VERTICES / 10 + 2 && last.name.starts_with("end; sub-steps from "),
+            "{}",
+            last.name
+        );
+    }
+
+    #[test]
+    fn the_stages_lead_from_one_state_to_the_next() {
+        for name in ["push", "two", "three", "size_ratio"] {
+            let scene = Scene::builtin(name).unwrap();
+            let mut world = World::new(scene.clone()).unwrap();
+            let (mut largest, mut sub_steps, mut events) = (0.0, 0, 0);
+            for _ in 0..scene.steps() {
+                let mut before = Frame::default();
+                world.observe(WANT, &mut before);
+                let report = world.step();
+                let happened = report.events.len();
+                let stages = inside(&before, &world);
+                assert_eq!(stages[0].name, "start");
+                assert_eq!(stages[stages.len() - 1].name, "end");
+                let named = |word: &str| stages.iter().filter(|stage| stage.name.contains(word)).count();
+                sub_steps += named("sub-step");
+                events += named("~");
+                assert_eq!(named("~"), happened);
+                // the last interval ends the step
+                if let Some(last) = stages.iter().rfind(|stage| stage.name.contains("sub-step")) {
+                    for (index, body) in world.bodies().enumerate() {
+                        let ended = &last.frame.bodies[index].displacements;
+                        for i in 0..body.vertex_count() {
+                            largest =
+                                f64::max(largest, ended.get(i).distance(body.displacement(i)) / body.scene().radius);
+                        }
+                    }
+                }
+            }
+            assert!(sub_steps > 0, "{name}: {sub_steps}");
+            assert!(events > 0 || name == "push");
+            assert!(largest < 1e-6, "{name}: {largest:e}");
+        }
+    }
+}

@@ -1,0 +1,90 @@
+//! How force terms, phases and the labels of vertices are called and coloured.
+
+use glam::DVec3;
+
+use crate::{
+    colors::{self, Rgb},
+    model::{
+        PairLaw,
+        phase::{Phase, Thresholds},
+    },
+    observe::schema::TermSchema,
+    scene::Scene,
+    sim::Cause,
+};
+
+/// All phases in order of depth, deepest last.
+pub const PHASES: [Phase; 3] = [Phase::Apart, Phase::Merged, Phase::Core];
+
+/// Label of a vertex, by what influence spheres do to it.
+pub const LABELS: [&str; 5] = ["out of reach", "attracted", "repelled", "attracted and repelled", "in a core"];
+
+/// The label of a vertex, given which kinds of sphere act on it: attraction, repulsion of bodies apart, core.
+pub fn label([is_attracted, is_repelled, is_in_core]: [bool; 3]) -> u8 {
+    match (is_attracted, is_repelled, is_in_core) {
+        (_, _, true) => 4,
+        (is_attracted, is_repelled, _) => u8::from(is_attracted) + 2 * u8::from(is_repelled),
+    }
+}
+
+/// Colour of a phase: the colour of the force that it causes.
+pub fn phase_color(phase: Phase) -> Rgb {
+    match phase {
+        Phase::Apart => colors::SKY_BLUE,
+        Phase::Merged => colors::ORANGE,
+        Phase::Core => colors::PURPLE,
+    }
+}
+
+/// The q at which a pair enters a phase [–], if there is one.
+pub fn level(law: &PairLaw, phase: Phase) -> Option<f64> {
+    let Thresholds { merge_at, split_at, core_at } = law.thresholds;
+    match phase {
+        Phase::Merged => Some(merge_at),
+        Phase::Apart => Some(split_at),
+        Phase::Core => (core_at > 0.0).then_some(core_at),
+    }
+}
+
+/// The schema of a force term.
+pub fn term(scene: &Scene, cause: Cause) -> TermSchema {
+    let (has_pairs, has_free) = (scene.bodies.len() > 1, scene.bodies.iter().any(|body| body.path().is_none()));
+    let has_core = scene.laws().any(|law| level(&law, Phase::Core).is_some());
+    #[allow(unreachable_patterns)] // a term without its own line gets the defaults
+    let (label, color, can_act, is_shown) = match cause {
+        Cause::Attraction => ("Attraction", colors::ORANGE, has_pairs, true),
+        Cause::Repulsion => ("Repulsion of bodies apart", colors::SKY_BLUE, has_pairs, true),
+        Cause::Core => ("Repulsion in the core", colors::PURPLE, has_pairs && has_core, true),
+        Cause::Restoring => ("Restoring", colors::GREEN, true, false),
+        Cause::Damping => ("Damping", colors::YELLOW, true, false),
+        Cause::Push => ("Push", colors::VERMILION, !scene.pushes.is_empty(), !scene.pushes.is_empty()),
+        Cause::Carry => ("Carry: its own motion", colors::SILVER, true, false),
+        Cause::Gravity => ("Gravity", colors::GREY, scene.gravity != DVec3::ZERO, false),
+        Cause::Plane => ("Planes: pressure and friction", colors::BLUE, !scene.planes.is_empty(), true),
+        Cause::Reaction => ("Reaction to its sphere", colors::PINK, has_free && has_pairs, false),
+        Cause::Net => ("Net", colors::WHITE, true, false),
+        _ => (cause.name(), colors::BLUE, true, true),
+    };
+    let has_source = matches!(cause, Cause::Attraction | Cause::Repulsion | Cause::Core);
+    let is_uniform = matches!(cause, Cause::Gravity | Cause::Reaction);
+    TermSchema { name: cause.name(), label, color, has_source, can_act, is_shown, is_uniform }
+}
+
+/// The interaction between bodies in words.
+pub fn law(scene: &Scene) -> String {
+    let (influence, thresholds) = (&scene.influence, &scene.thresholds);
+    format!(
+        "α = {}/s², β = {}/s², spheres {:.3} R. Merge at q = {}, split at {}{}; q: centre distance over the sum of the radii.{}",
+        influence.alpha,
+        influence.beta,
+        influence.reach,
+        thresholds.merge_at,
+        thresholds.split_at,
+        if thresholds.core_at > 0.0 { format!(", core below {}", thresholds.core_at) } else { String::new() },
+        match scene.pairs.laws().len() {
+            0 => String::new(),
+            1 => " One `[[pair]]` has another law.".to_owned(),
+            n => format!(" {n} `[[pair]]`s have other laws."),
+        },
+    )
+}
