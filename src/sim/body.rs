@@ -1,312 +1,215 @@
-//! The state of one body.
+//! A body and a pair of the world at its current time, for whoever looks at them.
 
-use std::sync::Arc;
-
-use glam::DVec3;
-use pulp::Arch;
-use smallvec::{Array, SmallVec};
+use glam::{DQuat, DVec3};
 
 use super::{
-    deformation::{Deformation, Now, REST, larger},
-    integrator::exponential::{StepStatistics, together::Largest},
-    neighbours::{FatBounds, Neighbours},
+    arrays::Vectors,
+    coupled::member::Member,
+    prescribed::{body::Active, deformation::Now},
     state::State,
 };
 use crate::{
     geometry::{Mesh, Rest},
-    model::oscillator::Oscillator,
-    scene::{Material, Push, Scene},
+    model::phase::Phase,
+    scene::{self, Path},
 };
 
-/// A body of the scene, at rest or not: what a step reads of it besides its state, in one place.
-pub(super) struct Body {
-    /// Its rest shape, shared by all bodies of the same shape.
-    pub mesh: Arc<Mesh>,
-    /// Its radius [scene unit].
-    pub radius: f64,
-    /// The constants of its oscillators.
-    pub material: Material,
-    /// The scene's pushes on this body.
-    pub pushes: Box<[Push]>,
-    /// Its index among the active bodies; `None` if it is at rest.
-    pub active: Option<u32>,
-    /// Nearby bodies, ascending.
-    pub neighbours: Neighbours,
-    /// The bounds for which its neighbours were found.
-    pub fat_bounds: FatBounds,
-    /// No pair of the body changes its phase before this time, if the body moves [s].
-    pub calm_until: f64,
+/// A body of the world at its current time.
+#[derive(Clone, Copy)]
+pub struct BodyView<'a> {
+    pub(super) body: &'a scene::Body,
+    pub(super) mesh: &'a Mesh,
+    pub(super) centre: DVec3,
+    pub(super) solved: Solved<'a>,
 }
 
-impl Body {
-    /// Body `index` of the scene, at rest, with the scene's pushes on it.
-    pub fn new(scene: &Scene, index: usize, pushes: Vec<Push>) -> Body {
-        Body {
-            mesh: scene.bodies[index].shape.mesh(),
-            radius: scene.bodies[index].radius,
-            material: scene.bodies[index].material,
-            pushes: pushes.into(),
-            active: None,
-            neighbours: Neighbours::new(),
-            fat_bounds: FatBounds::NONE,
-            calm_until: f64::NEG_INFINITY,
-        }
-    }
+/// A body as its solver knows it.
+#[derive(Clone, Copy)]
+pub(super) enum Solved<'a> {
+    /// A body on a path; its state is `None` while it is at rest.
+    Prescribed { path: &'a Path, active: Option<&'a Active>, now: Now },
+    /// A body of a coupled scene.
+    Coupled(&'a Member),
 }
 
-impl Body {
-    /// Its rest shape at the body's scale.
-    pub fn rest(&self) -> Rest<'_> {
-        self.mesh.at(self.radius)
+/// The states of all vertices of a body.
+#[derive(Clone, Debug, Default)]
+pub struct States {
+    /// Displacements x from rest [scene unit], `[vertex_count]`.
+    pub displacement: Vectors,
+    /// Velocities x′ of these [scene unit/s], `[vertex_count]`.
+    pub velocity: Vectors,
+}
+
+impl<'a> BodyView<'a> {
+    /// The scene's description of the body.
+    pub fn scene(&self) -> &'a scene::Body {
+        self.body
     }
 
-    /// Memory allocated for the body [bytes].
-    pub fn memory(&self) -> usize {
-        spilled(&self.neighbours) + size_of_val(&*self.pushes)
+    /// Its name.
+    pub fn name(&self) -> &'a str {
+        &self.body.name
     }
-}
 
-/// The state of a body that isn't at rest.
-#[derive(Clone)]
-pub(super) struct Active {
-    /// Index of the body.
-    pub body: u32,
-    /// The state of its vertices.
-    pub state: BodyState,
-    /// The conditions for which the active set was selected.
-    pub chosen: Chosen,
-    /// Bounds on its vertices in this step, and the bodies that can reach it.
-    pub bounds: StepBounds,
-    /// Statistics of its last step.
-    pub statistics: StepStatistics,
-}
+    /// World position of its centre [scene unit].
+    pub fn centre(&self) -> DVec3 {
+        self.centre
+    }
 
-/// The state of a body's vertices: at the end of the last step if the body is awake, otherwise as of the last time it
-/// was needed. Nothing acts on a sleeping body, so the flow advances it to any later time.
-#[derive(Clone)]
-pub(super) struct BodyState {
-    /// ω and κ of its vertices.
-    pub oscillator: Oscillator,
-    /// The response to the body's own motion, which all its vertices share, as of step [`BodyState::carried_as_of`].
-    pub carried: State,
-    /// The step at whose end [`BodyState::carried`] is valid.
-    pub carried_as_of: u64,
-    /// The motion of single vertices beyond that.
-    pub deformation: Deformation,
-    /// Number of times that the steps of its vertices are halved.
-    pub halvings: u32,
-    /// Bounds over [`BodyState::deformation`], without the shared motion.
-    pub state_bounds: StateBounds,
-    /// An upper bound of √(|u|² + ω²|x|²) of every vertex, whatever has happened so far: it grows by no more than the
-    /// forces that acted on the body [scene unit/s].
-    pub bound: f64,
-}
+    /// Rotation of the body from its rest orientation.
+    pub fn rotation(&self) -> DQuat {
+        self.member().map_or(DQuat::IDENTITY, |member| member.body.rotation)
+    }
 
-/// The conditions for which an active set was selected. It is valid until spheres have moved too far.
-#[derive(Clone, Default)]
-pub(super) struct Chosen {
-    /// Where the spheres were when the active set was selected.
-    pub references: SmallVec<[Reference; 2]>,
-    /// How far the spheres may move before it is selected again [scene unit].
-    pub skin: f64,
-    /// Whether it has all vertices, because something acts on each of them.
-    pub all: bool,
-}
-
-/// Bounds on the motion of a body's vertices in a step, and on the spheres that reach them.
-#[derive(Clone)]
-pub(super) struct StepBounds {
-    /// Bodies whose spheres can reach it.
-    pub reachable: Neighbours,
-    /// The largest distance of its vertices from the centre in this step [scene unit].
-    pub farthest: f64,
-    /// A bound on the acceleration of any vertex by spheres [scene unit/s²].
-    pub pull: f64,
-    /// The largest distance of its vertices from the centre in this step, or later if nothing else acts [scene unit].
-    pub max_reach: f64,
-    /// Whether no sphere is near enough to be reached within [`StepBounds::max_reach`].
-    pub may_sleep: bool,
-}
-
-/// Where a sphere was when an active set was selected.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Reference {
-    /// Index of the body that it belongs to.
-    pub body: u32,
-    /// Its centre relative to the body's, shifted by the motion that all vertices share [scene unit].
-    pub centre: DVec3,
-    /// Distance of the sphere's surface from the nearest rest position of the active set [scene unit].
-    pub clear: f64,
-}
-
-impl Active {
-    /// Body `index` of the scene, at rest after `step` steps.
-    pub fn new(scene: &Scene, index: usize, step: u64) -> Active {
-        let material = scene.bodies[index].material;
-        Active {
-            body: index as u32,
-            state: BodyState {
-                oscillator: Oscillator { omega: material.omega, damping: material.damping },
-                carried: State::default(),
-                carried_as_of: step,
-                deformation: Deformation::default(),
-                halvings: 0,
-                state_bounds: StateBounds::default(),
-                bound: 0.0,
-            },
-            chosen: Chosen::default(),
-            bounds: StepBounds {
-                reachable: Neighbours::new(),
-                farthest: 0.0,
-                pull: 0.0,
-                max_reach: 0.0,
-                may_sleep: true,
-            },
-            statistics: StepStatistics::default(),
+    /// Velocity of its centre [scene unit/s].
+    pub fn centre_velocity(&self) -> DVec3 {
+        match self.solved {
+            Solved::Prescribed { path, now, .. } => path.at(now.time()).velocity,
+            Solved::Coupled(member) => member.body.velocity,
         }
     }
 
-    /// Memory allocated for the body's state [bytes].
-    pub fn memory(&self) -> usize {
-        self.state.deformation.memory() + spilled(&self.chosen.references) + spilled(&self.bounds.reachable)
+    /// Angular velocity of the body [rad/s].
+    pub fn angular_velocity(&self) -> DVec3 {
+        self.member().map_or(DVec3::ZERO, Member::spin)
     }
 
-    /// Whether nothing has acted on the body yet: every displacement and velocity is exactly zero.
+    /// Whether every displacement and velocity is exactly zero.
     pub fn is_at_rest(&self) -> bool {
-        self.state.deformation.is_empty() && self.state.carried.is_zero()
-    }
-
-    /// Whether the body may sleep when nothing acts on it: without a spring, vertices that move may drift anywhere.
-    pub fn can_sleep(&self) -> bool {
-        self.state.oscillator.omega > 0.0 || self.is_at_rest()
-    }
-
-    /// The motion that all its vertices share, at the end of the last step.
-    pub fn carried_at(&self, now: Now) -> State {
-        let State { x, .. } = self.state.carried;
-        let steps = now.step - self.state.carried_as_of;
-        if steps == 0 || self.state.carried.is_zero() {
-            return self.state.carried;
+        match self.solved {
+            Solved::Prescribed { active, .. } => active.is_none_or(Active::is_at_rest),
+            Solved::Coupled(member) => !member.is_deformed(),
         }
-        let flow = now.oscillator.flow(steps as f64 * now.dt);
-        let [xx, xu, ux, uu] = flow;
-        let momentum = self.state.carried.momentum(now.oscillator.omega);
-        let left = (xx.abs() + ux.abs()) * x.length() + (xu.abs() + uu.abs()) * momentum;
-        // subnormal numbers are slow to compute with
-        if left < REST { State::default() } else { self.state.carried.after(flow) }
     }
 
-    /// The time at which its state is requested.
-    pub fn now(&self, step: u64, dt: f64, arch: Arch) -> Now {
-        Now { step, dt, oscillator: self.state.oscillator, arch }
+    fn member(&self) -> Option<&'a Member> {
+        match self.solved {
+            Solved::Prescribed { .. } => None,
+            Solved::Coupled(member) => Some(member),
+        }
     }
 
-    /// An upper bound of |x| of every vertex, now and later if nothing else acts [scene unit]. Unlike |x| itself it
-    /// does not oscillate.
-    pub fn amplitude(&self) -> f64 {
-        let omega = self.state.oscillator.omega;
-        let StateBounds { displacement: x, momentum } = StateBounds::of_state(self.state.carried, omega);
-        let StateBounds { displacement, momentum: own } = self.state.state_bounds;
-        let swings = if omega > 0.0 { (momentum + own) / omega } else { x + displacement };
-        swings.max(self.state.deformation.free_vertices.largest)
+    /// Number of vertices.
+    pub fn vertex_count(&self) -> usize {
+        self.rest_shape().len()
     }
 
-    /// The largest distance of its vertices from rest within `h` [s] if accelerations of at most `common` and `single`
-    /// [scene unit/s²] act on all vertices and on single ones.
-    pub fn farthest(&self, common: f64, single: f64, h: f64) -> f64 {
-        let [alike, own] = self.bounds_now();
-        alike.after(self.state.oscillator, common, h) + own.after(self.state.oscillator, single, h)
+    /// Its rest shape.
+    pub fn mesh(&self) -> &'a Mesh {
+        self.mesh
     }
 
-    /// Bounds on the shared motion and on the deformation, at the end of the last step.
-    fn bounds_now(&self) -> [StateBounds; 2] {
-        let omega = self.state.oscillator.omega;
-        let (mut alike, mut own) = (StateBounds::of_state(self.state.carried, omega), self.state.state_bounds);
-        if self.statistics.substeps == 0 && omega > 0.0 {
-            // the flow has continued the oscillation since these bounds were computed
-            for state_bounds in [&mut alike, &mut own] {
-                state_bounds.displacement = state_bounds.momentum / omega;
+    /// Its rest shape at its scale, in the axes of the body.
+    pub fn rest_shape(&self) -> Rest<'a> {
+        self.mesh.at(self.body.radius)
+    }
+
+    /// Rest position l of vertex `i` from the centre, in the axes of the body [scene unit]; panics if out of range.
+    pub fn rest(&self, i: usize) -> DVec3 {
+        self.rest_shape().position(i)
+    }
+
+    /// Direction l̂ = l/|l| of the rest position of vertex `i`, in the axes of the body [–]; panics if out of range.
+    pub fn direction(&self, i: usize) -> DVec3 {
+        self.rest_shape().direction(i)
+    }
+
+    /// The states of all vertices; faster than computing them one by one.
+    pub fn states(&self) -> States {
+        let mut states = States::default();
+        self.states_into(&mut states);
+        states
+    }
+
+    /// Like [`BodyView::states`], into an existing value (reused).
+    pub fn states_into(&self, states: &mut States) {
+        let States { displacement, velocity } = states;
+        let (active, now) = match self.solved {
+            Solved::Prescribed { active, now, .. } => (active.filter(|active| !active.is_at_rest()), now),
+            Solved::Coupled(member) => return member.states_into(displacement, velocity),
+        };
+        if let Some(active) = active.filter(|active| active.state.carried.is_zero()) {
+            displacement.resize(self.vertex_count());
+            velocity.resize(self.vertex_count());
+            if active.state.deformation.all_free_into(displacement, velocity, now) {
+                return;
             }
         }
-        [alike, own]
+        displacement.reset(self.vertex_count());
+        velocity.reset(self.vertex_count());
+        let Some(active) = active else { return };
+        let State { x, u } = active.carried_at(now);
+        displacement.fill(x);
+        velocity.fill(u);
+        active.state.deformation.add_to(displacement, velocity, now);
     }
 
-    /// Whether the equation of motion cannot lead to its state: not finite, or far beyond [`BodyState::bound`]. The
-    /// margin leaves room for schemes that are merely inaccurate.
-    pub fn has_diverged(&self) -> bool {
-        const MARGIN: f64 = 100.0;
-        let StateBounds { displacement, momentum } = self.state.state_bounds;
-        let alike = StateBounds::of_state(self.state.carried, self.state.oscillator.omega);
-        let (x, m) = (alike.displacement + displacement, alike.momentum + momentum);
-        !x.is_finite() || !m.is_finite() || m > MARGIN * self.state.bound
-    }
-}
-
-/// Memory allocated for a list beyond what it holds in place [bytes].
-fn spilled<A: Array>(list: &SmallVec<A>) -> usize {
-    if list.spilled() { list.capacity() * size_of::<A::Item>() } else { 0 }
-}
-
-/// Bounds over the vertices of a body, from which bounds on their motion in a step follow.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct StateBounds {
-    /// Largest |x| [scene unit].
-    pub displacement: f64,
-    /// Largest √(|u|² + ω²|x|²) [scene unit/s].
-    pub momentum: f64,
-}
-
-impl StateBounds {
-    /// The bounds of one state.
-    pub fn of_state(state: State, omega: f64) -> StateBounds {
-        StateBounds { displacement: state.x.length(), momentum: state.momentum(omega) }
-    }
-
-    /// The bounds of a state; NaN if any of it is NaN.
-    pub fn of(deformation: &Deformation, oscillator: Oscillator, arch: Arch) -> StateBounds {
-        let omega_squared = oscillator.omega * oscillator.omega;
-        let [x2, m2] = arch.dispatch(Largest { active_set: &deformation.active_set, omega_squared });
-        let free_vertices = deformation.free_vertices.largest;
-        let swings = if free_vertices > 0.0 { oscillator.omega * free_vertices } else { 0.0 };
-        StateBounds { displacement: larger(x2.sqrt(), free_vertices), momentum: larger(m2.sqrt(), swings) }
-    }
-
-    /// The largest distance of a vertex from its rest position within `h` [s] under at most `force` [scene unit/s²].
-    ///
-    /// Without force √(|u|² + ω²|x|²) never grows, so |x| grows by no more than this bound times h, and never exceeds it
-    /// over ω. A force f adds ∫ S(h − t) f dt, and the response S(t) to an impulse is at most t and at most 1/ω.
-    pub fn after(&self, oscillator: Oscillator, force: f64, h: f64) -> f64 {
-        let (pulled, travelled) = (0.5 * h * h, self.displacement + self.momentum * h);
-        if oscillator.omega > 0.0 {
-            travelled.min(self.momentum / oscillator.omega) + force * pulled.min(h / oscillator.omega)
-        } else {
-            travelled + force * pulled
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Compares the bound with the closed form under a constant force. It is never smaller, and from rest at most a
-    /// tenth larger within a quarter of a time scale.
-    #[test]
-    fn vertices_stay_within_the_bound_under_a_constant_force() {
-        for (omega, damping) in [(0.0, 0.0), (12.0, 0.0), (12.0, 1.5), (2.0, 9.0)] {
-            let oscillator = Oscillator { omega, damping };
-            for (x, u) in [(0.0, 0.0), (0.3, 0.0), (-0.2, 1.5), (0.1, -4.0)] {
-                let bounds = StateBounds { displacement: f64::abs(x), momentum: f64::hypot(u, omega * x) };
-                for h in [1e-3, 1.0 / 60.0, 0.08, 0.7, 10.0] {
-                    let (force, propagator) = (70.0, oscillator.propagator(h));
-                    let reached = propagator.xx * x + propagator.xu * u + propagator.x[0] * force;
-                    let bound = bounds.after(oscillator, force, h);
-                    assert!(reached.abs() <= bound * (1.0 + 1e-12), "{omega} {damping} {x} {u} {h}: {reached} {bound}");
-                    if bounds.momentum == 0.0 && (omega + 2.0 * damping) * h < 1.0 / 4.0 {
-                        assert!(bound <= 1.1 * reached, "{omega} {damping} {h}: {bound} for {reached}");
-                    }
-                }
+    /// Displacement x and velocity x′ of vertex `i`.
+    fn state_of(&self, i: usize) -> State {
+        match self.solved {
+            Solved::Prescribed { active: None, .. } => State::default(),
+            Solved::Prescribed { active: Some(active), now, .. } => {
+                let alike = active.carried_at(now);
+                let own = active.state.deformation.state(i, now);
+                State { x: alike.x + own.x, u: alike.u + own.u }
+            }
+            Solved::Coupled(member) => {
+                let of = |vectors: &[DVec3]| vectors.get(i).copied().unwrap_or_default();
+                State { x: of(&member.body.x), u: of(&member.body.u) }
             }
         }
     }
+
+    /// Displacement x of vertex `i` from rest, in the axes of the world [scene unit].
+    pub fn displacement(&self, i: usize) -> DVec3 {
+        self.state_of(i).x
+    }
+
+    /// Velocity x′ of the displacement of vertex `i` [scene unit/s].
+    pub fn velocity(&self, i: usize) -> DVec3 {
+        self.state_of(i).u
+    }
+
+    /// Position of vertex `i` relative to the centre, Q l + x, in the axes of the world [scene unit].
+    pub fn local_position(&self, i: usize) -> DVec3 {
+        self.turned(self.rest(i)) + self.displacement(i)
+    }
+
+    /// Q l.
+    fn turned(&self, rest: DVec3) -> DVec3 {
+        if self.member().is_some() { self.rotation() * rest } else { rest }
+    }
+
+    /// World position r = c + Q l + x of vertex `i` [scene unit].
+    pub fn position(&self, i: usize) -> DVec3 {
+        self.centre + self.local_position(i)
+    }
+
+    /// World positions of all vertices [scene unit].
+    pub fn positions(self) -> impl ExactSizeIterator<Item = DVec3> + 'a {
+        let states = self.states();
+        (0..self.vertex_count()).map(move |i| self.centre + (self.turned(self.rest(i)) + states.displacement.get(i)))
+    }
+
+    /// The largest |x| of its vertices [scene unit].
+    pub fn max_displacement(&self) -> f64 {
+        if self.is_at_rest() {
+            return 0.0;
+        }
+        self.states().displacement.iter().map(DVec3::length_squared).fold(0.0, f64::max).sqrt()
+    }
+}
+
+/// A pair of bodies at the world's current time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PairView {
+    /// Index of the first body.
+    pub a: usize,
+    /// Index of the second body; `a < b`.
+    pub b: usize,
+    /// Centre distance over the sum of the radii [–].
+    pub q: f64,
+    /// The phase of the pair, which determines how the two act on each other.
+    pub phase: Phase,
 }

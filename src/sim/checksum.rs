@@ -6,10 +6,12 @@
 
 use super::{
     arrays::{Blocks, LANES},
-    body::Active,
-    deformation::{DISPLACEMENT, Deformation, FreeVertices, VELOCITY},
     free::Body,
-    pairs::Pair,
+    prescribed::{
+        body::Active,
+        deformation::{DISPLACEMENT, Deformation, FreeVertices, VELOCITY},
+        pairs::Pair,
+    },
     state::State,
 };
 use crate::{

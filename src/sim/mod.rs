@@ -2,26 +2,49 @@
 //!
 //! | contents | module |
 //! | --- | --- |
-//! | the world and its step | `world` |
-//! | the state of one body and how a step advances it | `body`, `advance` |
-//! | the bodies that are not at rest | `active_set` |
-//! | per-vertex state beyond the motion that all vertices share | `deformation` |
+//! | the world and its step; a body and a pair at its current time | `world`, `body` |
+//! | the two solvers, and what both read | `solver` |
+//! | the solver of bodies on paths | `prescribed` |
+//! | the solver of coupled scenes: free bodies, planes, cores with a width | `coupled` |
+//! | free bodies as plain data, which `coupled` steps | [`free`] |
 //! | what acts on vertices, one file per force term | `terms` |
-//! | the motion of all moving bodies during a step | `tracks` |
-//! | broad phase: which bodies can touch | `neighbours` of `pairs`, by a grid in [`reach`] |
+//! | how vertices of a body on a path are advanced | [`integrator`] |
 //! | when pairs merge, split, enter and leave their core | [`events`] |
-//! | how a vertex is advanced | [`integrator`] |
-//! | free bodies: a self-contained solver | [`free`] |
-//! | scenes with free bodies or planes: their step | `coupled` |
+//! | which bodies can touch: a grid | [`reach`] |
 //! | changes between steps | `edit` |
 //! | observation: forces by cause, energy | `observe` |
-//! | the solution within a step, on request | `within` |
 //! | what a step reports | `report` |
 //! | how much work a step may do | `work` |
 //! | hash of the exact state | `checksum` |
 //! | memory that a scene needs, estimated before it is built | `memory` |
 //!
 //! This module does not depend on Rerun or files, nor on clocks other than the step's own timers.
+//!
+//! # A step of bodies on paths
+//! Names in front are those of the stages in `/timings`.
+//!
+//! 1. [`World::step`] → `Prescribed::step` (`prescribed`), which lists the stages
+//! 2. reach: `Tracks::follow` (`tracks`) evaluates the paths; `Pairs::follow` (`pairs`) searches the grid
+//! 3. events: `Pairs::find_events` → `Search::first_change` ([`events`]) → `roots`
+//! 4. reach: `wake_acted_on`, `wake_moved`; `find_bounds` → `Context::find_reachable` (`advance`)
+//! 5. integrate: `Context::advance` for every awake body
+//! 6. ‥ of an explicit scheme: `explicit::advance` ([`integrator`]); otherwise:
+//! 7. ‥ `choose_active_set` (`deformation`), then `find_breaks` divides the step where something jumps
+//! 8. ‥ for every part: `over` (`terms`) collects what acts, `exponential::advance` steps the active set
+//! 9. ‥ ‥ all of its vertices in SIMD lanes (`together`), then those that cross a rim one by one (`single`)
+//! 10. integrate: `Pairs::enter_phases`; `sleep` puts bodies to sleep
+//!
+//! # A step of a coupled scene
+//! 1. [`World::step`] → `Coupled::step` (`coupled`), which lists the stages
+//! 2. reach: `wake_pushed`; `find_neighbours` → `Near::follow` (`near`) searches the grid
+//! 3. integrate, of an explicit scheme: `explicit::step` (`coupled`); otherwise:
+//! 4. reach: `find_islands` groups the bodies that can act on each other (`islands`)
+//! 5. integrate: `islands::advance` → `Island::advance_with` ([`free`]) for every island
+//! 6. ‥ `Island::substep` tries steps until the error is within the tolerance: `solve` → `converge`
+//! 7. ‥ ‥ `evaluate` (`force`, `kernels`) computes forces, `Course::follow` (`step`) moves bodies, `judge` estimates
+//! 8. ‥ ‥ the step is shortened to end at the `first_crossing` of a threshold; `commit` makes it the state
+//! 9. again from 4 with wider bounds for bodies that moved farther than expected (`has_strayed`)
+//! 10. reach: `end` takes the results over, moves bodies on which nothing acts (`fly`), and puts calm ones to `rest`
 //!
 //! # What a step skips
 //! Step cost scales with active interactions, not with vertices, and skipping changes no result:
@@ -38,13 +61,10 @@
 //! - The active set is stepped in SIMD lanes (AVX-512, AVX2 or SSE2), and bodies on as many threads as pay off, with
 //!   bit-identical results.
 
-mod active_set;
-mod advance;
 mod arrays;
 mod body;
 mod checksum;
 mod coupled;
-mod deformation;
 mod edit;
 #[doc(hidden)]
 pub mod events;
@@ -53,26 +73,25 @@ pub mod free;
 #[doc(hidden)]
 pub mod integrator;
 pub(crate) mod memory;
-mod neighbours;
 mod nodes;
 pub(crate) mod observe;
-mod pairs;
+pub(crate) mod prescribed;
 #[doc(hidden)]
 pub mod reach;
 mod report;
 pub(crate) mod roots;
+mod solver;
 mod span;
 mod state;
 pub(crate) mod terms;
-mod tracks;
-pub(crate) mod within;
 pub(crate) mod work;
 mod world;
 
 pub use arrays::Vectors;
+pub use body::{BodyView, PairView, States};
 pub use events::Event;
 pub use memory::TooLarge;
 pub use observe::{BodyForces, Energy};
 pub use report::{Diverged, EditError, Failure, Overworked, Shortfall, Stage, StepReport, Strain, Toil};
 pub use terms::Cause;
-pub use world::{BodyView, Options, PairView, States, World};
+pub use world::{Options, World};

@@ -4,10 +4,12 @@ use glam::DVec3;
 
 use super::{
     arrays::Vectors,
-    coupled::member::driven,
+    body::States,
+    coupled::{dense::Interpolated, member::driven},
     free::{Conserved, Forces, Ledger, Snapshot},
     terms::{Cause, Source, Surroundings, oscillator, spheres},
-    world::{States, World},
+    work::{Tally, Work},
+    world::World,
 };
 use crate::{
     geometry::Rest,
@@ -50,13 +52,13 @@ impl World {
             seen.forces(self.scene().influence.weight, &mut forces.0.by_cause);
         }
         for vectors in forces.0.by_cause.iter_mut().filter(|vectors| vectors.is_empty()) {
-            vectors.reset(self.bodies[index].rest().len());
+            vectors.reset(self.body(index).vertex_count());
         }
     }
 
     /// The current state of all bodies of a coupled scene; `None` for other scenes.
     pub(crate) fn snapshot(&self) -> Option<Snapshot<'_>> {
-        Some(self.coupled.as_ref()?.snapshot(self.scene(), self.time()))
+        Some(self.solver.coupled()?.snapshot(self.scene(), self.time()))
     }
 
     /// The inertial response of a body on a path to its own motion [scene unit/s²]; zero for a free body.
@@ -73,7 +75,12 @@ impl World {
     /// the integrator's error. Only [`Integrator::Exponential`](crate::scene::Integrator::Exponential) keeps this
     /// account.
     pub fn ledger(&self) -> Ledger {
-        self.ledger
+        self.solver.coupled().map(|coupled| coupled.ledger).unwrap_or_default()
+    }
+
+    /// The energy of the free bodies at t = 0 [mass · scene unit²/s²].
+    pub(crate) fn first_energy(&self) -> f64 {
+        self.solver.coupled().map_or(0.0, |coupled| coupled.first_energy)
     }
 
     /// The energy of the current state. In a coupled scene, the energy of the free bodies, in units of mass · scene
@@ -82,7 +89,7 @@ impl World {
         if let Some(snapshot) = self.snapshot() {
             return Energy::of(&snapshot.conserved(), snapshot.reached());
         }
-        let mut energy = EnergySum::new(self.scene(), self.energy_of_distant_pairs(), self.phases());
+        let Some(mut energy) = self.energy_sum() else { return Energy::default() };
         let mut states = States::default();
         for (index, body) in self.bodies().enumerate() {
             let surroundings = self.surroundings(index);
@@ -94,9 +101,26 @@ impl World {
         energy.sum
     }
 
-    /// The influence energy as if every pair were apart and out of reach [scene unit²/s²].
-    pub(crate) fn energy_of_distant_pairs(&self) -> f64 {
-        *self.energy_of_distant_pairs.get_or_init(|| spheres::energy_of_distant_pairs(self.scene()))
+    /// An energy sum to which bodies can be added; `None` if the scene is coupled.
+    pub(crate) fn energy_sum(&self) -> Option<EnergySum> {
+        let (prescribed, scene) = (self.solver.prescribed()?, self.scene());
+        Some(EnergySum::new(scene, prescribed.energy_of_distant_pairs(scene), prescribed.phases()))
+    }
+
+    /// Calls `write` with the states of some bodies of a coupled scene at `time` [s] within the last step, which began at
+    /// `start` [s], on the solver's own solution. Omits bodies that took no step of the solver, and those that would be
+    /// too much work.
+    pub(crate) fn coupled_within(
+        &self,
+        start: f64,
+        time: f64,
+        bodies: &[usize],
+        work: &Work,
+        write: impl FnMut(usize, &Interpolated<'_>),
+    ) {
+        if let Some(coupled) = self.solver.coupled() {
+            coupled.within(self.setting(), start, time, bodies, &Tally::new(work, None), write);
+        }
     }
 
     /// A body in the given state. Displacements and velocities are empty if all are zero.
@@ -106,7 +130,7 @@ impl World {
         [displacement, velocity]: [&'a Vectors; 2],
         surroundings: &'a Surroundings,
     ) -> Observed<'a> {
-        let (body, rest) = (&self.scene().bodies[index], self.bodies[index].rest());
+        let (body, rest) = (&self.scene().bodies[index], self.body(index).rest_shape());
         Observed { body, rest, displacement, velocity, surroundings }
     }
 }

@@ -1,6 +1,6 @@
 //! What a step reports to its observers, and why a world cannot be changed.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use glam::DVec3;
 
@@ -29,6 +29,23 @@ impl Stage {
             Stage::Events => "events",
             Stage::Integrate => "integrate",
         }
+    }
+}
+
+/// Measures the stages of a step.
+pub(super) struct Stopwatch(Instant);
+
+impl Stopwatch {
+    /// Begins to measure the first stage.
+    pub fn start() -> Stopwatch {
+        Stopwatch(Instant::now())
+    }
+
+    /// Adds the time since the start, or since the end of the previous stage, to the time of a stage.
+    pub fn stop(&mut self, stage: Stage, report: &mut StepReport) {
+        let now = Instant::now();
+        report.timings[stage as usize] += now - self.0;
+        self.0 = now;
     }
 }
 

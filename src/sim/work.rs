@@ -42,6 +42,8 @@ pub(crate) struct Work {
     debt: u64,
     /// [Base](super::integrator::exponential::StepStatistics::base) of the last step; before the first, an estimate.
     base: u64,
+    /// Number of vertices of the scene.
+    vertices: u64,
     /// Limit of this step.
     limit: u64,
     /// Work of this step so far. Tallies of running bodies are added in grains, so it lags slightly.
@@ -66,14 +68,19 @@ pub(super) enum Stop {
 }
 
 impl Work {
-    /// Before the first step.
-    pub fn new(interrupt: Option<&'static AtomicBool>) -> Work {
-        Work { interrupt, limit: u64::MAX, ..Work::default() }
+    /// Before the first step of a scene of `vertices`.
+    pub fn new(vertices: u64, interrupt: Option<&'static AtomicBool>) -> Work {
+        Work { vertices, interrupt, limit: u64::MAX, ..Work::default() }
+    }
+
+    /// Continues after the steps of another scene.
+    pub fn resume(&mut self, before: &mut Work) {
+        *self = Work { vertices: self.vertices, ..std::mem::take(before) };
     }
 
     /// A single task of at most `limit` [units].
     pub fn limited(limit: u64, interrupt: Option<&'static AtomicBool>) -> Work {
-        Work { limit, ..Work::new(interrupt) }
+        Work { limit, ..Work::new(0, interrupt) }
     }
 
     /// Sets the expected base of the first step.
@@ -81,9 +88,9 @@ impl Work {
         self.base = base;
     }
 
-    /// Begins a step of a scene of `vertices`.
-    pub fn begin(&mut self, vertices: u64) {
-        self.limit = MAX_DEBT.saturating_sub(self.debt).saturating_add(self.allowance(vertices));
+    /// Begins a step.
+    pub fn begin(&mut self) {
+        self.limit = MAX_DEBT.saturating_sub(self.debt).saturating_add(self.allowance(self.vertices));
         self.total = AtomicU64::new(0);
         self.before = 0;
     }

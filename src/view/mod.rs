@@ -32,7 +32,6 @@ use crate::{
     sim::{
         self, Cause, Energy, Event, Failure, Stage, States, World,
         free::{Forces, Snapshot},
-        observe::EnergySum,
         terms::Surroundings,
     },
 };
@@ -97,7 +96,7 @@ impl Simulation for World {
 
     fn account(&self) -> Option<String> {
         let (now, ledger) = (self.conserved()?.energy(), self.ledger());
-        let head = format!("energy of free bodies: {:.4} at the start, {now:.4} at the end", self.first_energy);
+        let head = format!("energy of free bodies: {:.4} at the start, {now:.4} at the end", self.first_energy());
         if self.scene().integrator != Integrator::Exponential {
             return Some(head);
         }
@@ -112,7 +111,7 @@ impl Simulation for World {
         ];
         let brought = brought.into_iter().filter(|&(_, energy)| energy != 0.0);
         let brought: Vec<String> = brought.map(|(name, energy)| format!("{name} {energy:+.4}")).collect();
-        let left = now - self.first_energy - ledger.total();
+        let left = now - self.first_energy() - ledger.total();
         let brought = if brought.is_empty() { "nothing changed it".to_owned() } else { brought.join(", ") };
         Some(format!("{head}; {brought}; not accounted for: {left:.1e}"))
     }
@@ -128,8 +127,7 @@ impl Simulation for World {
         frame.pairs.extend(self.pairs().map(pair_frame));
         frame.bodies.resize_with(self.body_count(), BodyFrame::default);
         let snapshot = self.snapshot().filter(|_| want.forces || want.scalars);
-        let mut energy = (want.scalars && snapshot.is_none())
-            .then(|| EnergySum::new(scene, self.energy_of_distant_pairs(), self.phases()));
+        let mut energy = want.scalars.then(|| self.energy_sum()).flatten();
         let (mut surroundings, mut forces) = (Surroundings::default(), Forces::default());
         for ((index, body), now) in self.bodies().enumerate().zip(&mut frame.bodies) {
             (now.centre, now.rotation) = (body.centre(), body.rotation());
@@ -176,7 +174,7 @@ impl Simulation for World {
                 resting: self.resting_count(),
                 conserved,
                 ledger: self.ledger(),
-                first_energy: self.first_energy,
+                first_energy: self.first_energy(),
             };
             frame.scalars.extend(scalars(scene).map(|scalar| match scalar.value {
                 ScalarValue::State(value) => value(&state),
@@ -209,7 +207,7 @@ impl Simulation for World {
 
     fn within(&self, before: &Frame, time: f64, bodies: &[usize], frame: &mut Frame) {
         let is_exact = self.scene().integrator == Integrator::Exponential;
-        if is_exact && !self.scene().is_coupled() && stages::within(before, self, time, bodies, frame) {
+        if is_exact && stages::within(before, self, time, bodies, frame) {
             return;
         }
         let written = if is_exact { stages::within_coupled(before, self, time, bodies, frame) } else { Vec::new() };
@@ -219,8 +217,10 @@ impl Simulation for World {
             self.observe(Want::default(), &mut after);
             between(&Simulation::schema(self), [before, &after], time, &others, frame);
         }
-        for &index in bodies.iter().filter(|&&index| self.scene().bodies[index].path().is_some()) {
-            frame.bodies[index].centre = self.path(index).position(time);
+        for &index in bodies {
+            if let Some(path) = self.scene().bodies[index].path() {
+                frame.bodies[index].centre = path.position(time);
+            }
         }
     }
 

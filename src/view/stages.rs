@@ -10,7 +10,7 @@ use crate::{
     scene::Integrator,
     sim::{
         Cause, PairView, States, World,
-        within::{Before, Recomputed},
+        prescribed::within::{Before, Recomputed},
         work::Work,
     },
 };
@@ -39,9 +39,10 @@ pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
         stage("influence forces", influence_only(before.clone(), world.scene().is_coupled())),
     ];
     let max = (MAX_VERTICES / world.scene().vertex_count().max(1)).max(MIN_STAGES) as usize;
-    let last = match world.scene().is_coupled() {
-        true => events_of_free_bodies(before, world, max, &mut stages),
-        false => intervals(before, world, max, &mut stages),
+    let work = Work::limited(MAX_WORK, world.options().interrupt);
+    let last = match Recomputed::new(world, before_step(before), &work) {
+        Some(recomputed) => intervals(&recomputed, before, world, max, &mut stages),
+        None => events_of_free_bodies(before, world, max, &mut stages),
     };
     let mut frame = Frame::default();
     world.observe(WANT, &mut frame);
@@ -65,12 +66,15 @@ fn events_of_free_bodies(before: &Frame, world: &World, max: usize, stages: &mut
 }
 
 /// Adds the stages of a step of bodies on paths. Returns the name of the last one.
-fn intervals(before: &Frame, world: &World, max: usize, stages: &mut Vec<StageFrame>) -> String {
-    let work = Work::limited(MAX_WORK, world.options().interrupt);
-    let recomputed = Recomputed::new(world, before_step(before), &work);
+fn intervals(
+    recomputed: &Recomputed<'_>,
+    before: &Frame,
+    world: &World,
+    max: usize,
+    stages: &mut Vec<StageFrame>,
+) -> String {
     let (start, end) = (before.at.time, world.time());
-    let frame =
-        |t: f64, phases_at: f64, states: Vec<States>| frame_of(&recomputed, before, world, t, phases_at, states);
+    let frame = |t: f64, phases_at: f64, states: Vec<States>| frame_of(recomputed, before, world, t, phases_at, states);
     let mut states: Vec<States> = (0..world.body_count()).map(|index| states_before(before, world, index)).collect();
     let flown = states.iter().enumerate().map(|(index, states)| recomputed.flow(index, states)).collect();
     stages.push(StageFrame { name: "after the flow alone".to_owned(), frame: frame(end, start, flown) });
@@ -138,7 +142,7 @@ fn frame_of(
     let bodies = states.into_iter().enumerate().map(|(index, states)| {
         let surroundings = recomputed.surroundings(index, t, phases_at, &states);
         let States { displacement: displacements, velocity: velocities } = states;
-        let centre = world.path(index).position(t);
+        let centre = recomputed.path(index).position(t);
         let mut now = BodyFrame { centre, displacements, velocities, ..BodyFrame::default() };
         now.displaced(world.body(index).rest_shape());
         add_forces(world, index, &surroundings, &mut now);
@@ -155,11 +159,11 @@ fn frame_of(
 }
 
 /// Writes the state of some bodies at a time within the step that led from `before` to the current state of the world,
-/// on the solution of the step; false if that is too much work. Only for the exponential integrator: the others have no
-/// dense output.
+/// on the solution of the step; false if that is too much work, or if the scene is coupled. Only for the exponential
+/// integrator: the others have no dense output.
 pub fn within(before: &Frame, world: &World, time: f64, bodies: &[usize], frame: &mut Frame) -> bool {
     let work = Work::limited(MAX_WORK_WITHIN, world.options().interrupt);
-    let recomputed = Recomputed::new(world, before_step(before), &work);
+    let Some(recomputed) = Recomputed::new(world, before_step(before), &work) else { return false };
     let mut breaks = recomputed.breaks();
     breaks.retain(|&at| at < time);
     if breaks.len() > MAX_PARTS {
@@ -177,7 +181,7 @@ pub fn within(before: &Frame, world: &World, time: f64, bodies: &[usize], frame:
             return false;
         }
         let now = &mut frame.bodies[index];
-        now.centre = world.path(index).position(time);
+        now.centre = recomputed.path(index).position(time);
         (now.displacements, now.velocities) = (states.displacement, states.velocity);
         now.displaced(world.body(index).rest_shape());
     }

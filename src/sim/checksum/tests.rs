@@ -5,7 +5,14 @@ use crate::scene::Scene;
 use crate::sim::{
     World,
     arrays::{Block, Blocks},
+    prescribed::Prescribed,
+    solver::Solver,
 };
+
+fn prescribed(world: &mut World) -> &mut Prescribed {
+    let Solver::Prescribed(prescribed) = &mut world.solver else { unreachable!("all bodies are on paths") };
+    prescribed
+}
 
 /// Two merged bodies, each with at least one vertex near the other's sphere and other vertices free.
 fn merged() -> World {
@@ -13,7 +20,7 @@ fn merged() -> World {
     for _ in 0..120 {
         world.step();
     }
-    assert!(world.actives.all_mut().iter().all(|active| !active.state.deformation.is_empty()));
+    assert!(prescribed(&mut world).actives.all_mut().iter().all(|active| !active.state.deformation.is_empty()));
     world
 }
 
@@ -34,13 +41,13 @@ fn axis(active: &mut Active, number: usize) -> Vec<&mut f64> {
 fn every_bit_of_the_state_counts() {
     let mut world = merged();
     let before = world.checksum();
-    for slot in 0..world.actives.all_mut().len() {
+    for slot in 0..prescribed(&mut world).actives.all_mut().len() {
         for number in 0..12 {
-            for i in 0..axis(&mut world.actives.all_mut()[slot], number).len() {
-                let is_zero = *axis(&mut world.actives.all_mut()[slot], number)[i] == 0.0;
+            for i in 0..axis(&mut prescribed(&mut world).actives.all_mut()[slot], number).len() {
+                let is_zero = *axis(&mut prescribed(&mut world).actives.all_mut()[slot], number)[i] == 0.0;
                 for bit in [0, 1, 31, 32, 51, 52, 62, 63].into_iter().filter(|&bit| !(is_zero && bit == 63)) {
                     let flip = |world: &mut World| {
-                        let value = &mut *axis(&mut world.actives.all_mut()[slot], number)[i];
+                        let value = &mut *axis(&mut prescribed(world).actives.all_mut()[slot], number)[i];
                         *value = f64::from_bits(value.to_bits() ^ 1 << bit);
                         world.checksum()
                     };
@@ -50,7 +57,7 @@ fn every_bit_of_the_state_counts() {
             }
         }
         let flip = |world: &mut World| {
-            world.actives.all_mut()[slot].state.carried.u.y += 1.0;
+            prescribed(world).actives.all_mut()[slot].state.carried.u.y += 1.0;
             world.checksum()
         };
         assert_ne!(flip(&mut world), before);
@@ -65,7 +72,8 @@ fn every_bit_of_the_state_counts() {
 fn pairs_of_changes_count() {
     let mut world = merged();
     let before = world.checksum();
-    let numbers: Vec<f64> = axis(&mut world.actives.all_mut()[0], 0).into_iter().map(|number| *number).collect();
+    let numbers: Vec<f64> =
+        axis(&mut prescribed(&mut world).actives.all_mut()[0], 0).into_iter().map(|number| *number).collect();
     let count = numbers.len();
     let mut seen = std::collections::HashSet::from([before]);
     for i in 0..count {
@@ -77,7 +85,7 @@ fn pairs_of_changes_count() {
             changes.dedup(); // where one is the negative of the other
             for changed in changes {
                 let set = |world: &mut World, (a, b)| {
-                    let mut axis = axis(&mut world.actives.all_mut()[0], 0);
+                    let mut axis = axis(&mut prescribed(world).actives.all_mut()[0], 0);
                     (*axis[i], *axis[j]) = (a, b);
                 };
                 set(&mut world, changed);
@@ -93,7 +101,7 @@ fn pairs_of_changes_count() {
 fn padding_does_not_count() {
     let mut world = merged();
     let before = world.checksum();
-    let active_set = &mut world.actives.all_mut()[0].state.deformation.active_set;
+    let active_set = &mut prescribed(&mut world).actives.all_mut()[0].state.deformation.active_set;
     let count = active_set.vertices.len();
     let Block([_, velocity, _]) = active_set.blocks.all_mut().last_mut().unwrap();
     assert!(!count.is_multiple_of(LANES));
@@ -105,6 +113,6 @@ fn padding_does_not_count() {
 fn phases_count() {
     let mut world = merged();
     let before = world.checksum();
-    world.pairs = super::super::pairs::Pairs::default();
+    prescribed(&mut world).pairs = crate::sim::prescribed::pairs::Pairs::default();
     assert_ne!(world.checksum(), before);
 }

@@ -20,9 +20,9 @@ use crate::{
     },
     scene::{Path, Scene},
     sim::{
-        deformation::larger,
         events::Event,
         free::{self, Body},
+        prescribed::deformation::larger,
         report::StepReport,
         span::Span,
     },

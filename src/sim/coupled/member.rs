@@ -39,6 +39,8 @@ const SLACK: f64 = 0.05;
 
 /// A body, and the engine's bookkeeping for it.
 pub(in crate::sim) struct Member {
+    /// Its rest shape.
+    pub mesh: Arc<Mesh>,
     /// Its state. An undeformed body has empty lists of displacements and velocities.
     pub body: Body,
     /// Step length with which its island last met the tolerance [s].
@@ -101,11 +103,12 @@ impl Shapes {
 
 impl Member {
     /// A body of the scene at t = 0.
-    pub fn new(scene: &Scene, index: usize, mesh: &Arc<Mesh>, shapes: &mut Shapes) -> Member {
+    pub fn new(scene: &Scene, index: usize, shapes: &mut Shapes) -> Member {
         let body = &scene.bodies[index];
+        let mesh = body.shape.mesh();
         let mut pushes: Vec<Push> = scene.pushes.iter().filter(|push| push.body == index).map(pushed).collect();
         pushes.sort_by(|p, q| p.start.total_cmp(&q.start));
-        let shape = shapes.get(mesh, body.radius, body.mass);
+        let shape = shapes.get(&mesh, body.radius, body.mass);
         let oscillator = Oscillator { omega: body.material.omega, damping: body.material.damping };
         let extent = shape.extent();
         let body = match &body.motion {
@@ -123,6 +126,7 @@ impl Member {
         };
         let speed = body.u.iter().map(|u| u.length()).fold(0.0, f64::max);
         let mut member = Member {
+            mesh,
             body,
             pace: f64::INFINITY,
             calm: 0,

@@ -34,14 +34,9 @@ pub(super) mod member;
 mod near;
 mod neighbours;
 
-use std::{
-    mem::take,
-    sync::{Arc, Mutex},
-    time::Instant,
-};
+use std::{mem::take, sync::Mutex};
 
 use glam::DVec3;
-use pulp::Arch;
 
 use self::{
     dense::Interpolated,
@@ -52,17 +47,18 @@ use self::{
     neighbours::Neighbour,
 };
 use super::{
+    body::{BodyView, Solved},
     events::Event,
-    free::{self, Field, Parts, Scratch, Snapshot},
-    report::{Failure, Overworked, Stage, StepReport, Strain, Toil},
+    free::{self, Field, Ledger, Parts, Scratch, Snapshot},
+    report::{Failure, Overworked, Stage, StepReport, Stopwatch, Strain, Toil},
+    solver::{Setting, Step},
     span::Span,
     terms::{Cause, Source, Surroundings, Weighted},
     work::{Stop, Tally, Work},
 };
 use crate::{
-    geometry::Mesh,
     model::{phase::Phase, shape_matching::Plane},
-    scene::{Response, Scene},
+    scene::{self, Response, Scene},
 };
 
 /// Limit on repetitions of a step because bodies moved farther than expected.
@@ -88,7 +84,6 @@ pub(super) struct Coupled {
     starts: Vec<(f64, u32)>,
     /// … and how many have begun.
     started: usize,
-    arch: Arch,
     forest: Forest,
     jobs: Vec<Job>,
     /// Buffers, reused; `before` holds the islands of the previous step.
@@ -99,13 +94,17 @@ pub(super) struct Coupled {
     /// Index of a body's island in the step, by its root.
     job_of: Vec<u32>,
     scratches: Mutex<Vec<Scratch>>,
+    /// Energy brought to free bodies so far, by cause.
+    pub ledger: Ledger,
+    /// Energy of free bodies at t = 0.
+    pub first_energy: f64,
 }
 
 impl Coupled {
     /// The bodies at t = 0; `None` if there are more than `max_pairs` pairs of nearby bodies.
-    pub fn new(scene: &Scene, meshes: &[Arc<Mesh>], arch: Arch, max_pairs: u64, work: &Work) -> Option<Coupled> {
+    pub fn new(scene: &Scene, max_pairs: u64, work: &Work) -> Option<Coupled> {
         let mut shapes = Shapes::default();
-        let members = meshes.iter().enumerate().map(|(index, mesh)| Member::new(scene, index, mesh, &mut shapes));
+        let members = (0..scene.bodies.len()).map(|index| Member::new(scene, index, &mut shapes));
         let mut starts: Vec<(f64, u32)> = scene.pushes.iter().map(|push| (push.start, push.body as u32)).collect();
         starts.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut coupled = Coupled {
@@ -115,7 +114,6 @@ impl Coupled {
             resting_hash: 0,
             starts,
             started: 0,
-            arch,
             forest: Forest::default(),
             jobs: Vec::new(),
             before: Vec::new(),
@@ -124,6 +122,8 @@ impl Coupled {
             stepped: Vec::new(),
             job_of: vec![0; scene.bodies.len()],
             scratches: Mutex::default(),
+            ledger: Ledger::default(),
+            first_energy: 0.0,
         };
         let first = Span { start: 0.0, end: scene.dt };
         for (member, body) in coupled.members.iter_mut().zip(&scene.bodies) {
@@ -136,6 +136,7 @@ impl Coupled {
             coupled.members[body as usize].is_awake = true;
             coupled.awake.push(body);
         }
+        coupled.first_energy = coupled.snapshot(scene, 0.0).conserved().energy();
         Some(coupled)
     }
 
@@ -143,6 +144,7 @@ impl Coupled {
     /// state. Bodies at rest stay at rest unless `wake_all` is set.
     pub fn resume(&mut self, scene: &Scene, before: &Coupled, kept: &[Option<usize>], wake_all: bool, time: f64) {
         let span = Span { start: time, end: time + scene.dt };
+        self.ledger = before.ledger;
         for (index, (member, kept)) in self.members.iter_mut().zip(kept).enumerate() {
             member.neighbours.clear();
             match kept {
@@ -198,60 +200,63 @@ impl Coupled {
         self.awake.sort_unstable();
     }
 
-    /// Advances all bodies over `span`.
+    /// Takes a step, stage by stage. Returns the first body whose state is invalid afterwards.
     ///
     /// # Errors
-    /// The step could not be completed. A body in an invalid state is no error: its index is returned.
-    pub fn step(
-        &mut self,
-        scene: &Scene,
-        span: Span,
-        work: &mut Work,
-        report: &mut StepReport,
-    ) -> Result<Option<usize>, Failure> {
-        let start = Instant::now();
-        self.wake_pushed(span);
-        self.bound_motion(scene, span, work);
-        if let Some(scheme) = Scheme::of(scene.integrator) {
-            let tally = Tally::new(work, None);
-            tally.spend(self.members.iter().map(Member::size).sum());
-            drop(tally);
-            self.check(scene, span, work, report)?;
-            let ready = Instant::now();
-            let diverged = explicit::step(scheme, scene, &mut self.members, &mut self.near, span, report);
-            report.timings[Stage::Reach as usize] = ready - start;
-            report.timings[Stage::Integrate as usize] = ready.elapsed();
-            return Ok(diverged);
+    /// The step could not be completed.
+    pub fn step(&mut self, step: &mut Step<'_>) -> Result<Option<usize>, Failure> {
+        let mut stopwatch = Stopwatch::start();
+        step.report.error = 0.0; // it becomes the largest of this step
+        self.wake_pushed(step.span);
+        self.find_neighbours(step);
+        if let Some(scheme) = Scheme::of(step.setting.scene.integrator) {
+            return self.step_explicitly(scheme, step, stopwatch);
         }
-        let mut rounds = 0;
-        let mut integrating = std::time::Duration::ZERO;
-        loop {
-            self.find_islands(scene, span, work);
-            self.check(scene, span, work, report)?;
-            let ready = Instant::now();
-            self.advance(scene, span, work, report)?;
-            integrating += ready.elapsed();
-            let mut any = false;
-            for job in &mut self.jobs {
-                for (&body, way) in job.group.bodies.iter().zip(&job.parts.ways) {
-                    if self.members[body as usize].strayed(way) {
-                        (any, job.is_done) = (true, false);
-                    }
+        for _ in 0..MAX_ROUNDS {
+            self.find_islands(step);
+            self.check(step)?;
+            stopwatch.stop(Stage::Reach, step.report);
+            self.integrate(step)?;
+            stopwatch.stop(Stage::Integrate, step.report);
+            if !self.has_strayed() {
+                self.end(step);
+                stopwatch.stop(Stage::Reach, step.report);
+                return Ok(None);
+            }
+        }
+        Err(self.never_ends(step))
+    }
+
+    /// Takes a step of an explicit scheme. Returns the first body whose state is invalid afterwards.
+    fn step_explicitly(
+        &mut self,
+        scheme: Scheme,
+        step: &mut Step<'_>,
+        mut stopwatch: Stopwatch,
+    ) -> Result<Option<usize>, Failure> {
+        let tally = Tally::new(step.work, None);
+        tally.spend(self.members.iter().map(Member::size).sum());
+        drop(tally);
+        self.check(step)?;
+        stopwatch.stop(Stage::Reach, step.report);
+        let Coupled { members, near, .. } = self;
+        let diverged = explicit::step(scheme, step.setting.scene, members, near, step.span, step.report);
+        stopwatch.stop(Stage::Integrate, step.report);
+        Ok(diverged)
+    }
+
+    /// Whether a body moved farther than was expected when islands were found. The islands of such bodies are advanced
+    /// again.
+    fn has_strayed(&mut self) -> bool {
+        let mut any = false;
+        for job in &mut self.jobs {
+            for (&body, way) in job.group.bodies.iter().zip(&job.parts.ways) {
+                if self.members[body as usize].strayed(way) {
+                    (any, job.is_done) = (true, false);
                 }
             }
-            if !any {
-                break;
-            }
-            rounds += 1;
-            if rounds >= MAX_ROUNDS {
-                let body = self.jobs.iter().find(|job| !job.is_done).map_or(0, |job| job.group.bodies[0]);
-                return Err(self.overworked(scene, span, report, body));
-            }
         }
-        self.end(scene, span, report);
-        report.timings[Stage::Reach as usize] = start.elapsed() - integrating;
-        report.timings[Stage::Integrate as usize] = integrating;
-        Ok(None)
+        any
     }
 
     /// Wakes the bodies on which a push begins before the end of `span`.
@@ -272,8 +277,9 @@ impl Coupled {
         self.awake.push(body);
     }
 
-    /// Bounds how far awake bodies may move during `span`, and updates their neighbours.
-    fn bound_motion(&mut self, scene: &Scene, span: Span, work: &Work) {
+    /// Bounds how far awake bodies may move during the step, and finds which bodies they come near.
+    fn find_neighbours(&mut self, step: &Step<'_>) {
+        let (Setting { scene, .. }, span) = (step.setting, step.span);
         for &body in &self.awake {
             let member = &mut self.members[body as usize];
             if let Some(path) = scene.bodies[body as usize].path() {
@@ -282,18 +288,19 @@ impl Coupled {
             }
             member.expect(&scene.bodies[body as usize], scene.gravity, span);
         }
-        let tally = Tally::new(work, None);
+        let tally = Tally::new(step.work, None);
         for &body in &self.awake {
             self.near.follow(scene, &mut self.members, body as usize, span.start, &tally);
         }
     }
 
     /// Finds the islands of the step, and wakes bodies at rest that become part of one.
-    fn find_islands(&mut self, scene: &Scene, span: Span, work: &Work) {
+    fn find_islands(&mut self, step: &Step<'_>) {
+        let (Setting { scene, .. }, span) = (step.setting, step.span);
         let Coupled { members, awake, forest, .. } = self;
         forest.clear(members.len());
         awake.iter().for_each(|&body| forest.plant(body));
-        let tally = Tally::new(work, None);
+        let tally = Tally::new(step.work, None);
         let mut next = 0;
         while next < self.awake.len() {
             let body = self.awake[next];
@@ -424,42 +431,40 @@ impl Coupled {
         }
     }
 
-    /// Advances copies of the islands' bodies to the end of `span`.
-    fn advance(&mut self, scene: &Scene, span: Span, work: &mut Work, report: &mut StepReport) -> Result<(), Failure> {
-        work.begin_turns(self.jobs.len());
-        let Coupled { members, near, scratches, jobs, arch, .. } = self;
-        islands::advance(jobs, &Conditions { scene, members, near, span, work, scratches, arch: *arch });
-        if work.is_interrupted() {
-            return Err(Failure::Interrupted { step: report.step });
+    /// Advances copies of the islands' bodies to the end of the step.
+    fn integrate(&mut self, step: &mut Step<'_>) -> Result<(), Failure> {
+        let (Setting { scene, arch, .. }, span) = (step.setting, step.span);
+        step.work.begin_turns(self.jobs.len());
+        let Coupled { members, near, scratches, jobs, .. } = self;
+        islands::advance(jobs, &Conditions { scene, members, near, span, work: step.work, scratches, arch });
+        if step.work.is_interrupted() {
+            return Err(Failure::Interrupted { step: step.report.step });
         }
         let all = self.jobs.iter().map(|job| job.work).sum();
-        if let Some(turn) = work.busiest(all, self.jobs.iter().map(|job| job.work)) {
-            return Err(
-                Overworked { step: report.step, time: span.start, toil: self.toil(scene, &self.jobs[turn]) }.into()
-            );
+        if let Some(turn) = step.work.busiest(all, self.jobs.iter().map(|job| job.work)) {
+            return Err(step.failure(Stop::Overworked, self.toil(scene, &self.jobs[turn])));
         }
-        match self.jobs.iter().find_map(|job| Some((job, job.failure.as_ref()?))) {
-            Some((job, failure)) => Err(self.failure(scene, report, job, failure)),
-            None => {
-                let (mut vertices, mut ordinary) = (0, 0);
-                for job in &self.jobs {
-                    let count = job.parts.bodies.iter().map(|body| body.x.len() as u64).sum::<u64>();
-                    vertices += count;
-                    ordinary += ORDINARY * count + ORDINARY_HELD * job.report.held;
-                }
-                work.end(all, ordinary, vertices);
-                if work.announce() {
-                    let busiest = self.jobs.iter().max_by_key(|job| job.work);
-                    let toil = busiest.map(|job| self.toil(scene, job));
-                    report.strain = toil.map(|toil| Strain { step: report.step, time: span.end, toil });
-                }
-                Ok(())
-            }
+        if let Some((job, failure)) = self.jobs.iter().find_map(|job| Some((job, job.failure.as_ref()?))) {
+            return Err(self.failure(scene, step.report, job, failure));
         }
+        let (mut vertices, mut ordinary) = (0, 0);
+        for job in &self.jobs {
+            let count = job.parts.bodies.iter().map(|body| body.x.len() as u64).sum::<u64>();
+            vertices += count;
+            ordinary += ORDINARY * count + ORDINARY_HELD * job.report.held;
+        }
+        step.work.end(all, ordinary, vertices);
+        if step.work.announce() {
+            let busiest = self.jobs.iter().max_by_key(|job| job.work);
+            let toil = busiest.map(|job| self.toil(scene, job));
+            step.report.strain = toil.map(|toil| Strain { step: step.report.step, time: span.end, toil });
+        }
+        Ok(())
     }
 
     /// Stores the islands' results as the state, and advances all other bodies.
-    fn end(&mut self, scene: &Scene, span: Span, report: &mut StepReport) {
+    fn end(&mut self, step: &mut Step<'_>) {
+        let (Setting { scene, .. }, span, report) = (step.setting, step.span, &mut *step.report);
         let mut jobs = take(&mut self.jobs);
         let mut stepped = 0;
         for job in &mut jobs {
@@ -487,6 +492,7 @@ impl Coupled {
         report.sleeping_bodies = self.members.len() as u64 - stepped;
         report.events.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
         self.rest(scene, span, &jobs, report);
+        self.ledger += report.ledger;
         jobs.iter_mut().for_each(|job| job.is_done = false);
         self.jobs = jobs;
         let Coupled { awake, members, .. } = self;
@@ -617,23 +623,22 @@ impl Coupled {
 
 /// Failures.
 impl Coupled {
-    fn check(&self, scene: &Scene, span: Span, work: &Work, report: &StepReport) -> Result<(), Failure> {
-        work.check().map_err(|stop| match stop {
-            Stop::Interrupted => Failure::Interrupted { step: report.step },
-            Stop::Overworked => {
-                let busiest = self.awake.iter().max_by_key(|&&body| self.members[body as usize].neighbours.len());
-                let body = scene.bodies[busiest.copied().unwrap_or_default() as usize].name.clone();
-                let toil = Toil::Neighbours { body, pairs: self.near.count() };
-                Overworked { step: report.step, time: span.start, toil }.into()
-            }
+    /// Whether the step can continue after the search for neighbours.
+    fn check(&self, step: &Step<'_>) -> Result<(), Failure> {
+        step.work.check().map_err(|stop| {
+            let busiest = self.awake.iter().max_by_key(|&&body| self.members[body as usize].neighbours.len());
+            let body = step.setting.scene.bodies[busiest.copied().unwrap_or_default() as usize].name.clone();
+            step.failure(stop, Toil::Neighbours { body, pairs: self.near.count() })
         })
     }
 
-    fn overworked(&self, scene: &Scene, span: Span, report: &StepReport, body: u32) -> Failure {
+    /// The failure of a step whose bodies moved farther than expected again and again.
+    fn never_ends(&self, step: &Step<'_>) -> Failure {
+        let body = self.jobs.iter().find(|job| !job.is_done).map_or(0, |job| job.group.bodies[0]);
         let member = &self.members[body as usize];
-        let body = scene.bodies[body as usize].name.clone();
+        let body = step.setting.scene.bodies[body as usize].name.clone();
         let toil = Toil::Forces { body, vertices: member.body.shape.rest().len(), spheres: member.neighbours.len() };
-        Overworked { step: report.step, time: span.start, toil }.into()
+        step.failure(Stop::Overworked, toil)
     }
 
     /// What an island's bodies do that takes so much work.
@@ -678,6 +683,12 @@ impl Coupled {
 
 /// Access to the state.
 impl Coupled {
+    /// Body `index` of the scene at the current time.
+    pub fn view<'a>(&'a self, body: &'a scene::Body, index: usize) -> BodyView<'a> {
+        let member = &self.members[index];
+        BodyView { body, mesh: &member.mesh, centre: member.body.centre, solved: Solved::Coupled(member) }
+    }
+
     /// A body.
     pub fn member(&self, index: usize) -> &Member {
         &self.members[index]
@@ -702,23 +713,24 @@ impl Coupled {
         self.members[index].neighbours.iter().map(|neighbour| (neighbour.other, self.near.pair(neighbour.pair)))
     }
 
-    /// Calls `write` with the states of some bodies at `time` [s] within the last step, from `start` to `end`, on the
-    /// solver's own solution. Omits bodies that took no step, and those that would be too much work.
-    pub(in crate::sim) fn within(
+    /// Calls `write` with the states of some bodies at `time` [s] within the last step, which began at `start` [s], on
+    /// the solver's own solution. Omits bodies that took no step, and those that would be too much work.
+    pub fn within(
         &self,
-        scene: &Scene,
-        [start, end]: [f64; 2],
+        setting: Setting<'_>,
+        start: f64,
         time: f64,
         bodies: &[usize],
         work: &Tally<'_>,
         mut write: impl FnMut(usize, &Interpolated<'_>),
     ) {
+        let ends = [start, setting.time()];
         for job in &self.jobs {
             let local = |&body: &usize| job.group.bodies.binary_search(&(body as u32)).ok();
             let own: Vec<usize> = bodies.iter().filter_map(local).collect();
             if !own.is_empty() {
                 let name = |local: usize, body: &Interpolated<'_>| write(job.group.bodies[local] as usize, body);
-                job.within(scene, ([start, end], time), &own, self.arch, work, name);
+                job.within(setting.scene, (ends, time), &own, setting.arch, work, name);
             }
         }
     }

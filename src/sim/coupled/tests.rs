@@ -68,7 +68,7 @@ fn resting_bodies_cost_nothing_until_touched() {
     let mut world = World::new(scene(&text)).unwrap();
     run(&mut world, 1020);
     assert_eq!(world.report().sleeping_bodies, 2, "{:?}", world.report()); // the third wobbles on its way
-    assert_eq!(world.coupled.as_ref().unwrap().awake_count(), 1);
+    assert_eq!(world.solver.coupled().unwrap().awake_count(), 1);
     let before = world.body(1).position(3);
     run(&mut world, 60);
     let centre = world.body(0).centre();

@@ -6,7 +6,7 @@ use crate::{
     geometry::Rest,
     model::{influence::Weight, oscillator::Oscillator},
     scene::Integrator,
-    sim::{deformation::ActiveSet, state::State, terms::Surroundings, work::Tally},
+    sim::{prescribed::deformation::ActiveSet, state::State, terms::Surroundings, work::Tally},
 };
 
 /// The explicit schemes.

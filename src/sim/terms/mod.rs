@@ -14,7 +14,10 @@ pub(super) mod spheres;
 
 use glam::DVec3;
 
-use super::{neighbours::Neighbour, span::Span, tracks::Tracks};
+use super::{
+    prescribed::{neighbours::Neighbour, tracks::Tracks},
+    span::Span,
+};
 use crate::{
     model::{
         influence::{self, Weight},

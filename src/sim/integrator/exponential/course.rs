@@ -9,8 +9,8 @@ use crate::{
     scene::{Material, Path, Scene, path::Bounds},
     sim::{
         arrays::Vectors,
+        prescribed::tracks::Tracks,
         terms::{self, Sphere},
-        tracks::Tracks,
     },
 };
 

@@ -28,7 +28,7 @@ use std::ops::Range;
 
 use pulp::Arch;
 
-use crate::sim::{deformation::ActiveSet, state::State, work::Tally};
+use crate::sim::{prescribed::deformation::ActiveSet, state::State, work::Tally};
 use course::Course;
 use single::Single;
 use step::{Outcome, Pull, SHORTER, Step, Vertex};

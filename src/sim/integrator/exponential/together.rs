@@ -13,7 +13,7 @@ use super::{
 };
 use crate::sim::{
     arrays::{Block, Blocks},
-    deformation::ActiveSet,
+    prescribed::deformation::ActiveSet,
     work::Tally,
 };
 

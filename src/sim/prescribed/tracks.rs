@@ -3,10 +3,12 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::{events::PairPaths, nodes::SAMPLES, span::Span, terms};
-use crate::scene::{
-    Body, Material, Motion, Path, Scene,
-    path::{Bounds, Turns},
+use crate::{
+    scene::{
+        Material, Path, Scene,
+        path::{Bounds, Turns},
+    },
+    sim::{events::PairPaths, nodes::SAMPLES, span::Span, terms},
 };
 
 /// With fewer moving bodies than this, a second thread does not pay off.
@@ -84,13 +86,9 @@ pub struct Mover {
 }
 
 impl Tracks {
-    /// The tracks of a scene before the first step. Free bodies count as fixed, because tracks know no forces.
-    pub(super) fn new(scene: &Scene) -> Tracks {
-        let path = |body: &Body| match &body.motion {
-            Motion::Prescribed(path) => path.clone(),
-            Motion::Free(free) => Path::Fixed(free.from),
-        };
-        let paths: Vec<Path> = scene.bodies.iter().map(path).collect();
+    /// The tracks of a scene, all of whose bodies are on paths, before the first step.
+    pub(in crate::sim) fn new(scene: &Scene) -> Tracks {
+        let paths: Vec<Path> = scene.bodies.iter().filter_map(|body| body.path().cloned()).collect();
         let mut of_body = vec![STILL; scene.bodies.len()];
         let mut movers = Vec::new();
         let motion_bounds = scene.bodies.iter().zip(&paths).map(|(body, path)| MotionBounds {
@@ -127,7 +125,7 @@ impl Tracks {
     }
 
     /// Evaluates the motion of all movers over a step.
-    pub(super) fn follow(&mut self, span: Span) {
+    pub(in crate::sim) fn follow(&mut self, span: Span) {
         let paths = &self.paths;
         let follow = |track: &mut Mover| {
             let path = &paths[track.body as usize];
@@ -157,12 +155,12 @@ impl Tracks {
     }
 
     /// Selects the movers for which `may` holds. For most, nothing changes relative to their neighbours.
-    pub(super) fn watch(&mut self, may: impl Fn(&Mover) -> bool + Sync + Send) {
+    pub(in crate::sim) fn watch(&mut self, may: impl Fn(&Mover) -> bool + Sync + Send) {
         each(&mut self.movers, |track| track.is_watched = may(track));
     }
 
     /// The bodies that are watched, ascending.
-    pub(super) fn watched(&self) -> impl Iterator<Item = u32> + '_ {
+    pub(in crate::sim) fn watched(&self) -> impl Iterator<Item = u32> + '_ {
         self.movers.iter().filter(|track| track.is_watched).map(|track| track.body)
     }
 

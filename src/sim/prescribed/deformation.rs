@@ -9,11 +9,14 @@ use std::cell::Cell;
 use glam::DVec3;
 use pulp::{Arch, Simd, WithSimd};
 
-use super::{
-    arrays::{Block, Blocks, LANES, Lanes, Vectors},
-    state::State,
+use crate::{
+    geometry::Rest,
+    model::oscillator::Oscillator,
+    sim::{
+        arrays::{Block, Blocks, LANES, Lanes, Vectors},
+        state::State,
+    },
 };
-use crate::{geometry::Rest, model::oscillator::Oscillator};
 
 /// The state of the single vertices of a body that are not at rest.
 #[derive(Clone, Debug, Default)]
@@ -95,6 +98,13 @@ pub struct Now {
     pub oscillator: Oscillator,
     /// The instruction set of the kernels.
     pub arch: Arch,
+}
+
+impl Now {
+    /// Simulated time [s].
+    pub fn time(&self) -> f64 {
+        self.step as f64 * self.dt
+    }
 }
 
 /// A displacement or velocity below this counts as rest [scene unit, scene unit/s]: subnormal numbers are slow to

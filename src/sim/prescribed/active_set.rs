@@ -1,15 +1,12 @@
 //! The bodies that are not at rest: awake ones, and those that sleep because nothing acts on them.
 
-use super::{
-    body::{Active, Body},
-    checksum,
-};
-use crate::scene::Scene;
+use super::body::{Active, Body};
+use crate::{scene::Scene, sim::checksum};
 
 /// The states of the bodies that are not at rest. Only this type moves them and sets [`Body::active`], their index
 /// here.
 #[derive(Default)]
-pub(super) struct ActiveSet {
+pub(in crate::sim) struct ActiveSet {
     /// Awake bodies first, then sleeping ones.
     states: Vec<Active>,
     awake: usize,

@@ -4,11 +4,11 @@ use smallvec::SmallVec;
 
 /// The nearby bodies of one, ascending. A few are stored beside what is known of the body: in large scenes a step waits for
 /// memory, and each list of its own is another place.
-pub(super) type Neighbours = SmallVec<[Neighbour; 3]>;
+pub(in crate::sim) type Neighbours = SmallVec<[Neighbour; 3]>;
 
 /// A nearby body.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Neighbour {
+pub(in crate::sim) struct Neighbour {
     /// Index of the other body.
     pub other: u32,
     /// Index of the pair.
@@ -23,7 +23,7 @@ pub(super) struct Neighbour {
 
 /// The limits within which a body's neighbours are complete.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct FatBounds {
+pub(in crate::sim) struct FatBounds {
     /// Largest allowed distance of a vertex from the centre [scene unit].
     pub vertices: f64,
     /// Largest allowed displacement of the centre [scene unit].

@@ -2,20 +2,20 @@
 
 use glam::DVec3;
 
-use super::{
-    arrays::{LANES, Vectors},
-    body::Body,
-    coupled::dense::Interpolated,
-    deformation::Deformation,
-    integrator::exponential::{self, StepControl, course::Course},
-    neighbours::Neighbour,
-    span::Span,
-    state::State,
-    terms::{Acting, Moment, On, Phases, Surroundings, carry, push::PushField},
-    work::{Tally, Work},
-    world::{States, World},
+use super::{Prescribed, body::Body, deformation::Deformation, neighbours::Neighbour};
+use crate::{
+    model::{oscillator::Oscillator, phase::Phase},
+    scene::Path,
+    sim::{
+        States, World,
+        arrays::{LANES, Vectors},
+        integrator::exponential::{self, StepControl, course::Course},
+        span::Span,
+        state::State,
+        terms::{Acting, Moment, On, Phases, Surroundings, carry, push::PushField},
+        work::{Tally, Work},
+    },
 };
-use crate::model::{oscillator::Oscillator, phase::Phase};
 
 /// The state of a world before its last step.
 #[derive(Clone, Debug, Default)]
@@ -29,16 +29,23 @@ pub(crate) struct Before {
 /// The last step of a world of bodies on paths, recomputed from the state before it. The world is only read, and steps
 /// that are not inspected cost nothing.
 pub(crate) struct Recomputed<'a> {
-    /// The world after the step.
+    /// The world after the step, …
     world: &'a World,
+    /// … and its bodies.
+    prescribed: &'a Prescribed,
     before: Before,
     work: Tally<'a>,
 }
 
 impl<'a> Recomputed<'a> {
-    /// The last step of `world`, recomputed within the limit of `work`.
-    pub fn new(world: &'a World, before: Before, work: &'a Work) -> Recomputed<'a> {
-        Recomputed { world, before, work: Tally::new(work, None) }
+    /// The last step of `world`, recomputed within the limit of `work`; `None` for a coupled scene.
+    pub fn new(world: &'a World, before: Before, work: &'a Work) -> Option<Recomputed<'a>> {
+        Some(Recomputed { world, prescribed: world.solver.prescribed()?, before, work: Tally::new(work, None) })
+    }
+
+    /// The path of a body.
+    pub fn path(&self, index: usize) -> &Path {
+        self.prescribed.path(index)
     }
 
     /// Whether the limit of work is reached: the states are then meaningless.
@@ -47,7 +54,7 @@ impl<'a> Recomputed<'a> {
     }
 
     fn body(&self, index: usize) -> &Body {
-        &self.world.bodies[index]
+        &self.prescribed.bodies[index]
     }
 
     fn oscillator(&self, index: usize) -> Oscillator {
@@ -69,8 +76,7 @@ impl<'a> Recomputed<'a> {
     pub fn breaks(&self) -> Vec<f64> {
         let scene = self.world.scene();
         let span = Span { start: self.before.time, end: self.world.time() };
-        let tracks = self.world.reading().tracks;
-        let knots = (0..scene.bodies.len()).flat_map(|body| tracks.path(body).knots().iter().copied());
+        let knots = (0..scene.bodies.len()).flat_map(|body| self.path(body).knots().iter().copied());
         let mut breaks: Vec<f64> = knots.filter(|&t| span.holds(t)).chain([span.start, span.end]).collect();
         for index in 0..self.world.body_count() {
             self.on(index).jumps(&self.body(index).neighbours, span, &mut breaks);
@@ -82,7 +88,7 @@ impl<'a> Recomputed<'a> {
 
     /// The input of force terms for a body.
     fn on(&self, index: usize) -> On<'_, &Self> {
-        self.world.reading().on(index as u32).with_phases(self)
+        self.prescribed.on(self.world.scene(), index as u32).with_phases(self)
     }
 
     /// What acts on a body at `t`, with the phases that hold from `phases_at` on.
@@ -131,14 +137,14 @@ impl<'a> Recomputed<'a> {
         self.on(index).over(&body.neighbours, Span { start: from, end: to }, &mut acting);
         let Acting { spheres } = &acting;
         let is_still = states.displacement.iter().chain(states.velocity.iter()).all(|v| v == DVec3::ZERO);
-        if is_still && spheres.is_empty() && surroundings.is_idle() && self.world.path(index).is_fixed() {
+        if is_still && spheres.is_empty() && surroundings.is_idle() && self.path(index).is_fixed() {
             return;
         }
         let every: Vec<u32> = (0..body.rest().len() as u32).collect();
         let mut pushes = PushField::default();
         pushes.begin(&body.pushes, Span { start: from, end: to }, &every, LANES);
         pushes.advance(from + 0.5 * (to - from), body.rest(), &every);
-        let tracks = self.world.reading().tracks;
+        let tracks = &self.prescribed.tracks;
         let course = Course {
             scene,
             index,
@@ -159,7 +165,7 @@ impl<'a> Recomputed<'a> {
             active_set.set_state(i, State { x: states.displacement.get(i), u: states.velocity.get(i) });
         }
         active_set.pad_again();
-        let mut carried = State { x: DVec3::ZERO, u: carry::kick(&body.material, self.world.path(index), from) };
+        let mut carried = State { x: DVec3::ZERO, u: carry::kick(&body.material, self.path(index), from) };
         let tolerance = scene.tolerance * this.radius;
         let control = StepControl { arch: self.world.options().arch, tolerance, work: &self.work };
         let scratch = &mut exponential::Scratch::default();
@@ -181,24 +187,5 @@ impl Phases for &Recomputed<'_> {
         let (a, b) = (index.min(neighbour.other), index.max(neighbour.other));
         let events = self.world.report().events.iter().filter(|event| (event.a, event.b) == (a, b));
         times.extend(events.map(|event| event.time));
-    }
-}
-
-impl World {
-    /// Calls `write` with the states of some bodies of a coupled scene at `time` [s] within the last step, which began at
-    /// `start` [s], on the solver's own solution. Omits bodies that took no step of the solver, and those that would be
-    /// too much work.
-    pub(crate) fn coupled_within(
-        &self,
-        start: f64,
-        time: f64,
-        bodies: &[usize],
-        work: &Work,
-        write: impl FnMut(usize, &Interpolated<'_>),
-    ) {
-        if let Some(coupled) = &self.coupled {
-            let ends = [start, self.time()];
-            coupled.within(self.scene(), ends, time, bodies, &Tally::new(work, None), write);
-        }
     }
 }

@@ -13,17 +13,19 @@ use rayon::prelude::*;
 
 use super::{
     body::Body,
-    events::{Event, PairPaths, Search},
     neighbours::{FatBounds, Neighbour},
-    reach::{Ball, Grid},
-    span::Span,
-    terms::spheres,
     tracks::Tracks,
-    work::{EVENT, LOOK_AT_PATHS, NEAR_ENOUGH, NEW_PAIR, Stop, Tally, Work},
 };
 use crate::{
     model::phase::Phase,
     scene::{Path, Scene},
+    sim::{
+        events::{Event, PairPaths, Search},
+        reach::{Ball, Grid},
+        span::Span,
+        terms::spheres,
+        work::{EVENT, LOOK_AT_PATHS, NEAR_ENOUGH, NEW_PAIR, Stop, Tally, Work},
+    },
 };
 
 /// How far a body may move before its neighbours are searched for again [radii].
@@ -37,7 +39,7 @@ const FEW_PAIRS: u64 = 1 << 16;
 
 /// Two bodies that are near each other.
 #[derive(Clone, Debug)]
-pub(super) struct Pair {
+pub(in crate::sim) struct Pair {
     /// Index of one body …
     pub a: u32,
     /// … and of the other, a < b.
@@ -55,7 +57,7 @@ pub(super) struct Pair {
 }
 
 /// The input of a neighbour search.
-pub(super) struct Surrounded<'a> {
+pub(in crate::sim) struct Surrounded<'a> {
     pub scene: &'a Scene,
     pub bodies: &'a mut [Body],
     pub tracks: &'a Tracks,
@@ -63,7 +65,7 @@ pub(super) struct Surrounded<'a> {
 }
 
 /// The bodies of a step, and its work limit.
-pub(super) struct Moving<'a> {
+pub(in crate::sim) struct Moving<'a> {
     pub scene: &'a Scene,
     pub bodies: &'a mut [Body],
     pub tracks: &'a mut Tracks,
@@ -72,7 +74,7 @@ pub(super) struct Moving<'a> {
 
 /// All pairs of bodies that are near each other.
 #[derive(Default)]
-pub(super) struct Pairs {
+pub(in crate::sim) struct Pairs {
     pairs: Vec<Pair>,
     /// Unused indices of `pairs`.
     free: Vec<u32>,

@@ -3,28 +3,34 @@
 use std::cell::RefCell;
 
 use glam::DVec3;
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
 use super::{
-    arrays::{Block, LANES},
     body::{Active, Body, Reference, StateBounds},
     deformation::{self, ActiveSet, REST},
-    integrator::{
-        explicit::{self, Interval, Scheme},
-        exponential::{self, StepControl, StepStatistics, course::Course},
-    },
     neighbours::Neighbour,
     pairs::Pairs,
-    span::Span,
-    state::State,
-    terms::{
-        Acting, Moment, On, Phases, Surroundings, carry,
-        push::{self, PushField},
-    },
     tracks::Tracks,
-    work::{Tally, Work},
 };
-use crate::{geometry::Rest, model::phase::Phase, scene::Scene};
+use crate::{
+    geometry::Rest,
+    model::phase::Phase,
+    sim::{
+        arrays::{Block, LANES},
+        integrator::{
+            explicit::{self, Interval, Scheme},
+            exponential::{self, StepControl, StepStatistics, course::Course},
+        },
+        solver::Setting,
+        span::Span,
+        state::State,
+        terms::{
+            Acting, Moment, On, Phases, Surroundings, carry,
+            push::{self, PushField},
+        },
+        work::{Tally, Work},
+    },
+};
 
 /// The distance that spheres may move before an active set is selected again: at least this [radii] …
 const SKIN: f64 = 0.1;
@@ -53,21 +59,18 @@ struct Scratch {
 
 /// The read-only inputs of the integration of a body.
 #[derive(Clone, Copy)]
-pub(super) struct Context<'a> {
-    pub scene: &'a Scene,
+pub(in crate::sim) struct Context<'a> {
+    pub setting: Setting<'a>,
     pub bodies: &'a [Body],
     pub pairs: &'a Pairs,
     pub tracks: &'a Tracks,
-    pub arch: Arch,
-    /// Number of steps taken.
-    pub step: u64,
     /// The work budget of the step.
     pub work: &'a Work,
 }
 
 /// Bounds on a neighbour's sphere in a step.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Margin {
+pub(in crate::sim) struct Margin {
     /// Its smallest distance from the centre of the body [scene unit].
     gap: f64,
     /// The largest acceleration that it can cause [scene unit/s²].
@@ -104,16 +107,17 @@ impl<'a> Context<'a> {
             return;
         }
         SCRATCH.with_borrow_mut(|scratch| {
-            active.statistics = match Scheme::of(self.scene.integrator) {
+            active.statistics = match Scheme::of(self.setting.scene.integrator) {
                 Some(scheme) => self.advance_explicitly(scheme, active, span, &mut scratch.interval, &work),
                 None => self.advance_exponentially(active, span, scratch, &work),
             };
         });
         active.statistics.work = work.done();
         if active.statistics.substeps > 0 {
-            active.state.state_bounds = StateBounds::of(&active.state.deformation, active.state.oscillator, self.arch);
+            active.state.state_bounds =
+                StateBounds::of(&active.state.deformation, active.state.oscillator, self.setting.arch);
             active.state.bound += self.force_bound(active, span) * span.length();
-            let is_explicit = Scheme::of(self.scene.integrator).is_some();
+            let is_explicit = Scheme::of(self.setting.scene.integrator).is_some();
             // without a spring, neither bounds the other
             let StateBounds { displacement, momentum } = active.state.state_bounds;
             if is_explicit && momentum < REST && displacement < REST {
@@ -130,7 +134,7 @@ impl<'a> Context<'a> {
     /// A bound on the acceleration of any vertex during `span` by all terms except its oscillator [scene unit/s²].
     fn force_bound(&self, active: &Active, span: Span) -> f64 {
         let own = self.own_force(active.body, span);
-        if Scheme::of(self.scene.integrator).is_none() {
+        if Scheme::of(self.setting.scene.integrator).is_none() {
             return own + active.bounds.pull;
         }
         // an inaccurate step may have taken vertices to any neighbour
@@ -146,8 +150,8 @@ impl<'a> Context<'a> {
 
     /// The data about a body that force terms use.
     pub fn on(&self, index: u32) -> On<'a, &'a Pairs> {
-        let Body { material, neighbours, pushes, .. } = self.body(index);
-        On { scene: self.scene, index, material, neighbours, pushes, tracks: self.tracks, phases: self.pairs }
+        let Context { setting: Setting { scene, .. }, tracks, pairs, .. } = *self;
+        self.body(index).on(scene, index, tracks, pairs)
     }
 
     /// Lower bound on the distance of the centres of two bodies within the step, allowing for rounding [scene unit].
@@ -223,7 +227,7 @@ impl<'a> Context<'a> {
         };
         interval.h = span.length();
         interval.oscillator = active.state.oscillator;
-        interval.weight = self.scene.influence.weight;
+        interval.weight = self.setting.scene.influence.weight;
         look(span.start, &mut interval.start);
         if middle {
             look(span.start + 0.5 * span.length(), &mut interval.middle);
@@ -277,9 +281,9 @@ impl<'a> Context<'a> {
         scratch: &mut Scratch,
         work: &Tally<'_>,
     ) -> StepStatistics {
-        let scene = self.scene;
+        let scene = self.setting.scene;
         let index = active.body as usize;
-        let now = active.now(self.step, scene.dt, self.arch);
+        let now = active.now(self.setting.step, scene.dt, self.setting.arch);
         let body = self.body(active.body);
         // a push acts on vertices anywhere, so all are stepped
         let all = push::any_acts(&body.pushes, span);
@@ -293,10 +297,10 @@ impl<'a> Context<'a> {
                 return StepStatistics::default();
             }
         }
-        if active.state.carried_as_of < self.step {
+        if active.state.carried_as_of < self.setting.step {
             active.state.carried = active.carried_at(now);
         }
-        active.state.carried_as_of = self.step + 1;
+        active.state.carried_as_of = self.setting.step + 1;
 
         scratch.contributing.clear();
         if is_reached || !active.can_sleep() {
@@ -317,7 +321,7 @@ impl<'a> Context<'a> {
         }
         let body = self.body(active.body);
         let tolerance = scene.tolerance * body.radius;
-        let control = StepControl { arch: self.arch, tolerance, work };
+        let control = StepControl { arch: self.setting.arch, tolerance, work };
         let vertices = &active.state.deformation.active_set.vertices;
         let pushed = pushes.begin(&body.pushes, span, vertices, LANES);
         let base = exponential::work_of(vertices.len(), contributing.len()) + (pushed * vertices.len()) as u64;
@@ -450,8 +454,8 @@ impl<'a> Context<'a> {
         let rest = self.body(active.body).rest();
         gaps.clear();
         gaps.resize(rest.len(), f64::INFINITY);
-        self.arch.dispatch(FindGaps { rest, centres, gaps });
-        let now = active.now(self.step, self.scene.dt, self.arch);
+        self.setting.arch.dispatch(FindGaps { rest, centres, gaps });
+        let now = active.now(self.setting.step, self.setting.scene.dt, self.setting.arch);
         // all vertices are selected, whatever their gaps
         let skin = if all { f64::INFINITY } else { active.chosen.skin };
         active.chosen.all = all;
@@ -461,7 +465,7 @@ impl<'a> Context<'a> {
         contributing.clear();
         for (source, &(centre, sphere)) in reachable.iter().zip(&*centres) {
             let active_set = &active.state.deformation.active_set;
-            let clear = self.arch.dispatch(Clearance { active_set, centre }) - sphere;
+            let clear = self.setting.arch.dispatch(Clearance { active_set, centre }) - sphere;
             active.chosen.references.push(Reference { body: source.other, centre, clear });
             if contributes(clear, travel) {
                 contributing.push(*source);

@@ -1,0 +1,474 @@
+//! The solver of scenes whose bodies are all on paths. Their centres are known, so each body is stepped on its own, and
+//! the times at which pairs change phase are found ahead.
+//!
+//! | contents | module |
+//! | --- | --- |
+//! | the stages of a step | here |
+//! | the motion of all centres during a step | [`tracks`] |
+//! | pairs: which bodies are near each other, and when they change phase | [`pairs`], [`neighbours`] |
+//! | the state of a body; the bodies that are not at rest | [`body`], [`active_set`] |
+//! | how a body is advanced, and which of its vertices | [`advance`], [`deformation`] |
+//! | the last step, recomputed for debugging and for states within it | [`within`] |
+
+pub(super) mod active_set;
+pub(super) mod advance;
+pub(super) mod body;
+pub(super) mod deformation;
+pub(super) mod neighbours;
+pub(super) mod pairs;
+pub(super) mod tracks;
+pub(crate) mod within;
+
+use std::sync::{
+    OnceLock,
+    atomic::{AtomicBool, Ordering},
+};
+
+use rayon::prelude::*;
+
+use self::{
+    active_set::ActiveSet,
+    advance::Context,
+    body::{Active, Body},
+    deformation::Now,
+    pairs::{Moving, Pair, Pairs, Surrounded},
+    tracks::Tracks,
+};
+use super::{
+    body::{BodyView, Solved},
+    integrator::exponential,
+    report::{Failure, Shortfall, Stage, Stopwatch, Strain, Toil},
+    solver::{Setting, Step},
+    terms::{self, Moment, On, Surroundings, spheres},
+    work::{Stop, Tally, Work},
+};
+use crate::{
+    model::phase::Phase,
+    scene::{self, Path, Scene},
+};
+
+/// With fewer vertices than this to step, a second thread does not pay off.
+const PARALLEL_VERTICES: usize = 2048;
+/// With fewer bodies than this, a second thread does not pay off for the bounds on their vertices.
+const PARALLEL_BODIES: usize = 512;
+/// When a body outgrows its fat bounds, the new ones allow its vertices this factor of their current distance from
+/// rest.
+const ROOM: f64 = 1.5;
+
+/// The bodies of a scene, all of which are on paths.
+pub(super) struct Prescribed {
+    pub bodies: Vec<Body>,
+    /// Bodies that are not at rest.
+    pub actives: ActiveSet,
+    tracks: Tracks,
+    pub pairs: Pairs,
+    /// Times at which terms begin to act on bodies by themselves [s], ascending, with the bodies' indices; …
+    starts: Vec<(f64, u32)>,
+    /// … and how many of them have begun.
+    started: usize,
+    /// Buffer, reused.
+    woken: Vec<u32>,
+    /// Computed when the energy is first requested.
+    energy_of_distant_pairs: OnceLock<f64>,
+}
+
+impl Prescribed {
+    /// The bodies at t = 0; `None` if there are more than `max_pairs` pairs of nearby bodies.
+    pub fn new(scene: &Scene, max_pairs: u64, work: &mut Work) -> Option<Prescribed> {
+        let mut pushes = vec![Vec::new(); scene.bodies.len()];
+        scene.pushes.iter().for_each(|push| pushes[push.body].push(*push));
+        let bodies = pushes.into_iter().enumerate().map(|(index, pushes)| Body::new(scene, index, pushes));
+        let (mut bodies, tracks, mut pairs) = (bodies.collect::<Vec<_>>(), Tracks::new(scene), Pairs::default());
+        if !pairs.start(scene, &mut bodies, &tracks, max_pairs, work) {
+            return None;
+        }
+        let first_step =
+            bodies.iter().map(|body| exponential::work_of(body.mesh.vertex_count(), body.neighbours.len()));
+        work.expect(first_step.fold(0, u64::saturating_add));
+        let mut actives = ActiveSet::default();
+        // A body with neighbours may be reached from the start; bodies that are not reached go back to sleep in the
+        // first step.
+        for index in 0..bodies.len() {
+            if !bodies[index].neighbours.is_empty() {
+                actives.wake(scene, &mut bodies, index, 0);
+            }
+        }
+        let (starts, woken) = (terms::starts(scene), Vec::new());
+        Some(Prescribed {
+            bodies,
+            actives,
+            tracks,
+            pairs,
+            starts,
+            started: 0,
+            woken,
+            energy_of_distant_pairs: OnceLock::new(),
+        })
+    }
+
+    /// Takes a step, stage by stage. Returns the first body whose state is invalid afterwards.
+    ///
+    /// # Errors
+    /// The step could not be completed.
+    pub fn step(&mut self, step: &mut Step<'_>) -> Result<Option<usize>, Failure> {
+        let mut stopwatch = Stopwatch::start();
+        self.find_neighbours(step)?;
+        stopwatch.stop(Stage::Reach, step.report);
+        self.find_events(step)?;
+        stopwatch.stop(Stage::Events, step.report);
+        self.wake_acted_on(step);
+        self.wake_moved(step);
+        self.find_bounds(step)?;
+        stopwatch.stop(Stage::Reach, step.report);
+        let sum = self.integrate(step)?;
+        self.pairs.enter_phases();
+        self.sleep(&sum, step);
+        stopwatch.stop(Stage::Integrate, step.report);
+        Ok(sum.diverged.map(|body| body as usize))
+    }
+
+    /// Bounds the motion of moving bodies during the step and finds which bodies they come near.
+    fn find_neighbours(&mut self, step: &Step<'_>) -> Result<(), Failure> {
+        let (Prescribed { bodies, tracks, pairs, .. }, &Step { setting: Setting { scene, .. }, span, .. }) =
+            (self, step);
+        tracks.follow(span);
+        let followed = pairs.follow(Moving { scene, bodies, tracks, work: step.work }, span);
+        followed.map_err(|(stop, body)| too_many_neighbours(step, stop, body, pairs))
+    }
+
+    /// Finds the exact times at which pairs change phase during the step.
+    fn find_events(&mut self, step: &mut Step<'_>) -> Result<(), Failure> {
+        let (Prescribed { bodies, tracks, pairs, .. }, Setting { scene, .. }) = (self, step.setting);
+        let moving = Moving { scene, bodies, tracks, work: step.work };
+        let found = pairs.find_events(moving, step.span, step.report.step, &mut step.report.events);
+        found.map_err(|(stop, pair)| {
+            let [a, b] = pair.map(|body| scene.bodies[body as usize].name.clone());
+            step.failure(stop, Toil::Events { a, b, found: step.report.events.len() })
+        })
+    }
+
+    /// Wakes the bodies on which something begins to act before the end of the step.
+    fn wake_acted_on(&mut self, step: &Step<'_>) {
+        while let Some(&(_, body)) = self.starts.get(self.started).filter(|start| start.0 < step.span.end) {
+            self.wake(step.setting, body);
+            self.started += 1;
+        }
+    }
+
+    /// Wakes the bodies that respond to their own motion during the step, those that a moving sphere can reach, and
+    /// those whose vertices can move into a sphere.
+    fn wake_moved(&mut self, step: &Step<'_>) {
+        if self.actives.awake().len() == self.bodies.len() {
+            return; // spares large scenes a look at every mover
+        }
+        let Prescribed { tracks, bodies, actives, woken, .. } = self;
+        let is_awake = |body: u32| actives.is_awake(&bodies[body as usize]);
+        tracks.watch(|track| {
+            let mut neighbours = bodies[track.body as usize].neighbours.iter();
+            !track.is_idle && (!is_awake(track.body) || neighbours.any(|neighbour| !is_awake(neighbour.other)))
+        });
+        let mut watched = std::mem::take(woken);
+        watched.clear();
+        watched.extend(tracks.watched());
+        let (setting, span) = (step.setting, step.span);
+        for &mover in &watched {
+            if !self.is_awake(mover) && self.reading(setting, step.work).own_force(mover, span) > 0.0 {
+                self.wake(setting, mover);
+            }
+            for n in 0..self.bodies[mover as usize].neighbours.len() {
+                let other = self.bodies[mover as usize].neighbours[n].other;
+                let sleeping = [(mover, other), (other, mover)].into_iter().filter(|&(this, _)| !self.is_awake(this));
+                let reached = sleeping.filter(|&(this, source)| {
+                    let [radius, sphere] =
+                        [self.tracks.motion_bounds(this).radius, self.tracks.motion_bounds(source).sphere];
+                    let vertices = radius + self.active(this as usize).map_or(0.0, Active::amplitude);
+                    self.reading(setting, step.work).nearest(this, source, span) <= sphere + vertices
+                });
+                let [first, second] = {
+                    let mut reached = reached.map(|(this, _)| this);
+                    [reached.next(), reached.next()]
+                };
+                first.into_iter().chain(second).for_each(|this| self.wake(setting, this));
+            }
+        }
+        self.woken = watched;
+    }
+
+    fn is_awake(&self, body: u32) -> bool {
+        self.actives.is_awake(&self.bodies[body as usize])
+    }
+
+    /// Wakes a body: it is stepped from now on.
+    fn wake(&mut self, setting: Setting<'_>, body: u32) {
+        self.actives.wake(setting.scene, &mut self.bodies, body as usize, setting.step);
+    }
+
+    /// Bounds how far vertices of awake bodies can move during the step, and finds which bodies can reach them.
+    fn find_bounds(&mut self, step: &Step<'_>) -> Result<(), Failure> {
+        let (Setting { scene, .. }, span) = (step.setting, step.span);
+        let (context, actives) = self.context(step.setting, step.work);
+        let awake = actives.len();
+        let any_left = AtomicBool::new(false);
+        each(actives, actives.len() >= PARALLEL_BODIES, |_, active| {
+            context.find_reachable(active, span);
+            if context.left_fat_bounds(active) {
+                any_left.store(true, Ordering::Relaxed);
+            }
+        });
+        if !any_left.into_inner() {
+            return Ok(());
+        }
+        for slot in 0..awake {
+            loop {
+                let active = &self.actives.awake()[slot];
+                let (body, max_reach) = (active.body, active.bounds.max_reach);
+                if !self.reading(step.setting, step.work).left_fat_bounds(active) {
+                    break;
+                }
+                let Prescribed { bodies, tracks, pairs, .. } = self;
+                let radius = scene.bodies[body as usize].radius;
+                let mut surrounded = Surrounded { scene, bodies, tracks, work: Tally::new(step.work, None) };
+                pairs.anchor(&mut surrounded, body as usize, radius + ROOM * (max_reach - radius), span.start);
+                drop(surrounded);
+                step.work.check().map_err(|stop| too_many_neighbours(step, stop, body, &self.pairs))?;
+                let (context, actives) = self.context(step.setting, step.work);
+                context.find_reachable(&mut actives[slot], span);
+            }
+        }
+        Ok(())
+    }
+
+    /// What stepping a body reads.
+    pub fn reading<'a>(&'a self, setting: Setting<'a>, work: &'a Work) -> Context<'a> {
+        let Prescribed { bodies, tracks, pairs, .. } = self;
+        Context { setting, bodies, pairs, tracks, work }
+    }
+
+    /// What stepping a body reads, and the awake bodies.
+    fn context<'a>(&'a mut self, setting: Setting<'a>, work: &'a Work) -> (Context<'a>, &'a mut [Active]) {
+        let Prescribed { bodies, tracks, pairs, actives, .. } = self;
+        (Context { setting, bodies, pairs, tracks, work }, actives.awake_mut())
+    }
+
+    /// Integrates the equation of motion of every awake body, and reports what that took.
+    fn integrate(&mut self, step: &mut Step<'_>) -> Result<Sum, Failure> {
+        step.work.begin_turns(self.actives.awake().len());
+        let (context, actives) = self.context(step.setting, step.work);
+        let (is_worth_threads, span) = (is_worth_threads(actives), step.span);
+        let advance = |(turn, active): (usize, &mut Active)| {
+            context.advance(active, turn, span);
+            Sum::of(active, context.setting.scene)
+        };
+        let sum = if is_worth_threads {
+            actives.par_iter_mut().with_min_len(4).enumerate().map(advance).reduce(Sum::default, Sum::and)
+        } else {
+            actives.iter_mut().enumerate().map(advance).fold(Sum::default(), Sum::and)
+        };
+        if step.work.is_interrupted() {
+            return Err(Failure::Interrupted { step: step.report.step });
+        }
+        let actives = self.actives.awake();
+        if let Some(slot) = step.work.busiest(sum.work, actives.iter().map(|active| active.statistics.work)) {
+            return Err(step.failure(Stop::Overworked, self.toil(&actives[slot], step.setting.scene)));
+        }
+        step.work.end(sum.work, sum.base, sum.vertices);
+        if step.work.announce() {
+            let busiest = actives.iter().max_by_key(|active| active.statistics.work);
+            let toil = busiest.map(|active| self.toil(active, step.setting.scene));
+            step.report.strain = toil.map(|toil| Strain { step: step.report.step, time: span.end, toil });
+        }
+        step.report.substeps = sum.substeps;
+        step.report.error = sum.error;
+        step.report.shortfall = sum.shortfall;
+        step.report.sleeping_bodies = self.bodies.len() as u64 - sum.stepped;
+        Ok(sum)
+    }
+
+    /// What a body does that takes so much work.
+    fn toil(&self, active: &Active, scene: &Scene) -> Toil {
+        let body = active.body as usize;
+        let vertices = self.bodies[body].mesh.directions().len();
+        Toil::Forces { body: scene.bodies[body].name.clone(), vertices, spheres: active.bounds.reachable.len() }
+    }
+
+    /// Puts bodies to sleep on which nothing acted.
+    fn sleep(&mut self, sum: &Sum, step: &Step<'_>) {
+        if !sum.any_idle {
+            return;
+        }
+        let Prescribed { bodies, tracks, pairs, actives, .. } = self;
+        actives.sleep(bodies, |bodies, active| {
+            let context = Context { setting: step.setting, bodies, pairs, tracks, work: step.work };
+            let own_force = context.own_force(active.body, step.span);
+            active.statistics.substeps == 0 && active.bounds.may_sleep && own_force == 0.0
+        });
+    }
+}
+
+fn too_many_neighbours(step: &Step<'_>, stop: Stop, body: u32, pairs: &Pairs) -> Failure {
+    let body = step.setting.scene.bodies[body as usize].name.clone();
+    step.failure(stop, Toil::Neighbours { body, pairs: pairs.count() })
+}
+
+/// Whether the bodies' steps take long enough for several threads to pay off.
+fn is_worth_threads(actives: &[Active]) -> bool {
+    // a body without an active set costs about as much as one of a few vertices
+    let cost = |active: &Active| 8 + active.state.deformation.active_set.vertices.len();
+    let enough = |sum: &mut usize, active: &Active| {
+        *sum += cost(active);
+        (*sum < PARALLEL_VERTICES).then_some(())
+    };
+    actives.iter().scan(0, enough).count() < actives.len()
+}
+
+/// Applies `work` to every awake body, on several threads if that pays off.
+fn each(actives: &mut [Active], is_worth_threads: bool, work: impl Fn(usize, &mut Active) + Sync + Send) {
+    if is_worth_threads {
+        actives.par_iter_mut().with_min_len(4).enumerate().for_each(|(slot, active)| work(slot, active));
+    } else {
+        actives.iter_mut().enumerate().for_each(|(slot, active)| work(slot, active));
+    }
+}
+
+/// Results of the steps of some bodies; the order of summation does not matter.
+#[derive(Clone, Copy, Default)]
+struct Sum {
+    stepped: u64,
+    substeps: u64,
+    error: f64,
+    /// The one with the largest ratio to the tolerance; of equal ones the first body's.
+    shortfall: Option<Shortfall>,
+    work: u64,
+    base: u64,
+    /// Number of vertices that were stepped.
+    vertices: u64,
+    /// The first body in an invalid state.
+    diverged: Option<u32>,
+    /// Whether there is a body on which nothing acted.
+    any_idle: bool,
+}
+
+impl Sum {
+    fn of(active: &Active, scene: &Scene) -> Sum {
+        let statistics = active.statistics;
+        let is_idle = statistics.substeps == 0;
+        Sum {
+            stepped: u64::from(!is_idle),
+            substeps: statistics.substeps,
+            error: f64::max(0.0, statistics.error / scene.bodies[active.body as usize].radius),
+            shortfall: shortfall(active, scene),
+            work: statistics.work,
+            base: statistics.base,
+            vertices: active.state.deformation.active_set.vertices.len() as u64,
+            diverged: active.has_diverged().then_some(active.body),
+            any_idle: is_idle,
+        }
+    }
+
+    fn and(self, other: Sum) -> Sum {
+        Sum {
+            stepped: self.stepped + other.stepped,
+            substeps: self.substeps + other.substeps,
+            error: self.error.max(other.error),
+            shortfall: worse(self.shortfall, other.shortfall),
+            work: self.work.saturating_add(other.work),
+            base: self.base.saturating_add(other.base),
+            vertices: self.vertices + other.vertices,
+            diverged: self.diverged.into_iter().chain(other.diverged).min(),
+            any_idle: self.any_idle || other.any_idle,
+        }
+    }
+}
+
+/// The error of a body's step, if it exceeds the tolerance because steps cannot be made shorter.
+fn shortfall(active: &Active, scene: &Scene) -> Option<Shortfall> {
+    let body = active.body as usize;
+    let (allowed, excess) = (scene.tolerance * scene.dt, active.statistics.excess / scene.bodies[body].radius);
+    (excess > 0.0).then_some(Shortfall { body, error: allowed + excess, allowed })
+}
+
+/// The shortfall with the larger error; of equal ones the first body's.
+fn worse(a: Option<Shortfall>, b: Option<Shortfall>) -> Option<Shortfall> {
+    let (Some(one), Some(other)) = (a, b) else { return a.or(b) };
+    let is_other = other.error > one.error || other.error == one.error && other.body < one.body;
+    if is_other { b } else { a }
+}
+
+/// Access to the state.
+impl Prescribed {
+    /// The state of a body, if it is not at rest.
+    pub fn active(&self, index: usize) -> Option<&Active> {
+        self.actives.get(&self.bodies[index])
+    }
+
+    /// Body `index` of the scene at the current time.
+    pub fn view<'a>(&'a self, setting: Setting<'_>, body: &'a scene::Body, index: usize) -> BodyView<'a> {
+        let (active, path) = (self.active(index), self.tracks.path(index));
+        let oscillator = active.map(|active| active.state.oscillator).unwrap_or_default();
+        let Setting { scene, step, arch } = setting;
+        let now = Now { step, dt: scene.dt, oscillator, arch };
+        let solved = Solved::Prescribed { path, active, now };
+        BodyView { body, mesh: &self.bodies[index].mesh, centre: path.position(now.time()), solved }
+    }
+
+    /// The data about a body that force terms use.
+    pub fn on<'a>(&'a self, scene: &'a Scene, index: u32) -> On<'a, &'a Pairs> {
+        self.bodies[index as usize].on(scene, index, &self.tracks, &self.pairs)
+    }
+
+    /// The path of a body.
+    pub fn path(&self, index: usize) -> &Path {
+        self.tracks.path(index)
+    }
+
+    /// A bound on the distance of a body's vertices from its centre, now and later if nothing else acts [scene unit].
+    pub fn extent(&self, index: usize) -> f64 {
+        self.bodies[index].radius + self.active(index).map_or(0.0, Active::amplitude)
+    }
+
+    /// A hash of the exact state.
+    pub fn hash(&self) -> u64 {
+        self.actives.hash().wrapping_add(self.pairs.hash())
+    }
+
+    /// Memory allocated [bytes].
+    pub fn memory(&self) -> usize {
+        self.bodies.iter().map(Body::memory).sum::<usize>()
+            + self.bodies.capacity() * size_of::<Body>()
+            + self.actives.memory()
+            + self.pairs.memory()
+            + self.tracks.memory()
+    }
+
+    /// All pairs that are near each other or not apart, in ascending order of their bodies.
+    pub fn known_pairs(&self) -> impl Iterator<Item = &Pair> + '_ {
+        (0..).zip(&self.bodies).flat_map(|(index, body)| {
+            let later = body.neighbours.iter().filter(move |neighbour| neighbour.other > index);
+            later.map(|neighbour| self.pairs.get(neighbour.pair))
+        })
+    }
+
+    /// Bodies and phase of every pair that may not be apart.
+    pub fn phases(&self) -> impl Iterator<Item = (usize, usize, Phase)> + '_ {
+        self.known_pairs().map(|pair| (pair.a as usize, pair.b as usize, pair.phase))
+    }
+
+    /// The phase of the pair of bodies `a` and `b`.
+    pub fn phase(&self, a: usize, b: usize) -> Phase {
+        let neighbours = &self.bodies[a].neighbours;
+        let found = neighbours.binary_search_by_key(&(b as u32), |neighbour| neighbour.other);
+        found.map_or(Phase::Apart, |index| self.pairs.get(neighbours[index].pair).phase)
+    }
+
+    /// What acts on a body in the current state, except its own oscillators.
+    pub fn surroundings_into(&self, setting: Setting<'_>, index: usize, surroundings: &mut Surroundings) {
+        let time = setting.time();
+        let on = self.on(setting.scene, index as u32);
+        on.surroundings_into(Moment { time, phases_at: time }, self.extent(index), surroundings);
+    }
+
+    /// The influence energy as if every pair were apart and out of reach [scene unit²/s²].
+    pub fn energy_of_distant_pairs(&self, scene: &Scene) -> f64 {
+        *self.energy_of_distant_pairs.get_or_init(|| spheres::energy_of_distant_pairs(scene))
+    }
+}

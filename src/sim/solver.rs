@@ -1,0 +1,111 @@
+//! The two solvers: of scenes whose bodies are all on paths, and of scenes with free bodies or planes.
+
+use pulp::Arch;
+
+use super::{
+    coupled::Coupled,
+    prescribed::Prescribed,
+    report::{Failure, Overworked, StepReport, Toil},
+    span::Span,
+    work::{Stop, Work},
+};
+use crate::scene::Scene;
+
+/// The state of all bodies and pairs, by what solves for it. One solver for all scenes would cost bodies on paths ten
+/// times their speed.
+pub(super) enum Solver {
+    /// All bodies are on paths: none depends on how another one moves.
+    Prescribed(Box<Prescribed>),
+    /// Free bodies, planes, or cores with a width: bodies are stepped together.
+    Coupled(Box<Coupled>),
+}
+
+/// What a solver reads besides its own state.
+#[derive(Clone, Copy)]
+pub(super) struct Setting<'a> {
+    pub scene: &'a Scene,
+    /// Number of steps taken.
+    pub step: u64,
+    /// The instruction set of the kernels.
+    pub arch: Arch,
+}
+
+impl Setting<'_> {
+    /// Simulated time [s].
+    pub fn time(&self) -> f64 {
+        self.step as f64 * self.scene.dt
+    }
+}
+
+/// A step that is being taken.
+pub(super) struct Step<'a> {
+    pub setting: Setting<'a>,
+    /// The interval of time that it leads over.
+    pub span: Span,
+    pub work: &'a mut Work,
+    pub report: &'a mut StepReport,
+}
+
+impl Step<'_> {
+    /// Why the step is not completed.
+    pub fn failure(&self, stop: Stop, toil: Toil) -> Failure {
+        let step = self.report.step;
+        match stop {
+            Stop::Interrupted => Failure::Interrupted { step },
+            Stop::Overworked => Overworked { step, time: self.span.start, toil }.into(),
+        }
+    }
+}
+
+impl Solver {
+    /// The scene at t = 0; `None` if it has more than `max_pairs` pairs of nearby bodies.
+    pub fn new(scene: &Scene, max_pairs: u64, work: &mut Work) -> Option<Solver> {
+        Some(match scene.is_coupled() {
+            true => Solver::Coupled(Box::new(Coupled::new(scene, max_pairs, work)?)),
+            false => Solver::Prescribed(Box::new(Prescribed::new(scene, max_pairs, work)?)),
+        })
+    }
+
+    /// Takes a step. Returns the first body whose state is invalid afterwards.
+    ///
+    /// # Errors
+    /// The step could not be completed.
+    pub fn step(&mut self, step: &mut Step<'_>) -> Result<Option<usize>, Failure> {
+        match self {
+            Solver::Prescribed(prescribed) => prescribed.step(step),
+            Solver::Coupled(coupled) => coupled.step(step),
+        }
+    }
+
+    /// The solver of bodies on paths, if it is that.
+    pub fn prescribed(&self) -> Option<&Prescribed> {
+        match self {
+            Solver::Prescribed(prescribed) => Some(prescribed),
+            Solver::Coupled(_) => None,
+        }
+    }
+
+    /// The solver of coupled scenes, if it is that.
+    pub fn coupled(&self) -> Option<&Coupled> {
+        match self {
+            Solver::Prescribed(_) => None,
+            Solver::Coupled(coupled) => Some(coupled),
+        }
+    }
+
+    /// A hash of the exact state.
+    pub fn hash(&self) -> u64 {
+        match self {
+            Solver::Prescribed(prescribed) => prescribed.hash(),
+            Solver::Coupled(coupled) => coupled.hash(),
+        }
+    }
+
+    /// Memory allocated for the state [bytes].
+    pub fn memory(&self) -> usize {
+        match self {
+            Solver::Prescribed(prescribed) => prescribed.memory(),
+            Solver::Coupled(coupled) => coupled.memory(),
+        }
+    }
+}
