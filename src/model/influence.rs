@@ -1,5 +1,7 @@
 //! The effect of an influence sphere on a vertex: (3.3), (3.4), (3.5).
 
+use std::ops::{Add, Mul, Sub};
+
 use glam::DVec3;
 
 /// The weight W of a vertex at distance z·r_e from the centre of an influence sphere, by its shape inside the sphere.
@@ -63,18 +65,50 @@ impl Influence {
     }
 }
 
+/// What a weight is computed with: a number, or a number in each SIMD lane.
+pub trait Real: Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Mul<f64, Output = Self> {
+    /// A constant, of the same kind as this number.
+    fn constant(self, value: f64) -> Self;
+}
+
+impl Real for f64 {
+    #[inline(always)]
+    fn constant(self, value: f64) -> f64 {
+        value
+    }
+}
+
 impl Weight {
+    /// W(z) inside the sphere, z ≤ 1 [–]; beyond it, the continuation of the polynomial.
+    #[inline(always)]
+    pub fn inside<R: Real>(self, z: R) -> R {
+        let one = z.constant(1.0);
+        let y = one - z;
+        match self {
+            Weight::Linear => y, // (3.3)
+            Weight::Wendland => (y * y) * (y * y) * (z * 4.0 + one),
+        }
+    }
+
+    /// ∫ z W dz from 0 to z ≤ 1 [–]: `z²/2 − z³/3` for the linear weight; for Wendland's, the integral of
+    /// `z(1 − z)⁴(4z + 1)`, which is `z²/2 − 5z⁴/2 + 4z⁵ − 5z⁶/2 + 4z⁷/7`.
+    #[inline(always)]
+    pub fn potential<R: Real>(self, z: R) -> R {
+        let number = |value: f64| z.constant(value);
+        let z2 = z * z;
+        match self {
+            Weight::Linear => z2 * (number(1.0 / 2.0) - z * (1.0 / 3.0)),
+            Weight::Wendland => {
+                let inner = number(-2.5) + z * (number(4.0) + z * (number(-2.5) + z * (4.0 / 7.0)));
+                z2 * (number(0.5) + z2 * inner)
+            }
+        }
+    }
+
     /// W(z) for z = r / r_e ≥ 0 [–]; (3.3) for [`Weight::Linear`].
     #[inline]
     pub fn at(self, z: f64) -> f64 {
-        if z >= 1.0 {
-            return 0.0;
-        }
-        let y = 1.0 - z;
-        match self {
-            Weight::Linear => y,
-            Weight::Wendland => (y * y) * (y * y) * (4.0 * z + 1.0),
-        }
+        if z >= 1.0 { 0.0 } else { self.inside(z) }
     }
 
     /// The largest value of `z·W(z)` [–]: bounds the acceleration of one source by `s·r_e` times this.

@@ -3,8 +3,8 @@
 use glam::{DQuat, DVec3};
 
 use super::{
-    arrays::Vectors,
     coupled::member::Member,
+    numerics::arrays::Vectors,
     prescribed::{body::Active, deformation::Now},
     state::State,
 };

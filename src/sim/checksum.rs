@@ -5,8 +5,8 @@
 //! state, except for the sign of zero, which has no effect and is ignored.
 
 use super::{
-    arrays::{Blocks, LANES},
     free::Body,
+    numerics::arrays::{Blocks, LANES},
     prescribed::{
         body::Active,
         deformation::{DISPLACEMENT, Deformation, FreeVertices, VELOCITY},

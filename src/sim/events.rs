@@ -6,7 +6,7 @@
 //! pair within a few rounding errors of a threshold counts as on it until it has left.
 
 use super::{
-    roots::{self, Falling, Sample},
+    numerics::roots::{self, Falling, Sample},
     work::{LOOK_AT_PATHS, Tally},
 };
 use crate::{

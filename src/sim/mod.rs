@@ -11,6 +11,7 @@
 //! | how vertices of a body on a path are advanced | [`integrator`] |
 //! | when pairs merge, split, enter and leave their core | [`events`] |
 //! | which bodies can touch: a grid | [`reach`] |
+//! | nodes, polynomials, responses of oscillators, roots, SIMD lanes | `numerics` |
 //! | changes between steps | `edit` |
 //! | observation: forces by cause, energy | `observe` |
 //! | what a step reports | `report` |
@@ -61,7 +62,6 @@
 //! - The active set is stepped in SIMD lanes (AVX-512, AVX2 or SSE2), and bodies on as many threads as pay off, with
 //!   bit-identical results.
 
-mod arrays;
 mod body;
 mod checksum;
 mod coupled;
@@ -73,13 +73,12 @@ pub mod free;
 #[doc(hidden)]
 pub mod integrator;
 pub(crate) mod memory;
-mod nodes;
+pub(crate) mod numerics;
 pub(crate) mod observe;
 pub(crate) mod prescribed;
 #[doc(hidden)]
 pub mod reach;
 mod report;
-pub(crate) mod roots;
 mod solver;
 mod span;
 mod state;
@@ -87,10 +86,10 @@ pub(crate) mod terms;
 pub(crate) mod work;
 mod world;
 
-pub use arrays::Vectors;
 pub use body::{BodyView, PairView, States};
 pub use events::Event;
 pub use memory::TooLarge;
+pub use numerics::arrays::Vectors;
 pub use observe::{BodyForces, Energy};
 pub use report::{Diverged, EditError, Failure, Overworked, Shortfall, Stage, StepReport, Strain, Toil};
 pub use terms::Cause;

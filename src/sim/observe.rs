@@ -3,10 +3,10 @@
 use glam::DVec3;
 
 use super::{
-    arrays::Vectors,
     body::States,
     coupled::{dense::Interpolated, member::driven},
     free::{Conserved, Forces, Ledger, Snapshot},
+    numerics::arrays::Vectors,
     terms::{Cause, Source, Surroundings, oscillator, spheres},
     work::{Tally, Work},
     world::World,

@@ -8,7 +8,7 @@
 use glam::{DMat3, DVec3};
 
 use super::density::{Ball, Jet, Kernel};
-use crate::sim::roots::root;
+use crate::sim::numerics::roots::root;
 
 /// Number of samples on the line of centres.
 const SAMPLES: u32 = 32;

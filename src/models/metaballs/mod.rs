@@ -47,7 +47,7 @@ use crate::{
         surface::Finding,
     },
     scene::{Body, Model, Path, Scene},
-    sim::{Options, World, roots::root},
+    sim::{Options, World, numerics::roots::root},
     view,
 };
 use contact::are_one;

@@ -25,7 +25,7 @@ use crate::{
         Frame, Schema,
         surface::{Group, PairMeasures, Surfaced, Surfaces, VertexOrigin},
     },
-    sim::roots::root,
+    sim::numerics::roots::root,
 };
 
 /// Spacing of the grid [radii of the smallest ball of a group].

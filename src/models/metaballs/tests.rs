@@ -14,7 +14,7 @@ use crate::{
     geometry::union::Topology,
     observe::{Frame, Simulation, SurfaceEvent, Want, surface::Finding},
     scene::{Model, Scene},
-    sim::{Options, roots::root},
+    sim::{Options, numerics::roots::root},
 };
 
 fn kernel(reach: f64) -> Kernel {

@@ -4,7 +4,7 @@ use super::*;
 use crate::scene::Scene;
 use crate::sim::{
     World,
-    arrays::{Block, Blocks},
+    numerics::arrays::{Block, Blocks},
     prescribed::Prescribed,
     solver::Solver,
 };

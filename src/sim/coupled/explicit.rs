@@ -22,7 +22,7 @@ use crate::{
     sim::{
         events::Event,
         free::{self, Body},
-        prescribed::deformation::larger,
+        numerics::larger,
         report::StepReport,
         span::Span,
     },

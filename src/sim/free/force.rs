@@ -5,14 +5,18 @@ use pulp::Arch;
 
 use super::{
     body::Body,
-    crossing::{self, Course as Polynomial, Crossings},
     field::{Field, Pair, Push},
     kernels::{self, Detect, Pull},
     split::{hold, is_stiff, passages, softened},
-    step::{Course, Held, MIDDLE, Place, Reaction, Span, combine},
-    weights::cubic,
+    step::{Course, Held, MIDDLE, Place, Reaction, Span},
 };
-use crate::model::{PairLaw, influence::Weight, phase::Phase, shape_matching::Plane};
+use crate::{
+    model::{PairLaw, influence::Weight, phase::Phase, shape_matching::Plane},
+    sim::numerics::{
+        bernstein::{self, Crossings, Polynomial},
+        lagrange::{combine, cubic},
+    },
+};
 
 /// A sphere that acts on a body.
 #[derive(Clone, Copy, Debug)]
@@ -141,10 +145,7 @@ impl Contact<'_> {
 #[inline(always)]
 pub(super) fn influence(d: DVec3, weight: Weight, radius: f64, strength: f64) -> DVec3 {
     let z = d.length() / radius;
-    let w = match weight {
-        Weight::Linear => 1.0 - z, // (3.3)
-        Weight::Wendland => weight.at(z),
-    };
+    let w = if weight == Weight::Linear { weight.inside(z) } else { weight.at(z) };
     d * (strength * w)
 }
 
@@ -221,7 +222,7 @@ impl Acting {
                     continue;
                 }
                 let (active, radius, h) = (&mut course.active, sphere.radius, span.h);
-                let (listed, basis) = (&mut crossing, crossing::basis());
+                let (listed, basis) = (&mut crossing, bernstein::basis());
                 Detect { active, radius, apart, passing, turning, h, band, crossing: listed, basis }.find(arch);
             }
         }

@@ -9,16 +9,17 @@ use super::{
     super::work::Tally,
     body::Body,
     conserved::{self, Conserved},
-    crossing::Course as Polynomial,
     field::{Driven, Field, Pair, Paths},
     force::{Acting, View},
     ledger::{Done, Ledger},
     observed::Snapshot,
     split::{Around, By, Motion, Piece},
-    step::{Course, MIDDLE, Place, Span, larger},
-    weights::MIDPOINTS,
+    step::{Course, MIDDLE, Place, Span},
 };
-use crate::model::phase::Phase;
+use crate::{
+    model::phase::Phase,
+    sim::numerics::{bernstein::Polynomial, larger, nodes::MIDPOINTS},
+};
 
 /// Largest number of sweeps of a step before a shorter one is tried.
 const MAX_SWEEPS: u32 = 24;

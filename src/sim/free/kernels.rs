@@ -5,16 +5,18 @@ use glam::{DMat3, DVec3};
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{
-    super::integrator::exponential::{
-        lanes::{Mask, Reals, Vector},
-        weights::Dense,
-    },
-    crossing::Basis,
     force::Sphere,
     passive::{Linear, Moments},
-    step::larger,
 };
-use crate::model::{energy::influence_potential, influence::Weight};
+use crate::{
+    model::{energy::influence_potential, influence::Weight},
+    sim::numerics::{
+        bernstein::Basis,
+        dense::Dense,
+        lanes::{Mask, Reals, Vector},
+        larger,
+    },
+};
 
 /// Number of vertices side by side. Arrays are padded to multiples of it, with vertices without mass.
 pub const WIDTH: usize = 8;
@@ -789,15 +791,10 @@ impl Kernel for Pull<'_> {
             for node in 0..4 {
                 let d = Vector::splat(simd, apart[node]) - load(simd, &block.s[node]);
                 let z = d.length_squared().sqrt() * (1.0 / sphere.radius);
-                let y = one - z;
-                let w = match weight {
-                    Weight::Linear => y,
-                    Weight::Wendland => {
-                        inside = together.and(z.below(one));
-                        (y * y) * (y * y) * (z * 4.0 + one)
-                    }
-                };
-                let g = inside.select_vector(d * (w * sphere.strength[node]), no_force);
+                if weight == Weight::Wendland {
+                    inside = together.and(z.below(one));
+                }
+                let g = inside.select_vector(d * (weight.inside(z) * sphere.strength[node]), no_force);
                 if node >= first_node {
                     let f = &mut block.f[node];
                     store(if fresh { g } else { load(simd, f) + g }, f);
@@ -855,12 +852,7 @@ impl Kernel for PullAt<'_> {
                 continue;
             }
             let z = square.sqrt() * (1.0 / sphere.radius);
-            let y = one - z;
-            let w = match weight {
-                Weight::Linear => y,
-                Weight::Wendland => (y * y) * (y * y) * (z * 4.0 + one),
-            };
-            let g = inside.select_vector(d * (w * sphere.strength[look]), no_force);
+            let g = inside.select_vector(d * (weight.inside(z) * sphere.strength[look]), no_force);
             let f = &mut block.f[look];
             store(load(simd, f) + g, f);
             force = force + g * Reals::load(simd, &block.masses, 0);
@@ -955,15 +947,7 @@ impl Kernel for Potential<'_> {
         for block in &active.blocks {
             let z = (apart - load(simd, &block.s[node])).length_squared().sqrt() * (1.0 / radius);
             let z = z.smaller(one);
-            let z2 = z * z;
-            let phi = match weight {
-                Weight::Linear => z2 * (number(1.0 / 2.0) - z * (1.0 / 3.0)),
-                Weight::Wendland => {
-                    let inner = number(-2.5) + z * (number(4.0) + z * (number(-2.5) + z * (4.0 / 7.0)));
-                    z2 * (number(0.5) + z2 * inner)
-                }
-            };
-            sum = sum + (phi - number(outside)) * Reals::load(simd, &block.masses, 0);
+            sum = sum + (weight.potential(z) - number(outside)) * Reals::load(simd, &block.masses, 0);
         }
         total(sum) * radius * radius
     }

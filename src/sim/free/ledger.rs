@@ -10,14 +10,16 @@ use glam::DVec3;
 use pulp::Arch;
 
 use super::{
-    super::nodes::NODES,
     body::Body,
     field::{Field, Pair},
     kernels,
     split::{By, Touch},
     step::{Course, Place},
 };
-use crate::model::shape_matching::{Plane, cross_matrix};
+use crate::{
+    model::shape_matching::{Plane, cross_matrix},
+    sim::numerics::nodes::NODES,
+};
 
 /// Energy added to free bodies by each cause; negative if removed [mass · scene unit²/s²].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -9,8 +9,6 @@
 //! | vertices on which a contact begins or ends within a step | `split` |
 //! | loops over vertices, in SIMD lanes | `kernels` |
 //! | vertices that nothing reaches in a step | `passive` |
-//! | zero crossings within a step: rims and thresholds | [`crossing`] |
-//! | responses of oscillators and centres to forces | [`weights`] |
 //! | momentum, angular momentum, energy | [`conserved`] |
 //! | energy ledger | [`ledger`] |
 //! | forces in the current state, by cause | [`observed`] |
@@ -42,7 +40,6 @@
 
 pub mod body;
 pub mod conserved;
-pub mod crossing;
 pub mod field;
 mod force;
 pub mod island;
@@ -52,7 +49,6 @@ pub mod observed;
 mod passive;
 mod split;
 mod step;
-pub mod weights;
 
 pub use crate::model::{PairLaw, shape_matching::Rotation};
 pub use body::{Body, Motion, Shape};

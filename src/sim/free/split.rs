@@ -10,18 +10,23 @@ use glam::{DMat3, DVec3};
 use smallvec::SmallVec;
 
 use super::{
-    super::{integrator::exponential::weights::Dense, nodes::NODES},
     body::Body,
-    crossing::{Crossings, Curve},
     field::{Field, Paths},
     force::{Acting, Contact, Seen, Sphere, View, influence, see},
-    step::{Course, Place, Span, combine, combine_matrices},
-    weights::{CubicIntegrals, cubic},
+    step::{Course, Place, Span},
 };
-use crate::model::{
-    influence::Weight,
-    oscillator::Oscillator,
-    shape_matching::{Plane, cross_matrix, resistance, solve},
+use crate::{
+    model::{
+        influence::Weight,
+        oscillator::Oscillator,
+        shape_matching::{Plane, cross_matrix, resistance, solve},
+    },
+    sim::numerics::{
+        bernstein::{Crossings, Curve},
+        dense::Dense,
+        lagrange::{CubicIntegrals, combine, combine_matrices, cubic},
+        nodes::NODES,
+    },
 };
 
 /// Largest number of corrections of the forces on a leg in a sweep.

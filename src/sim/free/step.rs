@@ -19,23 +19,26 @@ use glam::{DMat3, DQuat, DVec3};
 use pulp::Arch;
 
 use super::{
-    super::{
-        integrator::exponential::weights::Dense,
-        nodes::{NODES, SAMPLES},
-    },
     body::{Body, Sums},
-    crossing::Curve,
     field::{Driven, Field, Paths},
     force::{Acting, View},
     kernels::{self, Active, AddResidual, Finish, Gathered, Move, Moved, Reach, Start, WIDTH},
     passive::{Linear, Maxima, Moments, Scaled},
     split::{By, Motion, Piece, Split},
-    weights::{BALLISTIC, MIDPOINTS, ballistic, cubic, early, early_ballistic, looks, residual},
 };
-use crate::model::{
-    oscillator::Oscillator,
-    shape_matching::{
-        Inner, cross_matrix, frame_drive, moment, outer, resistance, rotation_by, rotation_vector_rate, solve,
+use crate::{
+    model::{
+        oscillator::Oscillator,
+        shape_matching::{
+            Inner, cross_matrix, frame_drive, moment, outer, resistance, rotation_by, rotation_vector_rate, solve,
+        },
+    },
+    sim::numerics::{
+        bernstein::Curve,
+        dense::{BALLISTIC, Dense, ballistic, early, early_ballistic, looks, residual},
+        lagrange::{combine, combine_matrices, cubic},
+        larger,
+        nodes::{MIDPOINTS, NODES, SAMPLES},
     },
 };
 
@@ -265,17 +268,6 @@ impl Span {
         self.midpoint = MIDPOINTS[k];
         self.ballistic[MIDDLE - 1] = Dense::new(BALLISTIC, self.h, self.midpoint);
     }
-}
-
-/// Σ wᵢ vᵢ.
-#[inline(always)]
-pub fn combine(w: &[f64; 4], v: [DVec3; 4]) -> DVec3 {
-    (w[0] * v[0] + w[1] * v[1]) + (w[2] * v[2] + w[3] * v[3])
-}
-
-#[inline(always)]
-pub fn combine_matrices(w: &[f64; 4], v: [DMat3; 4]) -> DMat3 {
-    (v[0] * w[0] + v[1] * w[1]) + (v[2] * w[2] + v[3] * w[3])
 }
 
 impl Course {
@@ -905,10 +897,4 @@ impl Errors {
     pub fn add_reaction(&mut self, (x, u): (f64, f64), share: f64) {
         self.split_all += share * (x + u);
     }
-}
-
-/// The larger of two numbers; NaN if either is NaN.
-#[inline]
-pub fn larger(a: f64, b: f64) -> f64 {
-    if b > a || b.is_nan() { b } else { a }
 }

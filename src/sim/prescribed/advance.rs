@@ -16,11 +16,11 @@ use crate::{
     geometry::Rest,
     model::phase::Phase,
     sim::{
-        arrays::{Block, LANES},
         integrator::{
             explicit::{self, Interval, Scheme},
             exponential::{self, StepControl, StepStatistics, course::Course},
         },
+        numerics::arrays::{Block, LANES},
         solver::Setting,
         span::Span,
         state::State,

@@ -7,7 +7,7 @@ use pulp::Arch;
 use smallvec::{Array, SmallVec};
 
 use super::{
-    deformation::{Deformation, Now, REST, larger},
+    deformation::{Deformation, Now, REST},
     neighbours::{FatBounds, Neighbours},
     pairs::Pairs,
     tracks::Tracks,
@@ -18,6 +18,7 @@ use crate::{
     scene::{Material, Push, Scene},
     sim::{
         integrator::exponential::{StepStatistics, together::Largest},
+        numerics::larger,
         state::State,
         terms::On,
     },

@@ -13,7 +13,10 @@ use crate::{
     geometry::Rest,
     model::oscillator::Oscillator,
     sim::{
-        arrays::{Block, Blocks, LANES, Lanes, Vectors},
+        numerics::{
+            arrays::{Block, Blocks, LANES, Lanes, Vectors},
+            larger,
+        },
         state::State,
     },
 };
@@ -110,11 +113,6 @@ impl Now {
 /// A displacement or velocity below this counts as rest [scene unit, scene unit/s]: subnormal numbers are slow to
 /// compute with.
 pub const REST: f64 = 1e-150;
-
-/// The larger of two numbers, or NaN if either is NaN, which `f64::max` would ignore.
-pub fn larger(a: f64, b: f64) -> f64 {
-    if b > a || b.is_nan() { b } else { a }
-}
 
 impl Deformation {
     /// Whether every vertex has only followed the shared motion.

@@ -8,7 +8,7 @@ use crate::{
         Material, Path, Scene,
         path::{Bounds, Turns},
     },
-    sim::{events::PairPaths, nodes::SAMPLES, span::Span, terms},
+    sim::{events::PairPaths, numerics::nodes::SAMPLES, span::Span, terms},
 };
 
 /// With fewer moving bodies than this, a second thread does not pay off.

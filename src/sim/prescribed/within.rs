@@ -8,8 +8,8 @@ use crate::{
     scene::Path,
     sim::{
         States, World,
-        arrays::{LANES, Vectors},
         integrator::exponential::{self, StepControl, course::Course},
+        numerics::arrays::{LANES, Vectors},
         span::Span,
         state::State,
         terms::{Acting, Moment, On, Phases, Surroundings, carry, push::PushField},

@@ -2,7 +2,7 @@
 //! to the forces on a body; this file computes their share for observation.
 
 use super::{Cause, Term};
-use crate::{model::energy, scene::Material, sim::arrays::Vectors};
+use crate::{model::energy, scene::Material, sim::numerics::arrays::Vectors};
 
 pub struct Springs;
 

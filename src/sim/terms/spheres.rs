@@ -9,7 +9,7 @@ use crate::{
     geometry::Rest,
     model::{PairLaw, energy, influence::Weight, phase::Phase},
     scene::{Members, Scene, path::Kinematics},
-    sim::{arrays::Vectors, prescribed::neighbours::Neighbour, span::Span},
+    sim::{numerics::arrays::Vectors, prescribed::neighbours::Neighbour, span::Span},
 };
 
 /// An influence sphere of another body that can reach this body in a part of a step.

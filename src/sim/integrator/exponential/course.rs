@@ -8,7 +8,7 @@ use crate::{
     model::{influence::Weight, oscillator::Oscillator},
     scene::{Material, Path, Scene, path::Bounds},
     sim::{
-        arrays::Vectors,
+        numerics::arrays::Vectors,
         prescribed::tracks::Tracks,
         terms::{self, Sphere},
     },

@@ -11,12 +11,18 @@ use pulp::Simd;
 
 use super::{
     course::Course,
-    lanes::{Mask, Reals},
     step::{Step, Vertex},
 };
 use crate::{
     model::influence::Weight,
-    sim::{nodes::NODES, state::State, terms::Sphere},
+    sim::{
+        numerics::{
+            lanes::{Mask, Reals},
+            nodes::NODES,
+        },
+        state::State,
+        terms::Sphere,
+    },
 };
 
 /// The largest mean residual of the cubic through the nodes for `|t| t`, …

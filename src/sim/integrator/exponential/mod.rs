@@ -17,7 +17,6 @@
 
 pub mod course;
 pub mod kinks;
-pub mod lanes;
 pub mod rim;
 pub mod single;
 pub mod step;

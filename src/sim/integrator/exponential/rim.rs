@@ -9,7 +9,7 @@ use super::{
     step::{Apart, Outcome, Step, Trajectories, Vertex},
 };
 use crate::sim::{
-    roots::{self, Falling, Sample},
+    numerics::roots::{self, Falling, Sample},
     state::State,
 };
 

@@ -6,15 +6,22 @@ use pulp::Scalar;
 use super::{
     course::Course,
     kinks,
-    lanes::{LANES, Reals, Vector},
     rim::{self, Motion, Rim, Unresolved},
     step::{Collocated, Group, Moment, Outcome, Pull, SHORTER, Step, Trajectories, Vertex, is_sampled_aside},
-    weights::{ASIDE, Dense, KnownWeights, Residual, Stage, Weights},
+    weights::{ASIDE, KnownWeights, Residual, Stage, Weights},
     work_of,
 };
 use crate::{
     model::{energy, influence},
-    sim::{state::State, terms::Sphere, work::Tally},
+    sim::{
+        numerics::{
+            dense::Dense,
+            lanes::{LANES, Reals, Vector},
+        },
+        state::State,
+        terms::Sphere,
+        work::Tally,
+    },
 };
 
 /// Upper limit on the steps of a vertex in one step of the world. The rest is then taken in a single step, unchecked

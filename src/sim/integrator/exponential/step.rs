@@ -5,13 +5,21 @@ use pulp::Simd;
 
 use super::{
     course::Course,
-    lanes::{LANES, Mask, Reals, Vector},
-    weights::{ASIDE, Dense, Mode, Weights, quartic, quartic_through},
+    weights::{ASIDE, Mode, Weights},
 };
 use crate::{
     model::influence::Weight,
     scene::{Material, path::Bounds},
-    sim::{nodes, state::State, terms::Sphere},
+    sim::{
+        numerics::{
+            dense::Dense,
+            lagrange::{combine, quartic, quartic_through},
+            lanes::{LANES, Mask, Reals, Vector},
+            nodes::SAMPLES,
+        },
+        state::State,
+        terms::Sphere,
+    },
 };
 
 /// A step that has not converged after this many corrections is rejected.
@@ -173,14 +181,7 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
         for pull in self.pulls {
             let to_centre = Vector::splat(self.simd, moment.centres[pull.sphere]) - position;
             let z = to_centre.length_squared().sqrt() * self.course.spheres[pull.sphere].inverse_radius;
-            let inside = one - z;
-            let mut weight = match self.course.weight() {
-                Weight::Linear => inside, // (3.3)
-                Weight::Wendland => {
-                    let square = inside * inside;
-                    square * square * (z * 4.0 + one)
-                }
-            };
+            let mut weight = self.course.weight().inside(z);
             if pull.cut {
                 weight = z.below(one).select(weight, Reals::splat(self.simd, 0.0));
             }
@@ -386,7 +387,7 @@ impl Step {
                 moment.carried = x;
             } else {
                 let stage = self.weights.stage(look);
-                moment.carried = stage.xx * x + stage.xu * u + combine(&stage.force, &forces);
+                moment.carried = stage.xx * x + stage.xu * u + combine(&stage.force, forces);
             }
             for centre in &mut moment.centres {
                 *centre -= moment.carried;
@@ -428,14 +429,14 @@ impl Step {
     fn is_smooth(&self, limits: [f64; 2], at: impl Fn(usize) -> DVec3) -> bool {
         let known = [at(0), at(1), at(2), at(3)];
         let is_small = |residual: DVec3, limit: f64| residual.length_squared() <= limit * limit;
-        let of_cubic = |look: usize, w: &[f64; 4]| is_small(at(look) - combine(w, &known), limits[0]);
+        let of_cubic = |look: usize, w: &[f64; 4]| is_small(at(look) - combine(w, known), limits[0]);
         let Weights { polynomial, polynomial_aside, is_sampled_aside, .. } = self.weights;
         if of_cubic(4, &polynomial) && (!is_sampled_aside || of_cubic(ASIDE_LOOK, &polynomial_aside)) {
             return true;
         }
         is_sampled_aside && {
             let [w0, w1, w2, w3, middle] = quartic(ASIDE);
-            is_small(at(ASIDE_LOOK) - combine(&[w0, w1, w2, w3], &known) - middle * at(4), limits[1])
+            is_small(at(ASIDE_LOOK) - combine(&[w0, w1, w2, w3], known) - middle * at(4), limits[1])
         }
     }
 
@@ -472,7 +473,7 @@ impl Step {
     pub fn carried_at_end(&self, State { x, u }: State) -> State {
         let Weights { ux, uu, velocity, .. } = &self.weights;
         let forces: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].uniform);
-        State { x: self.moments[3].carried, u: *ux * x + *uu * u + combine(velocity, &forces) }
+        State { x: self.moments[3].carried, u: *ux * x + *uu * u + combine(velocity, forces) }
     }
 
     /// Bounds on the speed and the acceleration of the shared motion within the step.
@@ -488,7 +489,7 @@ impl Step {
         let weights = &self.weights;
         let forces: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].uniform);
         let gain = weights.gain();
-        let left_out = (self.moments[4].uniform - combine(&weights.polynomial, &forces)).length();
+        let left_out = (self.moments[4].uniform - combine(&weights.polynomial, forces)).length();
         // not `f64::max`, which would drop NaN
         let beyond = if left_out <= self.noise { 0.0 } else { left_out - self.noise };
         0.1 * beyond * gain
@@ -498,7 +499,7 @@ impl Step {
     fn shared_ringing(&self, State { x, u }: State) -> f64 {
         let Some(modes) = &self.weights.ringing else { return 0.0 };
         let forces: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].uniform);
-        let of_mode = |mode: &Mode| (mode.x * x + mode.u * u + combine(&mode.force, &forces)).length();
+        let of_mode = |mode: &Mode| (mode.x * x + mode.u * u + combine(&mode.force, forces)).length();
         modes.iter().map(of_mode).sum()
     }
 
@@ -617,13 +618,8 @@ fn time_of(look: usize, start: f64, h: f64) -> f64 {
     match look {
         3 => start + h,
         ASIDE_LOOK => start + ASIDE * h,
-        _ => start + nodes::SAMPLES[look] * h,
+        _ => start + SAMPLES[look] * h,
     }
-}
-
-/// `Σ wᵢ vᵢ`.
-fn combine(w: &[f64; 4], v: &[DVec3; 4]) -> DVec3 {
-    (w[0] * v[0] + w[1] * v[1]) + (w[2] * v[2] + w[3] * v[3])
 }
 
 /// Whether the weight has a kink at the rim, at which a step must end.

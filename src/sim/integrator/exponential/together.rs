@@ -8,11 +8,13 @@ use pulp::{Simd, WithSimd};
 use super::{
     course::Course,
     kinks,
-    lanes::{LANES, Mask, Reals, Vector},
     step::{Collocated, Group, Pull, SHORTER, Step, has_kink, respond},
 };
 use crate::sim::{
-    arrays::{Block, Blocks},
+    numerics::{
+        arrays::{Block, Blocks},
+        lanes::{LANES, Mask, Reals, Vector},
+    },
     prescribed::deformation::ActiveSet,
     work::Tally,
 };

@@ -1,36 +1,13 @@
 //! Collocation weights: the exact response of the oscillator to forces at four instants of a step.
 
-use std::sync::LazyLock;
-
-use glam::DVec3;
-
 use crate::{
     model::oscillator::{Oscillator, Propagator},
-    sim::{
-        nodes::{NODES, SAMPLES},
-        state::State,
+    sim::numerics::{
+        dense::responses,
+        lagrange::{THROUGH, cubic},
+        nodes::NODES,
     },
 };
-
-/// `LAGRANGE[n][i]` holds the coefficients of the polynomial that is 1 at node i and 0 at the other nodes before node
-/// n.
-static LAGRANGE: LazyLock<[[[f64; 4]; 4]; 5]> = LazyLock::new(|| {
-    let mut all = [[[0.0; 4]; 4]; 5];
-    for (n, basis) in all.iter_mut().enumerate().skip(1) {
-        for (i, coefficients) in basis.iter_mut().enumerate().take(n) {
-            // Π (θ − θ_j)/(θ_i − θ_j), multiplied out
-            coefficients[0] = 1.0;
-            for (degree, j) in (0..n).filter(|&j| j != i).enumerate() {
-                let scale = 1.0 / (NODES[i] - NODES[j]);
-                for k in (0..=degree + 1).rev() {
-                    let lower = if k > 0 { coefficients[k - 1] } else { 0.0 };
-                    coefficients[k] = scale * (lower - NODES[j] * coefficients[k]);
-                }
-            }
-        }
-    }
-    all
-});
 
 /// Weights that give the displacement at an instant of the step from the state at its start and the forces at the
 /// nodes.
@@ -113,7 +90,7 @@ fn ringing(Oscillator { omega, damping }: Oscillator, h: f64) -> Option<Ringing>
         return None;
     }
     // the force Σ pₖ sᵏ/k!
-    let derivatives = LAGRANGE[4].map(|[a, b, c, d]| [a, b / h, 2.0 * c / (h * h), 6.0 * d / (h * h * h)]);
+    let derivatives = THROUGH[4].map(|[a, b, c, d]| [a, b / h, 2.0 * c / (h * h), 6.0 * d / (h * h * h)]);
     if damping < 1.1 * omega {
         // the cubic motion x = Σ cₖ sᵏ/k!: ω² cₖ = pₖ − 2κ cₖ₊₁ − cₖ₊₂
         let per_omega2 = 1.0 / (omega * omega);
@@ -151,11 +128,10 @@ impl Weights {
         let stage = |theta: f64, n: usize, p: &Propagator| Stage {
             xx: p.xx,
             xu: p.xu,
-            force: responses(&LAGRANGE[4], theta, &p.x),
-            predict: responses(&LAGRANGE[n], theta, &p.x),
+            force: responses(&THROUGH[4], theta, &p.x),
+            predict: responses(&THROUGH[n], theta, &p.x),
         };
         let at = |theta: f64| oscillator.propagator(theta * h);
-        let lagrange = &LAGRANGE[4];
         Weights {
             oscillator,
             h,
@@ -168,12 +144,12 @@ impl Weights {
             middle: stage(0.5, 4, &at(0.5)),
             is_sampled_aside,
             aside: if is_sampled_aside { stage(ASIDE, 4, &at(ASIDE)) } else { Stage::default() },
-            polynomial: values(lagrange, 0.5),
-            polynomial_aside: values(lagrange, ASIDE),
+            polynomial: cubic(0.5),
+            polynomial_aside: cubic(ASIDE),
             bend_aside: BEND_ASIDE,
             ux: whole.ux,
             uu: whole.uu,
-            velocity: responses(lagrange, 1.0, &whole.u),
+            velocity: responses(&THROUGH[4], 1.0, &whole.u),
             constant: whole.x[0],
             swing: 1.0 / oscillator.omega.max(2.0 * oscillator.damping).max(1.0),
             ringing: ringing(oscillator, h),
@@ -203,40 +179,6 @@ impl KnownWeights {
             self.0.len() - 1
         });
         &self.0[index]
-    }
-}
-
-/// Dense output of the collocation polynomial: weights that give the state at any instant of a step from the state at
-/// its start and the forces at its nodes.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Dense {
-    /// Flow to that instant: ∂x/∂x₀ [–].
-    pub xx: f64,
-    /// Flow to that instant: ∂x/∂u₀ [s].
-    pub xu: f64,
-    /// Flow to that instant: ∂u/∂x₀ [1/s].
-    pub ux: f64,
-    /// Flow to that instant: ∂u/∂u₀ [–].
-    pub uu: f64,
-    /// Weight of each node's force in the displacement [s²].
-    pub x: [f64; 4],
-    /// Weight of each node's force in the velocity [s].
-    pub u: [f64; 4],
-}
-
-impl Dense {
-    /// The dense output at time `theta` h of a step of length `h` [s]; `theta` > 0.
-    pub fn new(oscillator: Oscillator, h: f64, theta: f64) -> Dense {
-        let p = oscillator.propagator(theta * h);
-        let basis = &LAGRANGE[4];
-        let (x, u) = (responses(basis, theta, &p.x), responses(basis, theta, &p.u));
-        Dense { xx: p.xx, xu: p.xu, ux: p.ux, uu: p.uu, x, u }
-    }
-
-    /// The state at that instant, given the forces at the nodes.
-    pub fn state(&self, State { x, u }: State, forces: &[DVec3; 4]) -> State {
-        let response = |w: &[f64; 4]| (w[0] * forces[0] + w[1] * forces[1]) + (w[2] * forces[2] + w[3] * forces[3]);
-        State { x: self.xx * x + self.xu * u + response(&self.x), u: self.ux * x + self.uu * u + response(&self.u) }
     }
 }
 
@@ -296,41 +238,6 @@ fn fourth_response(Oscillator { omega, damping }: Oscillator, t: f64, p: &Propag
     (t / 5.0 - 4.0 * p.x[3] / t) / (2.0 * damping + omega * omega * t / 7.0)
 }
 
-/// `QUARTIC[i]` holds the coefficients of the polynomial that is 1 at sample i and 0 at the other four.
-static QUARTIC: LazyLock<[[f64; 5]; 5]> = LazyLock::new(|| {
-    let mut all = [[0.0; 5]; 5];
-    for (i, coefficients) in all.iter_mut().enumerate() {
-        // Π (θ − θ_j)/(θ_i − θ_j), multiplied out
-        coefficients[0] = 1.0;
-        for (degree, j) in (0..5).filter(|&j| j != i).enumerate() {
-            let scale = 1.0 / (SAMPLES[i] - SAMPLES[j]);
-            for k in (0..=degree + 1).rev() {
-                let lower = if k > 0 { coefficients[k - 1] } else { 0.0 };
-                coefficients[k] = scale * (lower - SAMPLES[j] * coefficients[k]);
-            }
-        }
-    }
-    all
-});
-
-/// Weights at `theta` of the values at each of `SAMPLES`, in the quartic through them.
-pub fn quartic(theta: f64) -> [f64; 5] {
-    QUARTIC.map(|[a, b, c, d, e]| a + theta * (b + theta * (c + theta * (d + theta * e))))
-}
-
-/// The coefficients of the quartic through vectors at `SAMPLES`.
-pub fn quartic_through(known: &[DVec3; 5]) -> [DVec3; 5] {
-    let all = &*QUARTIC;
-    let mut coefficients = [DVec3::ZERO; 5];
-    // loops of constant length, which are unrolled wherever this is inlined
-    for (k, coefficient) in coefficients.iter_mut().enumerate() {
-        for (row, &known) in all.iter().zip(known) {
-            *coefficient += row[k] * known;
-        }
-    }
-    coefficients
-}
-
 impl Weights {
     /// Displacement per error of the force, now or after the oscillator has converted the velocity [s²].
     #[inline(always)]
@@ -345,34 +252,9 @@ impl Weights {
     }
 }
 
-/// The value at `theta` of each polynomial.
-fn values(basis: &[[f64; 4]; 4], theta: f64) -> [f64; 4] {
-    basis.map(|[a, b, c, d]| a + theta * (b + theta * (c + theta * d)))
-}
-
-/// The response at `theta` h to each polynomial, given the response to the powers of time.
-fn responses(basis: &[[f64; 4]; 4], theta: f64, powers: &[f64; 4]) -> [f64; 4] {
-    let [p0, p1, p2, p3] = *powers;
-    basis.map(|[a, b, c, d]| a * p0 + theta * (b * p1 + theta * (c * p2 + theta * (d * p3))))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn polynomials_are_one_at_their_node_and_zero_at_the_others() {
-        for n in 1..=4 {
-            for i in 0..n {
-                for j in 0..n {
-                    let [a, b, c, d] = LAGRANGE[n][i];
-                    let t = NODES[j];
-                    let value = a + t * (b + t * (c + t * d));
-                    assert!((value - f64::from(i == j)).abs() < 1e-14, "{n} {i} {j}: {value}");
-                }
-            }
-        }
-    }
 
     /// Compared with the midpoint rule, for slow, fast and damped oscillators.
     #[test]

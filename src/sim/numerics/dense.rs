@@ -3,46 +3,55 @@
 
 use std::sync::LazyLock;
 
-use super::super::{
-    integrator::exponential::weights::Dense,
-    nodes::{NODES, SAMPLES},
+use glam::DVec3;
+
+use super::{
+    lagrange::THROUGH,
+    nodes::{MIDPOINTS, NODES, SAMPLES},
 };
-use crate::model::oscillator::Oscillator;
+use crate::{model::oscillator::Oscillator, sim::state::State};
 
 /// An oscillator without spring and damping: the motion of a centre.
 pub const BALLISTIC: Oscillator = Oscillator { omega: 0.0, damping: 0.0 };
 
-/// `[i]`: coefficients of the polynomial that is 1 at node i and 0 at the others of the first `count` nodes.
-fn basis(count: usize) -> [[f64; 4]; 4] {
-    std::array::from_fn(|i| {
-        if i >= count {
-            return [0.0; 4];
-        }
-        // Π (θ − θ_j)/(θ_i − θ_j), multiplied out
-        let mut c = [1.0, 0.0, 0.0, 0.0];
-        for (degree, j) in (0..count).filter(|&j| j != i).enumerate() {
-            let scale = 1.0 / (NODES[i] - NODES[j]);
-            for k in (0..=degree + 1).rev() {
-                let lower = if k > 0 { c[k - 1] } else { 0.0 };
-                c[k] = scale * (lower - NODES[j] * c[k]);
-            }
-        }
-        c
-    })
+/// Dense output of the collocation polynomial: weights that give the state at any instant of a step from the state at
+/// its start and the forces at its nodes.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Dense {
+    /// Flow to that instant: ∂x/∂x₀ [–].
+    pub xx: f64,
+    /// Flow to that instant: ∂x/∂u₀ [s].
+    pub xu: f64,
+    /// Flow to that instant: ∂u/∂x₀ [1/s].
+    pub ux: f64,
+    /// Flow to that instant: ∂u/∂u₀ [–].
+    pub uu: f64,
+    /// Weight of each node's force in the displacement [s²].
+    pub x: [f64; 4],
+    /// Weight of each node's force in the velocity [s].
+    pub u: [f64; 4],
 }
 
-static CUBIC: LazyLock<[[f64; 4]; 4]> = LazyLock::new(|| basis(4));
+impl Dense {
+    /// The dense output at time `theta` h of a step of length `h` [s]; `theta` > 0.
+    pub fn new(oscillator: Oscillator, h: f64, theta: f64) -> Dense {
+        let p = oscillator.propagator(theta * h);
+        let (x, u) = (responses(&THROUGH[4], theta, &p.x), responses(&THROUGH[4], theta, &p.u));
+        Dense { xx: p.xx, xu: p.xu, ux: p.ux, uu: p.uu, x, u }
+    }
 
-/// Bases of the first node, the first two and the first three.
-static EARLY: LazyLock<[[[f64; 4]; 4]; 3]> = LazyLock::new(|| [basis(1), basis(2), basis(3)]);
-
-/// Weights of the values at the nodes, in the cubic through them, at `theta`.
-pub fn cubic(theta: f64) -> [f64; 4] {
-    CUBIC.map(|[a, b, c, d]| a + theta * (b + theta * (c + theta * d)))
+    /// The state at that instant, given the forces at the nodes.
+    pub fn state(&self, State { x, u }: State, forces: &[DVec3; 4]) -> State {
+        let response = |w: &[f64; 4]| (w[0] * forces[0] + w[1] * forces[1]) + (w[2] * forces[2] + w[3] * forces[3]);
+        State { x: self.xx * x + self.xu * u + response(&self.x), u: self.ux * x + self.uu * u + response(&self.u) }
+    }
 }
 
-/// Instants between the nodes at which the residual of a step is sampled, as fractions of the step.
-pub const MIDPOINTS: [f64; 3] = [0.5 * NODES[1], 0.5, 1.0 - 0.5 * NODES[1]];
+/// The response at `theta` h to each polynomial, given the response to the powers of time.
+pub fn responses(basis: &[[f64; 4]; 4], theta: f64, powers: &[f64; 4]) -> [f64; 4] {
+    let [p0, p1, p2, p3] = *powers;
+    basis.map(|[a, b, c, d]| a * p0 + theta * (b * p1 + theta * (c * p2 + theta * (d * p3))))
+}
 
 /// `[k]`: effect on x [s²] and on u [s] at the end of a step of a residual that is 1 at midpoint k and 0 at the other
 /// midpoints and the nodes, a polynomial of degree six.
@@ -86,11 +95,9 @@ fn scaled(unit: Dense, h: f64) -> Dense {
 /// `[n][i]`: dense output at node i + 1, for the polynomial through the forces at the first n + 1 nodes.
 pub fn early(oscillator: Oscillator, h: f64) -> [[Dense; 3]; 3] {
     let at = [1, 2, 3].map(|node| (NODES[node], oscillator.propagator(NODES[node] * h)));
-    EARLY.map(|basis| {
+    [1, 2, 3].map(|count| {
         at.map(|(theta, p)| {
-            let response = |powers: &[f64; 4]| {
-                basis.map(|[a, b, c, _]| a * powers[0] + theta * (b * powers[1] + theta * (c * powers[2])))
-            };
+            let response = |powers: &[f64; 4]| responses(&THROUGH[count], theta, powers);
             Dense { x: response(&p.x), u: response(&p.u), ..Dense::new(oscillator, h, theta) }
         })
     })
@@ -100,26 +107,4 @@ pub fn early(oscillator: Oscillator, h: f64) -> [[Dense; 3]; 3] {
 pub fn early_ballistic(h: f64) -> [[Dense; 3]; 3] {
     static UNIT: LazyLock<[[Dense; 3]; 3]> = LazyLock::new(|| early(BALLISTIC, 1.0));
     UNIT.map(|known| known.map(|unit| scaled(unit, h)))
-}
-
-/// Weights of the values at the four nodes in the first and second integral of the cubic through them, up to an instant.
-#[derive(Clone, Copy, Debug)]
-pub struct CubicIntegrals {
-    pub once: [f64; 4],
-    pub twice: [f64; 4],
-}
-
-impl CubicIntegrals {
-    /// The integrals from 0 to 1.
-    pub fn whole() -> &'static CubicIntegrals {
-        static WHOLE: LazyLock<CubicIntegrals> = LazyLock::new(|| CubicIntegrals::up_to(1.0));
-        &WHOLE
-    }
-
-    /// The integrals from 0 to `z`.
-    pub fn up_to(z: f64) -> CubicIntegrals {
-        let once = CUBIC.map(|[a, b, c, d]| z * (a + z * (b / 2.0 + z * (c / 3.0 + z * (d / 4.0)))));
-        let twice = CUBIC.map(|[a, b, c, d]| z * z * (a / 2.0 + z * (b / 6.0 + z * (c / 12.0 + z * (d / 20.0)))));
-        CubicIntegrals { once, twice }
-    }
 }

@@ -3,7 +3,7 @@
 use pulp::{Arch, Simd, WithSimd};
 
 use super::{LANES, Mask, Reals, Vector};
-use crate::sim::arrays::Vectors;
+use crate::sim::numerics::arrays::Vectors;
 
 /// Numbers at which instruction sets might differ: zeros, all magnitudes, subnormals, infinities and NaN.
 const NUMBERS: [f64; 20] = [

@@ -8,8 +8,9 @@ use std::ops::{Add, Div, Mul, Sub};
 use glam::DVec3;
 use pulp::Simd;
 
-pub use crate::sim::arrays::LANES;
-use crate::sim::arrays::{self, Vectors};
+pub use super::arrays::LANES;
+use super::arrays::{self, Vectors};
+use crate::model::influence::Real;
 
 #[cfg(test)]
 mod tests;
@@ -103,6 +104,13 @@ impl<S: Simd, const W: usize> Reals<S, W> {
     #[inline(always)]
     pub fn smaller(self, other: Reals<S, W>) -> Reals<S, W> {
         other.below(self).select(other, self)
+    }
+}
+
+impl<S: Simd, const W: usize> Real for Reals<S, W> {
+    #[inline(always)]
+    fn constant(self, value: f64) -> Reals<S, W> {
+        Reals::splat(self.simd, value)
     }
 }
 

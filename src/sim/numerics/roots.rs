@@ -10,7 +10,7 @@
 const MAX_NEWTON: u32 = 32;
 
 /// A function of time whose second derivative is bounded.
-pub(super) trait Falling {
+pub trait Falling {
     /// Newton's method ends with a step of this size or smaller. If zero, it ends when it no longer moves, at the first
     /// instant after the fall.
     const LAST_STEP: f64;
@@ -28,7 +28,7 @@ pub(super) trait Falling {
 }
 
 /// Bounds on a function in an interval.
-pub(super) struct Sample {
+pub struct Sample {
     /// Value in the middle.
     pub value: f64,
     /// Slope in the middle.
@@ -46,7 +46,7 @@ pub(super) struct Sample {
 }
 
 /// The first time between `start` and `end` at which a function falls through zero; `start` if it has fallen already.
-pub(super) fn first_fall<F: Falling>(f: &F, start: f64, end: f64) -> Option<f64> {
+pub fn first_fall<F: Falling>(f: &F, start: f64, end: f64) -> Option<f64> {
     let half = 0.5 * (end - start);
     let middle = start + half;
     let sample = f.sample(start, middle, end)?;
@@ -99,14 +99,14 @@ fn fall<F: Falling>(f: &F, mut low: f64, mut high: f64, guess: f64) -> Option<f6
 
 /// The root in `[low, high]` of a function that is negative at `high`, to about the last bit; `low` if the function is
 /// not positive there.
-pub(crate) fn root(low: f64, high: f64, mut at: impl FnMut(f64) -> f64) -> f64 {
+pub fn root(low: f64, high: f64, mut at: impl FnMut(f64) -> f64) -> f64 {
     let (above, below) = (at(low), at(high));
     if above <= 0.0 { low } else { between((low, above), (high, below), at) }
 }
 
 /// Like [`root`], with given values at the ends: positive at `low`, negative at `high`. They need not be the function's
 /// own; only their signs matter (regula falsi, Illinois variant).
-pub(crate) fn between(
+pub fn between(
     (mut low, mut above): (f64, f64),
     (mut high, mut below): (f64, f64),
     mut at: impl FnMut(f64) -> f64,

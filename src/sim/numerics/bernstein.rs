@@ -8,17 +8,17 @@ use std::sync::LazyLock;
 
 use glam::DVec3;
 
-use super::super::{nodes::NODES, roots::between};
+use super::{nodes::NODES, roots::between};
 
 /// Largest number of crossings found in a step.
 pub const MOST: usize = 7;
 
 /// `[i][k]`: weight in Bernstein coefficient i of datum k of (values at the nodes, rates at the nodes). Coefficients 0 and
 /// 7 are the first and the last value.
-pub(super) type Basis = [[f64; 8]; 8];
+pub type Basis = [[f64; 8]; 8];
 
 /// The weights of all polynomials.
-pub(super) fn basis() -> &'static Basis {
+pub fn basis() -> &'static Basis {
     &BASIS
 }
 
@@ -81,7 +81,7 @@ static POWERS: LazyLock<[[f64; 7]; 8]> = LazyLock::new(|| {
 /// A vector over a step that starts at zero, with time from 0 to 1: the polynomial through its values and rates at the
 /// nodes. Exact to rounding relative to its largest value.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Curve([DVec3; 7]);
+pub struct Curve([DVec3; 7]);
 
 impl Curve {
     /// Interpolates values at the nodes after the first and rates at all nodes; rates are per step length.
@@ -108,7 +108,7 @@ impl Curve {
 
 /// A quantity over a step, with time from 0 to 1.
 #[derive(Clone, Copy, Debug)]
-pub struct Course([f64; 8]);
+pub struct Polynomial([f64; 8]);
 
 /// Zero crossings in a step, in order.
 #[derive(Clone, Copy, Debug, Default)]
@@ -131,20 +131,20 @@ impl Crossings {
     }
 }
 
-impl Course {
+impl Polynomial {
     /// Interpolates values and rates at the nodes; rates are per step length.
-    pub fn new(values: &[f64; 4], rates: &[f64; 4]) -> Course {
+    pub fn new(values: &[f64; 4], rates: &[f64; 4]) -> Polynomial {
         let mut b = BASIS.map(|row| {
             let of_values = (row[0] * values[0] + row[1] * values[1]) + (row[2] * values[2] + row[3] * values[3]);
             let of_rates = (row[4] * rates[0] + row[5] * rates[1]) + (row[6] * rates[2] + row[7] * rates[3]);
             of_values + of_rates
         });
         (b[0], b[7]) = (values[0], values[3]); // equal except for rounding
-        Course(b)
+        Polynomial(b)
     }
 
     /// The same quantity with its start set to exactly zero.
-    pub fn starting_at_zero(mut self) -> Course {
+    pub fn starting_at_zero(mut self) -> Polynomial {
         self.0[0] = 0.0;
         self
     }
@@ -152,11 +152,6 @@ impl Course {
     /// Whether the quantity is positive at the start, or immediately after it if it is zero there.
     pub fn starts_positive(&self) -> bool {
         self.0.iter().find(|value| **value != 0.0).is_some_and(|&value| value > 0.0)
-    }
-
-    /// The value at `theta`.
-    pub fn at(&self, theta: f64) -> f64 {
-        value(&self.0, theta)
     }
 
     /// The rate at `theta`, per step length.
@@ -246,8 +241,8 @@ fn only_root(b: &[f64; 8]) -> f64 {
 mod tests {
     use super::*;
 
-    fn course(f: impl Fn(f64) -> f64, rate: impl Fn(f64) -> f64) -> Course {
-        Course::new(&NODES.map(&f), &NODES.map(&rate))
+    fn course(f: impl Fn(f64) -> f64, rate: impl Fn(f64) -> f64) -> Polynomial {
+        Polynomial::new(&NODES.map(&f), &NODES.map(&rate))
     }
 
     #[test]
@@ -255,7 +250,7 @@ mod tests {
         let c = course(|t| 2.0 + t.powi(7) - 3.0 * t.powi(4), |t| 7.0 * t.powi(6) - 12.0 * t.powi(3));
         for i in 0..=10 {
             let t = f64::from(i) / 10.0;
-            assert!((c.at(t) - (2.0 + t.powi(7) - 3.0 * t.powi(4))).abs() < 1e-13);
+            assert!((value(&c.0, t) - (2.0 + t.powi(7) - 3.0 * t.powi(4))).abs() < 1e-13);
         }
     }
 
