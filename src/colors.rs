@@ -17,6 +17,8 @@ pub const VERMILION: Rgb = [0xD5, 0x5E, 0x00];
 pub const PURPLE: Rgb = [0xA0, 0x70, 0xE8];
 /// A lighter variant of Okabe and Ito's blue.
 pub const BLUE: Rgb = [0x3D, 0x8B, 0xD9];
+/// A yellowish green.
+pub const LIME: Rgb = [0xB4, 0xD4, 0x4A];
 /// A pale red.
 pub const PINK: Rgb = [0xE8, 0xA0, 0x9A];
 /// A light grey.
@@ -35,6 +37,7 @@ pub fn name(rgb: Rgb) -> &'static str {
         YELLOW => "yellow",
         VERMILION => "red",
         PURPLE => "purple",
+        LIME => "lime",
         PINK => "pink",
         SILVER | GREY => "grey",
         WHITE => "white",

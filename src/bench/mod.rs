@@ -145,6 +145,12 @@ pub enum MeasureError {
 
 /// The path of a body, where only those on paths matter.
 fn path(body: &Body) -> &Path {
-    static NONE: Path = Path::Fixed(glam::DVec3::ZERO);
-    body.path().unwrap_or(&NONE)
+    body.path().unwrap_or(&NOWHERE)
 }
+
+/// The path of a body or force point, see [`Scene::source_path`]; a fixed one for a free body.
+fn source_path(scene: &crate::scene::Scene, source: usize) -> &Path {
+    scene.source_path(source).unwrap_or(&NOWHERE)
+}
+
+static NOWHERE: Path = Path::Fixed(glam::DVec3::ZERO);

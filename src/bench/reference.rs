@@ -19,9 +19,9 @@ use std::sync::OnceLock;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::path;
+use super::{path, source_path};
 use crate::{
-    model::phase::Phase,
+    model::{PairLaw, phase::Phase},
     scene::{Body, Motion, Path, Push, Response, Scene},
     sim::BodyView,
 };
@@ -235,6 +235,7 @@ fn fastest_rate(scene: &Scene) -> f64 {
     };
     // allows for a few sources acting on one vertex
     let strongest = scene.laws().map(|law| f64::max(law.alpha, law.beta)).fold(0.0, f64::max);
+    let strongest = scene.points.iter().map(|point| point.strength.abs()).fold(strongest, f64::max);
     let influence = (3.0 * strongest).sqrt();
     let planes = scene.planes.iter().map(|plane| plane.stiffness.sqrt());
     scene.bodies.iter().map(body).chain(planes).fold(f64::max(influence, 1e-3), f64::max)
@@ -303,12 +304,13 @@ impl<'a> Problem<'a> {
         (0..mesh.vertex_count()).into_par_iter().map(track).collect()
     }
 
-    /// Whether the influence sphere of a body on a path can reach a vertex of another within `leash` of rest.
+    /// Whether the influence sphere of a body on a path, or of a force point, can reach a vertex of another body within
+    /// `leash` of rest.
     fn is_near(&self, index: usize, other: usize, leash: f64, start: f64, end: f64) -> bool {
-        let (body, source) = (&self.scene.bodies[index], &self.scene.bodies[other]);
-        let near = self.scene.influence.reach * source.radius + body.radius + leash;
-        let speed = path(body).bounds(start, end).speed + path(source).bounds(start, end).speed;
-        let distance = path(body).position(start).distance(path(source).position(start));
+        let (body, source) = (&self.scene.bodies[index], source_path(self.scene, other));
+        let near = self.scene.influence.reach * self.scene.source_radius(other) + body.radius + leash;
+        let speed = path(body).bounds(start, end).speed + source.bounds(start, end).speed;
+        let distance = path(body).position(start).distance(source.position(start));
         distance - speed * (end - start) <= near
     }
 
@@ -322,7 +324,9 @@ impl<'a> Problem<'a> {
         let mut ends: Vec<f64> = times.to_vec();
         ends.extend(own().flat_map(|history| history.changes.iter().map(|change| change.time)));
         ends.extend(pushes().flat_map(|push| [push.start, push.end()]));
-        ends.extend(scene.bodies.iter().flat_map(|body| path(body).knots().iter().copied()));
+        ends.extend(scene.points.iter().flat_map(|point| [point.start, point.end()]));
+        let sources = 0..scene.bodies.len() + scene.points.len();
+        ends.extend(sources.flat_map(|source| source_path(scene, source).knots().iter().copied()));
         ends.retain(|&t| 0.0 < t && t <= end);
         ends.sort_by(f64::total_cmp);
         ends.dedup();
@@ -342,8 +346,17 @@ impl<'a> Problem<'a> {
         let Problem { scene, histories, times, .. } = *self;
         let middle = 0.5 * (start + end);
         let others = (0..scene.bodies.len()).filter(|&other| !members.contains(&other) && is_near(start, end, other));
-        let bodies: Vec<usize> = members.iter().copied().chain(others).collect();
+        let points = (scene.bodies.len()..).zip(&scene.points);
+        let points = points.filter(|&(source, point)| point.acts_at(middle) && is_near(start, end, source));
+        let points = points.map(|(source, _)| source);
+        let bodies: Vec<usize> = members.iter().copied().chain(others).chain(points).collect();
         let link = |[k, l]: [usize; 2]| {
+            if let Some(point) = bodies[l].checked_sub(scene.bodies.len()) {
+                let point = &scene.points[point];
+                let law = PairLaw { alpha: point.strength, core_width: 0.0, ..PairLaw::DEFAULT };
+                let link = Link { bodies: [k, l], law, phase: Some(Phase::Merged) };
+                return point.acts_on(bodies[k]).then_some(link);
+            }
             let (a, b) = (bodies[k].min(bodies[l]), bodies[k].max(bodies[l]));
             let are_on_paths = [a, b].iter().all(|&body| scene.bodies[body].path().is_some());
             let known = || {
@@ -363,7 +376,10 @@ impl<'a> Problem<'a> {
         };
         let is_on_path = |&body: &usize| scene.bodies[body].path().is_some();
         let acts = |push: &&Push| members.contains(&push.body) && push.start <= middle && middle < push.end();
-        let jumps = |body: &Body| start > 0.0 && path(body).is_held() && path(body).knots().contains(&start);
+        let jumps = |source| {
+            let path = source_path(scene, source);
+            start > 0.0 && path.is_held() && path.knots().contains(&start)
+        };
         Chunk {
             start,
             end,
@@ -372,7 +388,7 @@ impl<'a> Problem<'a> {
                 && scene.planes.is_empty()
                 && members.iter().all(|body| is_on_path(body) && is_still(body)),
             pushes: scene.pushes.iter().filter(acts).collect(),
-            is_jump: scene.bodies.iter().any(jumps),
+            is_jump: (0..scene.bodies.len() + scene.points.len()).any(jumps),
             bodies,
             links,
         }

@@ -10,7 +10,7 @@
 //! Each is a [`Simulation`] of the same [`Scene`], and is observed in the same way. A model lists the parts of a scene
 //! that it ignores in [`Schema::warnings`], and rejects what it cannot simulate correctly as [`Unsupported`].
 //!
-//! | | free bodies | pushes, planes | shapes from meshes |
+//! | | free bodies | pushes, planes, force points | shapes from meshes |
 //! | --- | --- | --- | --- |
 //! | `oscillators` | yes | yes | yes |
 //! | `metaballs` | rejected: a density has no mass, so forces cannot move it | ignored, with a warning | rejected: only spheres are supported |
@@ -65,7 +65,7 @@
 //! | 2.2.3: densities add up, so that facing sides bulge and join | yes: at q = 1.0983, before lone balls would touch (q = 1), 0.184 s before the thesis's threshold; they part 0.387 s before it |
 //! | 2.2.3: merging and splitting need only a simple algorithm | yes: a whole step takes 0.002 ms; the exact time is a root of one function of time |
 //! | 2.2.3: ray casting is too expensive for real time, marching cubes are usual | second claim only: extraction (marching tetrahedra) takes most of a frame of 0.75 ms |
-//! | 2.2.3: physical properties are not considered, so that dynamics are hard to simulate | yes: pushes, planes and materials have no effect, and free bodies are rejected |
+//! | 2.2.3: physical properties are not considered, so that dynamics are hard to simulate | yes: pushes, planes, force points and materials have no effect, and free bodies are rejected |
 
 pub mod cells;
 pub mod elastic;

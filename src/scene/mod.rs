@@ -88,6 +88,16 @@
 //! friction = 0.0                # [0]
 //! slip = 0.01                   # speed below which friction fades, scene unit/s [0.01]
 //!
+//! [[point]]                     # a force point: an influence sphere without a body (3.1.2); nothing acts on it
+//! name = "hand"
+//! motion = { line = { from = [0, 3, 0], velocity = [0, -1, 0] } }   # any but free
+//! radius = 0.5                  # its sphere is as large as that of a body of this radius
+//! act = "attract"               # attract (3.4) | repel (3.5)
+//! alpha = 100.0                 # of one that attracts; beta of one that repels, 1/s² [as in [influence]]
+//! bodies = ["still", "left"]    # names of bodies or groups that it acts on [all bodies]
+//! start = 0.0                   # s [0]
+//! duration = 2.0                # s [for ever]
+//!
 //! [[push]]
 //! body = "still"
 //! direction = [1, 0, 0]
@@ -129,6 +139,7 @@ mod force;
 pub mod pairs;
 pub mod parse;
 pub mod path;
+mod point;
 pub mod template;
 mod warnings;
 
@@ -151,8 +162,9 @@ pub use force::Force;
 pub use pairs::{Members, PairLaws};
 pub use parse::SceneError;
 pub use path::Path;
+pub use point::Point;
 
-/// A scene as its file describes it: bodies, the law between them, planes, pushes.
+/// A scene as its file describes it: bodies, the law between them, planes, force points, pushes.
 #[derive(Clone, Debug)]
 pub struct Scene {
     /// Name of the scene, of its recording and of its default output file.
@@ -190,6 +202,8 @@ pub struct Scene {
     pub blend: f64,
     /// The bodies: at least one, with unique names.
     pub bodies: Vec<Body>,
+    /// The force points, in the order of the file.
+    pub points: Vec<Point>,
     /// The pushes, in the order of the file.
     pub pushes: Vec<Push>,
     /// The text that this scene was parsed from. Recordings store it, so that the scene can be created again.
@@ -450,6 +464,7 @@ impl Scene {
             pairs: self.pairs.without_forces(),
             gravity: DVec3::ZERO,
             planes: Vec::new(),
+            points: Vec::new(),
             pushes: Vec::new(),
             bodies: self.bodies.iter().map(rigid).collect(),
             ..self.clone()

@@ -13,6 +13,7 @@ mod error;
 mod grid;
 mod meshes;
 mod pairs;
+mod point;
 pub(crate) mod reader;
 
 use std::ops::RangeInclusive;
@@ -84,6 +85,7 @@ static SCENE: Keys = Keys {
         "grid",
         "pair",
         "plane",
+        "point",
         "push",
     ],
 };
@@ -122,6 +124,11 @@ static PLANE: Keys = Keys {
     home: "in a [[plane]]",
     form: "a table, written [[plane]]",
     names: &["normal", "offset", "stiffness", "friction", "slip"],
+};
+static POINT: Keys = Keys {
+    home: "in a [[point]]",
+    form: "a table, written [[point]]",
+    names: &["name", "motion", "radius", "act", "alpha", "beta", "bodies", "start", "duration"],
 };
 static PUSH: Keys = Keys {
     home: "in a [[push]]",
@@ -321,8 +328,8 @@ pub(super) fn read_document(
     let lattice = root.table("lattice", &LATTICE)?;
     let fem = root.table("fem", &FEM)?;
     let surface = root.table("surface", &SURFACE)?;
-    let [body_array, grid_array, pair_array, plane_array, push_array] =
-        ["body", "grid", "pair", "plane", "push"].map(|name| root.get(name));
+    let [body_array, grid_array, pair_array, plane_array, point_array, push_array] =
+        ["body", "grid", "pair", "plane", "point", "push"].map(|name| root.get(name));
     let mesh_array = root.get("mesh");
     if body_array.is_none() && grid_array.is_none() {
         return Err(root.error("body", "missing, expected at least one [[body]]".to_owned()));
@@ -332,6 +339,7 @@ pub(super) fn read_document(
     let mesh_tables = tables(&mesh_array, &MESH)?;
     let pair_tables = tables(&pair_array, &PAIR)?;
     let plane_tables = tables(&plane_array, &PLANE)?;
+    let point_tables = tables(&point_array, &POINT)?;
     let push_tables = tables(&push_array, &PUSH)?;
 
     let name = root.optional("name", SCENE_NAME)?.unwrap_or_else(|| name_from(source.file));
@@ -377,6 +385,7 @@ pub(super) fn read_document(
         return Err(array.error(message).with_help("every vertex of a free body is tested against every plane"));
     }
     let planes = plane_tables.iter().map(read_plane).collect::<Result<_, _>>()?;
+    let points = point::read(&point_tables, &bodies, &names, &influence)?;
     let pushes = push_tables.iter().map(|push| read_push(push, &bodies, &names)).collect::<Result<_, _>>()?;
     Ok(Scene {
         name,
@@ -396,6 +405,7 @@ pub(super) fn read_document(
         planes,
         blend,
         bodies,
+        points,
         pushes,
         source: String::new(),
     })
@@ -537,7 +547,10 @@ fn read_body(table: &Table<'_>, material: Material, meshes: &mut Meshes<'_>) -> 
         group: table.optional("group", GROUP_NAME)?,
         color: table.optional("color", COLOR)?.as_deref().and_then(color),
         force: None,
-        motion: read_motion(table, &material)?,
+        motion: read_motion(table, |free| {
+            check_response(table, &free, &material)?;
+            Ok(Motion::Free(read_free(&free.into_table(&FREE)?)?))
+        })?,
     })
 }
 
@@ -605,8 +618,12 @@ fn read_shape(body: &Table<'_>, meshes: &mut Meshes<'_>) -> Result<Shape, SceneE
     Ok((kind.make)(&parameters.collect::<Result<Vec<_>, SceneError>>()?))
 }
 
-fn read_motion(body: &Table<'_>, material: &Material) -> Result<Motion, SceneError> {
-    let motion = body.present("motion", MOTION.form)?;
+/// The motion of a body or of a force point; `free` reads `motion = { free = … }`.
+fn read_motion<T: From<Path>>(
+    owner: &Table<'_>,
+    free: impl FnOnce(Value<'_>) -> Result<T, SceneError>,
+) -> Result<T, SceneError> {
+    let motion = owner.present("motion", MOTION.form)?;
     let table = motion.clone().into_table(&MOTION)?;
     let given: Vec<_> = MOTION.names.iter().copied().filter(|name| table.get(name).is_some()).collect();
     let [kind] = given[..] else {
@@ -632,10 +649,7 @@ fn read_motion(body: &Table<'_>, material: &Material) -> Result<Motion, SceneErr
             path.into()
         }
         "keyframes" => Path::Keyframes(read_keyframes(&value)?).into(),
-        _ => {
-            check_response(body, &value, material)?;
-            Motion::Free(read_free(&value.into_table(&FREE)?)?)
-        }
+        _ => free(value)?,
     })
 }
 

@@ -38,6 +38,10 @@ impl World {
         scene.bodies.remove(index);
         scene.pushes.retain(|push| push.body != index);
         scene.pushes.iter_mut().filter(|push| push.body > index).for_each(|push| push.body -= 1);
+        for bodies in scene.points.iter_mut().filter_map(|point| point.bodies.as_mut()) {
+            bodies.retain(|&body| body as usize != index);
+            bodies.iter_mut().filter(|body| **body as usize > index).for_each(|body| *body -= 1);
+        }
         let kept: Vec<Option<usize>> = (0..=scene.bodies.len()).filter(|&old| old != index).map(Some).collect();
         self.restart(scene, &kept, true)
     }

@@ -25,7 +25,7 @@ const PLANE_BYTES: u64 = 2 * 160;
 const COUPLED_BODY_BYTES: u64 = 4096;
 /// Per body, without its vertices: names, path, surroundings [bytes].
 const BODY_BYTES: u64 = 2048;
-/// Per pair of nearby bodies, with their neighbour entries [bytes].
+/// Per pair of nearby bodies, with their neighbour entries, and per pair of a body and a force point [bytes].
 const PAIR_BYTES: u64 = 256;
 /// Limit on the number of pairs, whatever the memory: this constant …
 const MAX_PAIRS: u64 = 2_000_000;
@@ -103,6 +103,7 @@ pub fn needed(scene: &Scene) -> u64 {
         .saturating_mul(per_vertex)
         .saturating_add(largest.saturating_mul(OBSERVE_BYTES))
         .saturating_add((scene.bodies.len() as u64).saturating_mul(per_body))
+        .saturating_add((scene.bodies.len() * scene.points.len()) as u64 * PAIR_BYTES)
         .saturating_add(shapes)
         .saturating_add(3 * scene.source.len() as u64) // kept by the scene, by the schema, and for the recording
 }

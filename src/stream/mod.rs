@@ -37,7 +37,7 @@
 //! | `/groups/A/volume`, `…/genus`, `…/bodies`, with few bodies also `…/area`, `…/components`, `…/euler` | volume, genus, number of bodies, area, connected components and Euler characteristic of the sharp union of the group whose first body is A; as many groups as pairs with plots. `/diagnostics/overlapping_groups`: the number of groups that could not be united in time and are drawn as overlapping meshes |
 //! | `/world/influence` | all influence spheres |
 //! | `/world/pairs` | lines between the centres of pairs within reach, labelled with q: the closest 16, or 5 in a batched scene (`--pairs N`); in a batched scene also the influence spheres that reach another body |
-//! | `/world/forces/CAUSE` | arrows of `attraction`, `repulsion` (of bodies apart), `core` (of bodies in their core), `restoring`, `damping`, `push`, `carry`, `net`: accelerations times the arrow scale given in the panel; classes, named at `/world/forces`, identify the two bodies between which a force acts |
+//! | `/world/forces/CAUSE` | arrows of `attraction`, `repulsion` (of bodies apart), `core` (of bodies in their core), `point` (of force points), `restoring`, `damping`, `push`, `carry`, `net`: accelerations times the arrow scale given in the panel; classes, named at `/world/forces`, identify the two bodies between which a force acts |
 //! | `/world/forces/net_force`, `…/torque` | one arrow per free body, at its centre: force over mass, torque over mass times radius, times the scale given in the panel |
 //! | `/world/trails` | the path of the centre of each free body, one segment per frame; not in a batched scene |
 //! | `/world/planes/N`, `…/grid` | planes |

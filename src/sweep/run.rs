@@ -361,6 +361,7 @@ impl<'a> Run<'a> {
             || scene.gravity != DVec3::ZERO
             || !scene.planes.is_empty()
             || self.world.pairs().next().is_some()
+            || scene.points.iter().any(|point| point.end() > self.world.time())
             || scene.pushes.iter().any(|push| push.end() > self.world.time())
         {
             return false;

@@ -107,6 +107,7 @@ impl Simulation for World {
             ("friction", ledger.friction),
             ("pushes", ledger.pushes),
             ("bodies on paths", ledger.prescribed),
+            ("force points", ledger.points),
             ("coming to rest", ledger.rest),
         ];
         let brought = brought.into_iter().filter(|&(_, energy)| energy != 0.0);
@@ -280,7 +281,7 @@ pub fn schema(scene: &Scene) -> Schema {
         law: law(scene),
         blend: scene.blend,
         bodies,
-        terms: Cause::of(scene.is_coupled()).map(|cause| term(scene, cause)).collect(),
+        terms: Cause::of(scene).map(|cause| term(scene, cause)).collect(),
         labels: LABELS.into(),
         arrow_scale: arrow_scale(scene),
         planes: scene

@@ -46,7 +46,9 @@ pub fn scalars(scene: &Scene) -> impl Iterator<Item = &'static Scalar> {
     let is_coupled = scene.is_coupled();
     let is_accounted_for = is_coupled && scene.integrator == Integrator::Exponential;
     let parts = if is_coupled { CONSERVED } else { PARTS };
-    SCALARS.iter().chain(parts).chain(LEDGER.iter().filter(move |_| is_accounted_for))
+    let has_points = !scene.points.is_empty();
+    let occurs = move |scalar: &&Scalar| is_accounted_for && (has_points || scalar.name != BY_POINTS);
+    SCALARS.iter().chain(parts).chain(LEDGER.iter().filter(occurs))
 }
 
 /// A smooth scalar of the state.
@@ -100,12 +102,15 @@ const LEDGER: &[Scalar] = &[
     smooth("brought_by_friction", "by friction", BROUGHT, |state| state.ledger.friction),
     smooth("brought_by_pushes", "by pushes", BROUGHT, |state| state.ledger.pushes),
     smooth("brought_by_paths", "by bodies on paths", BROUGHT, |state| state.ledger.prescribed),
+    smooth(BY_POINTS, "by force points", BROUGHT, |state| state.ledger.points),
     smooth("brought_by_rest", "by coming to rest", BROUGHT, |state| state.ledger.rest),
     smooth("unaccounted_energy", "not accounted for [mass·unit²/s²]", "Energy not accounted for", |state| {
         state.conserved.energy() - state.first_energy - state.ledger.total()
     }),
 ];
 
+/// Only in scenes with force points.
+const BY_POINTS: &str = "brought_by_points";
 const BROUGHT: &str = "Energy brought since t = 0";
 
 const SCALARS: &[Scalar] = &[

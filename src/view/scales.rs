@@ -9,10 +9,14 @@ pub fn net_force_scale(scene: &Scene) -> f64 {
     arrow_length(2.5 * radius, f64::max(scene.gravity.length(), 0.25 * strongest_pull(scene, radius)))
 }
 
-/// The strongest influence on any vertex [scene unit/s²], for the largest radius.
+/// The strongest influence on any vertex [scene unit/s²], of the largest body, whose radius is given, and of force points.
 pub fn strongest_pull(scene: &Scene, radius: f64) -> f64 {
+    let pull = |strength: f64, radius: f64| {
+        strength.abs() * scene.influence.sphere_radius(radius) * scene.influence.weight.max_pull()
+    };
     let strength = scene.laws().map(|law| law.alpha.max(law.beta)).fold(0.0, f64::max);
-    strength * scene.influence.sphere_radius(radius) * scene.influence.weight.max_pull()
+    let points = scene.points.iter().map(|point| pull(point.strength, point.radius));
+    points.fold(pull(strength, radius), f64::max)
 }
 
 /// Length of an arrow per acceleration [scene unit per scene unit/s²]. The strongest influence or push on the largest

@@ -7,7 +7,7 @@ use super::frames::{add_forces, pair_frame};
 use crate::{
     model::phase::Phase,
     observe::{BodyFrame, Frame, Instant, PairFrame, Simulation as _, StageFrame, Want},
-    scene::Integrator,
+    scene::{Integrator, Scene},
     sim::{
         Cause, PairView, States, World,
         prescribed::within::{Before, Recomputed},
@@ -34,10 +34,8 @@ const MAX_WORK_WITHIN: u64 = 4_000_000;
 /// so.
 pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
     let stage = |name: &str, frame: Frame| StageFrame { name: name.to_owned(), frame };
-    let mut stages = vec![
-        stage("start", before.clone()),
-        stage("influence forces", influence_only(before.clone(), world.scene().is_coupled())),
-    ];
+    let mut stages =
+        vec![stage("start", before.clone()), stage("influence forces", influence_only(before.clone(), world.scene()))];
     let max = (MAX_VERTICES / world.scene().vertex_count().max(1)).max(MIN_STAGES) as usize;
     let work = Work::limited(MAX_WORK, world.options().interrupt);
     let last = match Recomputed::new(world, before_step(before), &work) {
@@ -207,13 +205,14 @@ pub fn within_coupled(before: &Frame, world: &World, time: f64, bodies: &[usize]
 }
 
 /// The frame without the forces that do not come from influence spheres.
-fn influence_only(mut frame: Frame, is_coupled: bool) -> Frame {
-    let is_influence = |cause: Cause| matches!(cause, Cause::Attraction | Cause::Repulsion | Cause::Core);
+fn influence_only(mut frame: Frame, scene: &Scene) -> Frame {
+    let is_influence =
+        |cause: Cause| matches!(cause, Cause::Attraction | Cause::Repulsion | Cause::Core | Cause::Point);
     for body in frame.bodies.iter_mut().filter(|body| body.has_forces) {
         let [terms @ .., net] = body.terms.as_mut_slice() else { continue };
         let count = net.accelerations.len();
         net.accelerations.reset(count);
-        for (cause, term) in Cause::of(is_coupled).zip(terms) {
+        for (cause, term) in Cause::of(scene).zip(terms) {
             if is_influence(cause) {
                 net.accelerations.add_times(1.0, &term.accelerations);
             } else {

@@ -55,6 +55,7 @@ pub fn term(scene: &Scene, cause: Cause) -> TermSchema {
         Cause::Attraction => ("Attraction", colors::ORANGE, has_pairs, true),
         Cause::Repulsion => ("Repulsion of bodies apart", colors::SKY_BLUE, has_pairs, true),
         Cause::Core => ("Repulsion in the core", colors::PURPLE, has_pairs && has_core, true),
+        Cause::Point => ("Force points", colors::LIME, true, true),
         Cause::Restoring => ("Restoring", colors::GREEN, true, false),
         Cause::Damping => ("Damping", colors::YELLOW, true, false),
         Cause::Push => ("Push", colors::VERMILION, !scene.pushes.is_empty(), !scene.pushes.is_empty()),

@@ -78,7 +78,7 @@ motion = { fixed = [0, 0, 0] }
 Whole: columns after characters of several bytes
 name = "größe"
 x = { "ä" = "ö" } # ü
-> bad.toml:2:1: x: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:2:1: x: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)
 
 Whole: body is a single table
 duration = 4
@@ -175,6 +175,65 @@ motion = { fixed = [0, 0, 0] }
 body = "a"
 > bad.toml:6:1: push[0].direction: missing, expected an array of 3 numbers [x, y, z]
 
+Whole: point without anything
+duration = 4
+[[body]]
+name = "a"
+radius = 1
+motion = { fixed = [0, 0, 0] }
+[[point]]
+> bad.toml:6:1: point[0].name: missing, expected a name of 1 to 64 letters, digits, - and _
+
+Point: a free point
+motion = { free = { from = [0, 0, 0] } }
+> bad.toml:7:19: point["hand"].motion.free: expected a path: fixed, line, sine or keyframes; found free; nothing acts on a force point, so it cannot move by itself
+
+Point: what it does
+act = "pull"
+> bad.toml:7:7: point["hand"].act: expected one of "attract", "repel", found the string "pull"
+
+Point: the strength of the other kind
+beta = 3
+> bad.toml:7:8: point["hand"].beta: unexpected: this point attracts, and its strength is alpha; write alpha, or change act
+
+Point: a negative strength
+alpha = -3
+> bad.toml:7:9: point["hand"].alpha: expected a number between 0 and 1e15, found -3
+
+Point: bodies that are none
+bodies = []
+> bad.toml:7:10: point["hand"].bodies: expected an array of one or more names of bodies or groups, found an empty array
+
+Point: an unknown body
+bodies = ["bal"]
+> bad.toml:7:11: point["hand"].bodies[0]: expected the name of a body or a group, found the string "bal"; did you mean "ball"? (bodies: ball)
+
+Point: a start before the start
+start = -1
+> bad.toml:7:9: point["hand"].start: expected a number between 0 and 1e15, found -1
+
+Point: an unknown key
+mass = 2
+> bad.toml:7:1: point["hand"].mass: unknown key; "mass" belongs in a [[body]] or in a [[grid]] (known keys: name, motion, radius, act, alpha, beta, bodies, start, duration)
+
+Whole: two points of one name
+duration = 4
+[[body]]
+name = "a"
+radius = 1
+motion = { fixed = [0, 0, 0] }
+[[point]]
+name = "p"
+radius = 1
+act = "repel"
+motion = { fixed = [0, 0, 0] }
+[[point]]
+name = "p"
+radius = 1
+act = "repel"
+motion = { fixed = [0, 0, 0] }
+> bad.toml:12:8: point["p"].name: expected a name that no other point has (the point at line 7 has this one), found the string "p"
+
 Whole: material is a number
 material = 3
 duration = 4
@@ -196,39 +255,39 @@ Whole: the first of several unknown keys
 zeta = 1
 duration = 4
 again = 2
-> bad.toml:1:1: zeta: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: zeta: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)
 
 Top: unknown key
 colour = 1
-> bad.toml:1:1: colour: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: colour: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)
 
 Top: unknown key near another
 Integrator = "rk4"
-> bad.toml:1:1: Integrator: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: Integrator: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)
 
 Top: unknown key abbreviated
 integ = "rk4"
-> bad.toml:1:1: integ: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: integ: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)
 
 Top: unknown key without letters
 "" = 1
-> bad.toml:1:1: "": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: "": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)
 
 Top: unknown key that is long
 aaaaaaaaaabbbbbbbbbbccccccccccddddddddddeeeeeeeeee = 1
-> bad.toml:1:1: aaaaaaaaaabbbbbbbbbbccccccccccdddddddddd…: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: aaaaaaaaaabbbbbbbbbbccccccccccdddddddddd…: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)
 
 Top: key of another table
 alpha = 100
-> bad.toml:1:1: alpha: unknown key; "alpha" belongs in [influence] or in a [[pair]] (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: alpha: unknown key; "alpha" belongs in [influence] or in a [[pair]] (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)
 
 Top: key of several tables
 response = "rigid"
-> bad.toml:1:1: response: unknown key; "response" belongs in [material] or in a [[body]] or in a [[grid]] (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: response: unknown key; "response" belongs in [material] or in a [[body]] or in a [[grid]] (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)
 
 Top: unknown table
 matrial.omega = 1
-> bad.toml:1:1: matrial: unknown key; did you mean "material"? (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)
+> bad.toml:1:1: matrial: unknown key; did you mean "material"? (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)
 
 Top: name is a number
 name = 2
@@ -876,7 +935,7 @@ const BROKEN_ESCAPED: &[(&str, &str, &str)] = &[
     (
         "Whole",
         "\u{feff}\"größe\" = 1\n",
-        "bad.toml:1:1: \"größe\": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)",
+        "bad.toml:1:1: \"größe\": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)",
     ),
     (
         "Whole",
@@ -887,7 +946,7 @@ const BROKEN_ESCAPED: &[(&str, &str, &str)] = &[
     (
         "Top",
         "\"name of \\\"it\\\"\\n\" = 1",
-        "bad.toml:1:1: \"name of \\\"it\\\"\\n\": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, push)",
+        "bad.toml:1:1: \"name of \\\"it\\\"\\n\": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)",
     ),
     (
         "Top",
@@ -899,6 +958,7 @@ const BROKEN_ESCAPED: &[(&str, &str, &str)] = &[
 /// An otherwise valid scene file with `lines` in its `part`.
 fn file_with(part: &str, lines: &str) -> String {
     const BODY: &str = "name = \"ball\"\nradius = 1\nmotion = { fixed = [0, 0, 0] }\n";
+    const POINT: &str = "name = \"hand\"\nradius = 1\nact = \"attract\"\nmotion = { fixed = [0, 0, 0] }\n";
     const PUSH: &str = "body = \"ball\"\ndirection = [1, 0, 0]\nstrength = 60\nstart = 0.2\nduration = 0.1\n";
     let key = |line: &str| line.split(' ').next().unwrap_or_default().to_owned();
     let others = |all: &str| -> String {
@@ -912,6 +972,7 @@ fn file_with(part: &str, lines: &str) -> String {
         "Influence" => format!("duration = 4\n[influence]\n{lines}\n[[body]]\n{BODY}"),
         "Cells" => format!("duration = 4\n{lines}\n[[body]]\n{BODY}"),
         "Body" => format!("duration = 4\n[[body]]\n{lines}\n{}", others(BODY)),
+        "Point" => format!("duration = 4\n[[body]]\n{BODY}[[point]]\n{lines}\n{}", others(POINT)),
         "Push" => format!("duration = 4\n[[body]]\n{BODY}[[push]]\n{lines}\n{}", others(PUSH)),
         _ => panic!("no part of a scene file: {part}"),
     }
@@ -951,6 +1012,7 @@ fn the_files_around_the_broken_lines_are_valid() {
         ("Material", "omega = 12"),
         ("Influence", "alpha = 100"),
         ("Body", "radius = 2"),
+        ("Point", "radius = 2"),
         ("Push", "strength = 2"),
     ] {
         let text = file_with(part, lines);

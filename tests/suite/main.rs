@@ -8,6 +8,7 @@ mod cli;
 mod events;
 mod faults;
 mod files;
+mod forces;
 mod free_bodies;
 mod integrators;
 mod layers;

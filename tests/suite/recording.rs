@@ -454,7 +454,7 @@ impl Run {
         }
         if self.settings.detail == Detail::Forces {
             entities.push("/world/forces".to_owned());
-            entities.extend(Cause::of(self.scene.is_coupled()).map(|cause| format!("/world/forces/{}", cause.name())));
+            entities.extend(Cause::of(&self.scene).map(|cause| format!("/world/forces/{}", cause.name())));
         }
         for pair in self.pairs() {
             let parts = ["distance", "phase", "merge_at", "split_at", "core_at", "gap", "overlap", "neck", "contact"];
@@ -485,7 +485,7 @@ impl Run {
 
         let entities: BTreeSet<EntityPath> = entities.iter().map(|path| EntityPath::from(path.as_str())).collect();
         assert_eq!(self.recording.entities(), entities);
-        assert_eq!(Cause::of(self.scene.is_coupled()).map(Cause::name).collect::<Vec<_>>(), CAUSES);
+        assert_eq!(Cause::of(&self.scene).map(Cause::name).collect::<Vec<_>>(), CAUSES);
 
         let up = self.recording.fixed("/world").get::<ViewCoordinates>("ViewCoordinates:xyz");
         assert_eq!(up, [ViewCoordinates::RIGHT_HAND_Z_UP]);
@@ -753,7 +753,7 @@ impl Run {
             let mut arrows = CAUSES.map(|_| (Vec::new(), Vec::new()));
             for (index, body) in world.bodies().enumerate() {
                 world.forces(index, &mut forces);
-                for (cause, (origins, vectors)) in Cause::of(self.scene.is_coupled()).zip(&mut arrows) {
+                for (cause, (origins, vectors)) in Cause::of(&self.scene).zip(&mut arrows) {
                     for (vertex, force) in forces.of(cause).iter().enumerate() {
                         // a force that vanishes in single precision has no arrow
                         let vector = (scale * force).as_vec3();

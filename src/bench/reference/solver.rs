@@ -7,7 +7,7 @@ use glam::DVec3;
 
 use super::{
     NoReference, PhaseChange,
-    system::{Chunk, Kink, Mode, Places, System, World, vector},
+    system::{Chunk, Kink, Link, Mode, Places, System, World, vector},
 };
 use crate::{
     bench::extrapolation::{Extrapolation, Start},
@@ -125,11 +125,17 @@ impl Solver<'_, '_> {
         }
         self.system.place(chunk, chunk.start, &self.state, &mut self.scratch);
         let known = before.filter(|_| !chunk.is_jump).map(|before| (before, &self.mode));
-        let phases = before.map(|_| self.mode.links.iter().map(|side| side.phase).collect::<Vec<_>>());
+        let names = |chunk: &Chunk<'_>, link: &Link| link.bodies.map(|body| chunk.bodies[body]);
+        let phases = before.map(|before| {
+            let known = before.links.iter().zip(&self.mode.links);
+            known.map(|(link, side)| (names(before, link), side.phase)).collect::<Vec<_>>()
+        });
         self.mode = self.system.mode(chunk, &self.scratch, known);
         // a jump leaves the phases of pairs with free bodies where they were, until they pass a threshold by it
         if let (true, Some(phases)) = (chunk.is_jump, phases) {
-            for (index, phase) in phases.into_iter().enumerate().filter(|(k, _)| chunk.links[*k].phase.is_none()) {
+            for (index, link) in chunk.links.iter().enumerate().filter(|(_, link)| link.phase.is_none()) {
+                let known = phases.iter().find(|(earlier, _)| *earlier == names(chunk, link));
+                let Some(&(_, phase)) = known else { continue };
                 self.mode.links[index] = self.system.sides_of(chunk, index, phase, &self.scratch, None);
                 self.pass(chunk, index, chunk.start);
             }

@@ -9,7 +9,7 @@ use std::ops::Range;
 use glam::{DMat3, DQuat, DVec3};
 
 use crate::{
-    bench::path,
+    bench::source_path,
     geometry::Mesh,
     model::{
         PairLaw,
@@ -57,7 +57,8 @@ pub(super) struct Chunk<'a> {
     pub(super) end: f64,
     /// Whether its end is a requested instant.
     pub(super) is_sample: bool,
-    /// The bodies that matter in it, by their index in the scene. The first are the members of the system.
+    /// The bodies that matter in it, by their index in the scene, and the force points, as in [`Scene::source_path`]. The
+    /// first are the members of the system.
     pub(super) bodies: Vec<usize>,
     /// The pairs that matter in it.
     pub(super) links: Vec<Link>,
@@ -267,12 +268,12 @@ impl<'a> System<'a> {
         let World { centres, centre_rates, vertices, rates: velocities, .. } = world;
         [&mut *centres, &mut *centre_rates, &mut *vertices, &mut *velocities].into_iter().for_each(Vec::clear);
         for (k, &body) in chunk.bodies.iter().enumerate() {
-            let (centre, rate) = match &self.scene.bodies[body].motion {
-                Motion::Prescribed(path) => {
+            let (centre, rate) = match self.scene.source_path(body) {
+                Some(path) => {
                     let at = on_path(path, chunk, t);
                     (at.position, at.velocity)
                 }
-                Motion::Free(_) => (self.mean(k, coordinates), self.mean(k, rates)),
+                None => (self.mean(k, coordinates), self.mean(k, rates)),
             };
             centres.push(centre);
             centre_rates.push(rate);
@@ -301,12 +302,12 @@ impl<'a> System<'a> {
 
     /// Whether a body of a chunk is free.
     pub(super) fn is_free(&self, chunk: &Chunk<'_>, body: usize) -> bool {
-        self.scene.bodies[chunk.bodies[body]].path().is_none()
+        self.scene.source_path(chunk.bodies[body]).is_none()
     }
 
     /// The path of a body of a chunk that is on one.
     pub(super) fn path_of(&self, chunk: &Chunk<'_>, body: usize) -> &'a Path {
-        path(&self.scene.bodies[chunk.bodies[body]])
+        source_path(self.scene, chunk.bodies[body])
     }
 
     /// The path of the body of a vertex, if it is on one, and the rest position of the vertex.
@@ -427,7 +428,7 @@ impl<'a> System<'a> {
         for (one, source) in [(0, 1), (1, 0)] {
             let (own, other) = (link.bodies[one], link.bodies[source]);
             let Some(member) = self.members.get(own) else { continue };
-            let (radius, of_source) = (member.body.radius, self.scene.bodies[chunk.bodies[other]].radius);
+            let (radius, of_source) = (member.body.radius, self.scene.source_radius(chunk.bodies[other]));
             let scale = match self.scene.influence.scaling {
                 Scaling::Absolute => 1.0,
                 Scaling::Relative => (radius / of_source).min(1.0),
@@ -478,7 +479,7 @@ impl<'a> System<'a> {
 
     /// The sum of the radii of a pair [scene unit].
     fn radii(&self, chunk: &Chunk<'_>, link: &Link) -> f64 {
-        link.bodies.iter().map(|&body| self.scene.bodies[chunk.bodies[body]].radius).sum()
+        link.bodies.iter().map(|&body| self.scene.source_radius(chunk.bodies[body])).sum()
     }
 
     // --- kinks ------------------------------------------------------------------------------------------------------
@@ -556,7 +557,7 @@ impl<'a> System<'a> {
     pub(super) fn scale(&self, chunk: &Chunk<'_>, kink: Kink) -> f64 {
         match kink {
             Kink::Plane { particle, .. } => self.scene.bodies[self.body_of(particle)].radius,
-            Kink::Rim { link, side, .. } => self.scene.bodies[chunk.bodies[chunk.links[link].bodies[1 - side]]].radius,
+            Kink::Rim { link, side, .. } => self.scene.source_radius(chunk.bodies[chunk.links[link].bodies[1 - side]]),
             Kink::Zone { link, .. } | Kink::Threshold { link, .. } => self.radii(chunk, &chunk.links[link]),
         }
     }
@@ -571,7 +572,7 @@ impl<'a> System<'a> {
             }
             Kink::Rim { link, side, particle } => {
                 let source = chunk.links[link].bodies[1 - side];
-                let reach = self.scene.influence.reach * self.scene.bodies[chunk.bodies[source]].radius;
+                let reach = self.scene.influence.reach * self.scene.source_radius(chunk.bodies[source]);
                 reach - places.centre(source).distance(places.vertex(particle))
             }
             Kink::Zone { link, level, .. } | Kink::Threshold { link, transition: Transition { level, .. } } => {

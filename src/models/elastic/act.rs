@@ -11,7 +11,7 @@ use crate::{
         phase::Phase,
     },
     observe::PairEvent,
-    scene::{Path, Push, Response, Scene},
+    scene::{Path, Point, Push, Response, Scene},
     sim::Cause,
 };
 
@@ -47,7 +47,7 @@ pub struct Part<'a> {
     pushes: Vec<(DVec3, f64)>,
 }
 
-/// An influence sphere that acts throughout a part.
+/// An influence sphere that acts throughout a part, of a body or of a force point, which follow the bodies.
 struct Source<'a> {
     body: u32,
     path: &'a Path,
@@ -66,6 +66,8 @@ pub struct Sphere {
     radii: f64,
     /// Fraction of the time during which it acts [–].
     share: f64,
+    /// Whether it is a force point's.
+    is_of_point: bool,
 }
 
 impl Sphere {
@@ -73,6 +75,7 @@ impl Sphere {
     fn at(&self, body: u32, apart: DVec3) -> (Cause, u32, DVec3, f64, f64) {
         let strength = self.law.strength(self.phase, apart.length() / self.radii) * self.scale;
         let cause = match (self.phase, strength > 0.0) {
+            _ if self.is_of_point => Cause::Point,
             (_, true) => Cause::Attraction,
             (Phase::Core | Phase::Merged, false) => Cause::Core,
             (Phase::Apart, false) => Cause::Repulsion,
@@ -84,7 +87,7 @@ impl Sphere {
 /// The sources of acceleration at an instant.
 #[derive(Clone, Debug, Default)]
 pub struct Instantaneous {
-    /// Spheres: cause, body, centre relative to that of the body, strength [1/s²], radius.
+    /// Spheres: cause, body or force point, centre relative to that of the body, strength [1/s²], radius.
     pub spheres: Vec<(Cause, u32, DVec3, f64, f64)>,
     /// Pushes: direction and strength [scene unit/s²].
     pub pushes: Vec<(DVec3, f64)>,
@@ -111,8 +114,16 @@ impl StepContext<'_> {
             && (body.material.response == Response::Rigid || path.is_still(self.start, self.end))
     }
 
+    /// The force point with a number as a source, if it is one.
+    fn point(&self, source: u32) -> Option<&Point> {
+        Some(&self.scene.points[(source as usize).checked_sub(self.scene.bodies.len())?])
+    }
+
     /// Whether a sphere has no effect on a body throughout the step.
     fn is_silent(&self, index: usize, other: usize) -> bool {
+        if self.point(other as u32).is_some() {
+            return false;
+        }
         let law = self.scene.law(index, other);
         let is_apart = self.phase(index, other, self.start) == Phase::Apart
             && self.events.iter().all(|event| ![[index, other], [other, index]].contains(&[event.a, event.b]));
@@ -126,12 +137,14 @@ impl StepContext<'_> {
         let own = self.events.iter().filter(|event| event.a == index || event.b == index);
         breaks.extend(own.map(|event| event.time));
         let paths = sources.iter().map(|&other| other as usize).chain([index]);
-        for path in paths.filter_map(|body| self.scene.bodies[body].path()) {
+        for path in paths.filter_map(|source| self.scene.source_path(source)) {
             let knots = path.knots();
             let first = knots.partition_point(|&knot| knot <= self.start);
             breaks.extend(knots[first..].iter().take_while(|&&knot| knot < self.end));
         }
         breaks.extend(pushes.iter().flat_map(|push| [push.start, push.end()]));
+        let points = sources.iter().filter_map(|&source| self.point(source));
+        breaks.extend(points.flat_map(|point| [point.start, point.end()]));
         breaks.retain(|&time| (self.start..=self.end).contains(&time));
         breaks.sort_unstable_by(f64::total_cmp);
         breaks.dedup();
@@ -182,9 +195,16 @@ impl StepContext<'_> {
         part
     }
 
-    /// Calls `found` for each interval in which a pair stays in one phase, with its start [s] and its fraction of the
-    /// time.
+    /// Calls `found` for each interval in which a pair stays in one phase, or in which a force point acts, with its start
+    /// [s] and its fraction of the time.
     fn by_share(&self, index: usize, other: u32, [start, end]: [f64; 2], mut found: impl FnMut(f64, f64)) {
+        if let Some(point) = self.point(other) {
+            let (from, to) = (point.start.max(start), point.end().min(end));
+            if to > from {
+                found(from, (to - from) / (end - start));
+            }
+            return;
+        }
         let pair = [index.min(other as usize), index.max(other as usize)];
         let changes = self.events.iter().filter(|event| [event.a, event.b] == pair);
         let mut from = start;
@@ -232,6 +252,9 @@ impl StepContext<'_> {
     pub fn stiffness(&self, index: usize, sources: &[u32]) -> f64 {
         let own = self.scene.bodies[index].mass;
         let of = |&other: &u32| {
+            if let Some(point) = self.point(other) {
+                return 2.0 * self.scene.point_strength(point, index).abs();
+            }
             let body = &self.scene.bodies[other as usize];
             let law = self.scene.law(index, other as usize);
             let scale = |to: usize, from: usize| {
@@ -245,6 +268,19 @@ impl StepContext<'_> {
 
     fn sphere(&self, index: usize, other: u32, t: f64, share: f64) -> Option<Sphere> {
         let (scene, j) = (self.scene, other as usize);
+        if let Some(point) = self.point(other) {
+            let this = scene.bodies[index].radius;
+            let law = PairLaw { alpha: point.strength, beta: 0.0, core_width: 0.0, ..PairLaw::DEFAULT };
+            return point.acts_at(t).then(|| Sphere {
+                law,
+                phase: Phase::Merged,
+                scale: scene.influence.scale(this, point.radius),
+                radius: scene.influence.sphere_radius(point.radius),
+                radii: this + point.radius,
+                share,
+                is_of_point: true,
+            });
+        }
         let [this, source] = [&scene.bodies[index], &scene.bodies[j]];
         let (law, phase) = (scene.law(index, j), self.phase(index, j, t));
         if phase == Phase::Apart && !law.apart_repels {
@@ -257,11 +293,12 @@ impl StepContext<'_> {
             radius: scene.influence.sphere_radius(source.radius),
             radii: this.radius + source.radius,
             share,
+            is_of_point: false,
         })
     }
 
     fn source(&self, index: usize, other: u32, t: f64, share: f64) -> Option<Source<'_>> {
-        let path = self.scene.bodies[other as usize].path()?;
+        let path = self.scene.source_path(other as usize)?;
         Some(Source { body: other, path, sphere: self.sphere(index, other, t, share)? })
     }
 }
@@ -331,7 +368,7 @@ impl Part<'_> {
 
     /// Upper bound of the derivative of the accelerations by spheres [1/s²].
     pub fn stiffness(&self) -> f64 {
-        let of = |Source { sphere, .. }: &Source<'_>| sphere.law.alpha.max(sphere.law.beta) * sphere.scale;
+        let of = |Source { sphere, .. }: &Source<'_>| sphere.law.alpha.abs().max(sphere.law.beta) * sphere.scale;
         self.sources.iter().map(of).sum::<f64>() * steep(self.scene.influence.weight)
     }
 }

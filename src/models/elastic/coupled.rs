@@ -48,7 +48,7 @@ use crate::{
     },
     models::{cells::Cells, lattice::Scheme},
     observe::{PairEvent, StepFailure},
-    scene::{FreeMotion, Integrator, Model, Plane, Scene},
+    scene::{FreeMotion, Integrator, Model, Path, Plane, Point, Scene},
     sim::Event,
 };
 
@@ -83,7 +83,7 @@ pub struct Free {
 pub struct ExternalForces {
     /// f̄ [scene unit/s²].
     mean: DVec3,
-    /// Σ m f of each sphere, by its body [mass · scene unit/s²].
+    /// Σ m f of each sphere, by its body or force point [mass · scene unit/s²].
     pub pulls: Vec<(u32, DVec3)>,
     /// Accelerations of the nodes minus their mean [scene unit/s²], `[node_count]`.
     loads: Vec<DVec3>,
@@ -237,37 +237,41 @@ impl Elastic {
     /// Instants in a step at which a path or a push jumps [s], including its ends, ascending.
     fn breaks(&self, start: f64, end: f64) -> Vec<f64> {
         let mut breaks = vec![start, end];
-        for path in self.scene.bodies.iter().filter_map(|body| body.path()) {
+        for path in (0..self.scene.bodies.len() + self.scene.points.len()).filter_map(|of| self.scene.source_path(of)) {
             let knots = path.knots();
             let first = knots.partition_point(|&knot| knot <= start);
             breaks.extend(knots[first..].iter().take_while(|&&knot| knot < end));
         }
         breaks.extend(self.scene.pushes.iter().flat_map(|push| [push.start, push.end()]));
+        breaks.extend(self.scene.points.iter().flat_map(|point| [point.start, point.end()]));
         breaks.retain(|&time| (start..=end).contains(&time));
         breaks.sort_unstable_by(f64::total_cmp);
         breaks.dedup();
         breaks
     }
 
-    /// Positions of the centres some time after `t` [s], in a part of a step without jumps.
+    /// Positions of the centres some time after `t` [s], in a part of a step without jumps; those of force points follow.
     fn places(&self, t: f64, ahead: f64, part: [f64; 2]) -> Vec<Place> {
+        let on_path = |path: &Path| match path.is_held() {
+            // a centre with position jumps stays in place throughout the part
+            true => Place { centre: path.position(part[0] + 0.5 * (part[1] - part[0])), velocity: DVec3::ZERO },
+            false => Place { centre: path.position(t + ahead), velocity: path.at(t + ahead).velocity },
+        };
         let of = |(body, described): (&Body, &crate::scene::Body)| match (&body.free, described.path()) {
             (Some(free), _) => Place { centre: free.after(ahead), velocity: free.velocity + free.acceleration * ahead },
-            // a centre with position jumps stays in place throughout the part
-            (None, Some(path)) if path.is_held() => {
-                Place { centre: path.position(part[0] + 0.5 * (part[1] - part[0])), velocity: DVec3::ZERO }
-            }
-            (None, Some(path)) => Place { centre: path.position(t + ahead), velocity: path.at(t + ahead).velocity },
-            (None, None) => Place::default(),
+            (None, path) => path.map_or(Place::default(), on_path),
         };
-        self.bodies.iter().zip(&self.scene.bodies).map(of).collect()
+        let points = self.scene.points.iter().map(|point| on_path(&point.path));
+        self.bodies.iter().zip(&self.scene.bodies).map(of).chain(points).collect()
     }
 
     fn take_explicit(&mut self, part: [f64; 2], is_first: bool) -> Result<(), StepFailure> {
         let [start, end] = part;
         let step = self.step + 1;
         let jumps = |push: &crate::scene::Push| push.start == start || push.end() == start;
-        let mut is_known = is_first && !self.scene.pushes.iter().any(jumps);
+        let switches = |point: &Point| point.start == start || point.end() == start;
+        let is_smooth = !self.scene.pushes.iter().any(jumps) && !self.scene.points.iter().any(switches);
+        let mut is_known = is_first && is_smooth;
         self.find_sources(start, end);
         let Elastic { scene, bodies, phases, .. } = self;
         let around = StepContext { scene, phases, events: &[], start, end, step };
@@ -361,7 +365,7 @@ impl Elastic {
 
     /// Updates c″ = f̄ + g + R/M of free bodies from the last external forces.
     fn accelerate_centres(&mut self) {
-        let mut reactions = vec![DVec3::ZERO; self.bodies.len()];
+        let mut reactions = vec![DVec3::ZERO; self.bodies.len() + self.scene.points.len()];
         for body in &self.bodies {
             body.acted.pulls.iter().for_each(|&(source, pull)| reactions[source as usize] -= pull);
         }

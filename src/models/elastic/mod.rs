@@ -273,7 +273,7 @@ impl Elastic {
         self.tears.extend(self.bodies.iter().filter(|body| !body.tears.is_empty()).flat_map(of));
     }
 
-    /// Finds the bodies whose spheres can reach each body within a step.
+    /// Finds the bodies and force points whose spheres can reach each body within a step.
     fn find_sources(&mut self, start: f64, end: f64) {
         let Elastic { scene, bodies, grid, world, .. } = self;
         // if phases are found here, thresholds extend the search distance
@@ -312,7 +312,7 @@ impl Elastic {
             .zip(&scene.bodies)
             .map(|(body, described)| scene.influence.sphere_radius(described.radius) + body.spread)
             .collect();
-        let grid = &*grid;
+        let (grid, scene) = (&*grid, &*scene);
         bodies.iter_mut().for_each(|body| {
             body.sources.clear();
             grid.touching(body.index as u32, &mut body.sources);
@@ -325,6 +325,13 @@ impl Elastic {
                 let within = (reach + spheres[other]) * (1.0 + 1e-12);
                 centre.distance_squared(centres[other]) <= within * within
             });
+            let acting = scene.points_on(body.index).filter(|(_, point)| point.start <= end && start <= point.end());
+            let near = acting.filter(|(_, point)| {
+                let (place, spread) = point.path.ball(start, end);
+                let within = reach + scene.influence.sphere_radius(point.radius) + spread;
+                point.path.is_held() || !(centre.distance(place) > within * (1.0 + 1e-12))
+            });
+            body.sources.extend(near.map(|(source, _)| source));
         });
     }
 

@@ -256,7 +256,7 @@ impl Elastic {
 
     /// Adds the forces on a body in its current state, interpolated from its nodes to the vertices.
     fn add_forces(&self, body: &Body, sources: &[u32], now: &mut BodyFrame) {
-        let causes: Vec<Cause> = Cause::of(self.scene.is_coupled()).collect();
+        let causes: Vec<Cause> = Cause::of(&self.scene).collect();
         let (time, phases) = (self.time_of(self.step), &self.phases);
         let around = StepContext { scene: &self.scene, phases, events: &[], start: time, end: time, step: self.step };
         let mut acting = Instantaneous::default();
@@ -264,7 +264,8 @@ impl Elastic {
         if let Some(part) = &part {
             part.at(time, &mut acting);
         }
-        let centres: Vec<DVec3> = (0..self.bodies.len()).map(|body| self.centre(body)).collect();
+        let points = self.scene.points.iter().map(|point| point.path.position(time));
+        let centres: Vec<DVec3> = (0..self.bodies.len()).map(|body| self.centre(body)).chain(points).collect();
         around.acting(body.index, sources, &body.pushes, [time, time], &centres, &mut acting);
         let (n, back) = (body.node_count(), body.axes().transpose());
         let positions = body.places();
@@ -335,11 +336,11 @@ impl Elastic {
             net.add_times(1.0, &of_vertices);
             let mut of_cause = acting.spheres.iter().filter(|sphere| sphere.0 == *cause);
             if let (Some(only), None) = (of_cause.next(), of_cause.next()) {
-                term.source = Some(only.1);
+                term.source = Some(only.1).filter(|_| *cause != Cause::Point);
             }
         }
         now.net_force = body.free.is_some().then(|| {
-            let outer = [Cause::Attraction, Cause::Repulsion, Cause::Core, Cause::Push, Cause::Plane];
+            let outer = [Cause::Attraction, Cause::Repulsion, Cause::Core, Cause::Point, Cause::Push, Cause::Plane];
             let (mut force, mut torque) = (back_at_centre + self.scene.gravity * body.free_mass(), DVec3::ZERO);
             for (_, nodes) in by_cause.iter().filter(|(cause, _)| outer.contains(cause)) {
                 for ((f, m), place) in nodes.iter().zip(body.masses()).zip(&positions) {
@@ -379,8 +380,7 @@ impl Elastic {
         };
         let (mut acting, weight) = (Instantaneous::default(), self.scene.influence.weight);
         let mut sum = DVec3::ZERO;
-        for &other in others {
-            let other = &self.bodies[other as usize];
+        for other in others.iter().filter_map(|&other| self.bodies.get(other as usize)) {
             around.acting(other.index, &[body.index as u32], &[], [time, time], centres, &mut acting);
             for &(_, _, centre, strength, radius) in &acting.spheres {
                 for ((node, place), mass) in other.places().iter().enumerate().zip(other.masses()) {
@@ -568,6 +568,10 @@ impl Simulation for Elastic {
                 now.displaced(mesh.at(body.radius));
             }
             now.clear_forces();
+            if let Some(sources) = around.get_mut(body.index) {
+                let acting = self.scene.points_on(body.index).filter(|(_, point)| point.acts_at(frame.at.time));
+                sources.extend(acting.map(|(source, _)| source));
+            }
             let sources = around.get_mut(body.index);
             if let Some(sources) =
                 sources.filter(|sources| !(body.is_at_rest && sources.is_empty() && body.free.is_none()))

@@ -279,7 +279,7 @@ fn planes_dent_bodies() {
         let now = &frame.bodies[0];
         let lowest = now.positions.iter().map(|place| place.z + now.centre.z).fold(f64::INFINITY, f64::min);
         assert!((-0.05..0.02).contains(&lowest), "{model}: {lowest}");
-        let names: Vec<&str> = Cause::of(true).map(Cause::name).collect();
+        let names: Vec<&str> = Cause::of(&simulation.scene).map(Cause::name).collect();
         let pressed = &now.terms[names.iter().position(|name| *name == "plane").unwrap()].accelerations;
         assert!(pressed.iter().any(|force| force.z > 0.0), "{model}");
     }

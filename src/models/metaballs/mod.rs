@@ -8,7 +8,7 @@
 //! | the surface as a mesh, its volume, the distance between two balls | [`surface`] |
 //!
 //! A lone ball is the sphere of its body's radius; the support of its density is the influence sphere. Bodies follow their
-//! paths. Nothing else moves: a metaball has no mass, so material, strengths, pushes and planes have no effect
+//! paths. Nothing else moves: a metaball has no mass, so material, strengths, pushes, planes and force points have no effect
 //! ([`Schema::warnings`] lists those in a scene), and free bodies are rejected.
 //!
 //! # Two criteria for merging
@@ -467,6 +467,7 @@ fn count(name: &'static str, label: &'static str) -> ScalarSchema {
 /// Warnings about parts of a scene that have no effect here.
 fn idle(scene: &Scene) -> Option<String> {
     let given = [
+        (!scene.points.is_empty(), "[[point]]"),
         (!scene.pushes.is_empty(), "[[push]]"),
         (!scene.planes.is_empty(), "[[plane]]"),
         (scene.gravity != DVec3::ZERO, "gravity"),

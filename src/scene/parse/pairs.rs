@@ -56,7 +56,7 @@ fn read_sides(table: &Table<'_>, bodies: &[Body], names: &Names) -> Result<[Memb
     }
 }
 
-fn read_side(value: &Value<'_>, bodies: &[Body], names: &Names) -> Result<Members, SceneError> {
+pub(super) fn read_side(value: &Value<'_>, bodies: &[Body], names: &Names) -> Result<Members, SceneError> {
     let name = value.text().ok_or_else(|| value.unexpected("the name of a body or a group"))?;
     let body = names.bodies.get(name).map(|&index| Members::Body(index));
     let found = body.or_else(|| names.groups.get(name).map(|&group| Members::Group(group)));

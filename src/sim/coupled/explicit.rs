@@ -132,7 +132,7 @@ impl Step<'_> {
         let (member, frame) = (&members[index], &frames[index]);
         let (body, is_free) = (&member.body, member.body.is_free());
         let axes = DMat3::from_quat(frame.rotation);
-        let sources: Vec<(u32, f64, f64, DVec3)> = member
+        let mut sources: Vec<(u32, f64, f64, DVec3)> = member
             .neighbours
             .iter()
             .filter_map(|neighbour| {
@@ -145,6 +145,12 @@ impl Step<'_> {
                 (strength != 0.0).then_some((neighbour.other, strength, radius, apart))
             })
             .collect();
+        let bodies = sources.len();
+        let points = scene.points_on(index).filter(|(_, point)| point.acts_at(t)).map(|(source, point)| {
+            let (radius, apart) = (scene.influence.sphere_radius(point.radius), point.path.position(t) - frame.centre);
+            (source, scene.point_strength(point, index), radius, apart)
+        });
+        sources.extend(points);
         let mut reactions: Vec<(u32, DVec3)> = sources.iter().map(|source| (source.0, DVec3::ZERO)).collect();
         let (mut outer, mut inner) = (Vec::with_capacity(particles.r.len()), Vec::with_capacity(particles.r.len()));
         let (omega, damping) = (body.oscillator.omega, if is_damped { body.oscillator.damping } else { 0.0 });
@@ -170,6 +176,7 @@ impl Step<'_> {
             outer.push(force);
             inner.push(-(omega * omega) * (s - a) - 2.0 * damping * (rate - frame.spin.cross(s)));
         }
+        reactions.truncate(bodies); // nothing acts on a force point
         Forces { outer, inner, reactions }
     }
 

@@ -12,9 +12,10 @@ use super::{
     near::Near,
 };
 use crate::{
-    scene::Scene,
+    model::oscillator::Oscillator,
+    scene::{Point, Scene},
     sim::{
-        free::{self, Body, Driven, Island, Parts, Paths, Report, Scratch, Shape},
+        free::{self, Body, Driven, Island, Pair, Parts, Paths, Report, Scratch, Shape, Window},
         span::Span,
         work::{Tally, Work},
     },
@@ -83,7 +84,7 @@ pub(super) struct Job {
     pub is_done: bool,
     /// The bodies at the end of the step, pairs, forces, and how far each body moved.
     pub parts: Parts,
-    /// The bodies of the island, then its sources.
+    /// The bodies of the island, then its sources, then the force points that act in the step.
     all: Vec<u32>,
     pub report: Report,
     pub failure: Option<free::Failure>,
@@ -156,12 +157,13 @@ impl Job {
         let mut parts = self.parts.clone(); // as before the step, except for the bodies on paths and the phases
         for (&body, copy) in self.all.iter().zip(&mut parts.bodies) {
             copy.fill_states();
-            if let Some(path) = scene.bodies[body as usize].path() {
+            if let Some(path) = scene.source_path(body as usize) {
                 let motion = path.at(start);
                 (copy.centre, copy.velocity) = (motion.position, motion.velocity);
             }
         }
         for (index, pair) in parts.pairs.iter_mut().enumerate() {
+            pair.phase = pair.window.map_or(pair.phase, |window| window.phase(start));
             let first = self.report.changes.iter().find(|change| change.pair == index);
             pair.phase = first.map_or(pair.phase, |change| change.from);
         }
@@ -174,6 +176,10 @@ impl Job {
         *self.dense.get_mut().unwrap_or_else(PoisonError::into_inner) = None;
         self.all.clear();
         self.all.extend(bodies.iter().chain(sources));
+        let first_point = self.all.len() as u32;
+        let points = (scene.bodies.len() as u32..).zip(&scene.points);
+        let acts = |point: &Point| point.start <= span.end && span.start <= point.end();
+        self.all.extend(points.filter(|(_, point)| acts(point)).map(|(source, _)| source));
         let local = |body: u32| match bodies.binary_search(&body) {
             Ok(index) => index as u32,
             Err(_) => (bodies.len() + sources.binary_search(&body).unwrap_or_default()) as u32,
@@ -189,14 +195,21 @@ impl Job {
         let influence = &scene.influence;
         (field.reach, field.weight, field.scaling) = (influence.reach, influence.weight, influence.scaling);
         field.breaks.clear();
+        field.first_point = first_point;
         copies.resize_with(self.all.len(), || source(&members[self.all[0] as usize].body));
         for (index, (&body, copy)) in self.all.iter().zip(&mut *copies).enumerate() {
-            let member = &members[body as usize];
-            if let Some(path) = scene.bodies[body as usize].path() {
+            if let Some(path) = scene.source_path(body as usize) {
                 let knots = path.knots();
                 let first = knots.partition_point(|&knot| knot < span.start);
                 field.breaks.extend(knots[first..].iter().take_while(|&&knot| knot <= span.end));
             }
+            if let Some(point) = (body as usize).checked_sub(scene.bodies.len()) {
+                let point = &scene.points[point];
+                *copy = source_at(point, span.start);
+                field.breaks.extend([point.start, point.end()]);
+                continue;
+            }
+            let member = &members[body as usize];
             if index >= bodies.len() {
                 *copy = source(&member.body);
                 continue;
@@ -215,6 +228,12 @@ impl Job {
         };
         between.clear();
         between.extend(pairs.iter().map(local_pair));
+        for (b, &source) in (first_point..).zip(&self.all[first_point as usize..]) {
+            let point = &scene.points[source as usize - scene.bodies.len()];
+            let window = Window { start: point.start, end: point.end() };
+            let on = (0..).zip(bodies).filter(|(_, body)| point.acts_on(**body as usize));
+            between.extend(on.map(|(a, _)| Pair::with_point(a, b, point.strength, window, span.start)));
+        }
         let paths = OfScene { scene, bodies: &self.all };
         let tally = Tally::new(work, Some(turn));
         let mut island = Island::resume(parts, scene.tolerance, span.start);
@@ -246,10 +265,19 @@ impl Paths for OfScene<'_> {
 
 /// A body on a path that only acts on others.
 fn source(body: &Body) -> Body {
+    without_vertices(body.radius, body.centre, body.velocity)
+}
+
+/// A force point at `t` [s], as a body without vertices.
+pub(super) fn source_at(point: &Point, t: f64) -> Body {
+    let motion = point.path.at(t);
+    without_vertices(point.radius, motion.position, motion.velocity)
+}
+
+fn without_vertices(radius: f64, centre: DVec3, velocity: DVec3) -> Body {
     thread_local! {
         static NONE: std::sync::Arc<Shape> = std::sync::Arc::new(Shape::none());
     }
-    let mut source = Body::prescribed(NONE.with(std::sync::Arc::clone), body.radius, body.oscillator);
-    (source.centre, source.velocity) = (body.centre, body.velocity);
-    source
+    let source = Body::prescribed(NONE.with(std::sync::Arc::clone), radius, Oscillator { omega: 0.0, damping: 0.0 });
+    Body { centre, velocity, ..source }
 }

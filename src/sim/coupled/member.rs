@@ -363,23 +363,24 @@ fn pushed(push: &scene::Push) -> Push {
     Push { body: body as u32, direction, strength, start, end: push.end() }
 }
 
-/// The motion of a body on a path at `t` [s]; the left limit if `before` is set.
-pub(in crate::sim) fn driven(scene: &Scene, body: u32, t: f64, before: bool) -> Driven {
-    let body = &scene.bodies[body as usize];
-    let Some(path) = body.path() else { return Driven::default() };
+/// The motion at `t` [s] of a body on a path, or of a force point, which follow the bodies; the left limit if `before`
+/// is set.
+pub(in crate::sim) fn driven(scene: &Scene, source: u32, t: f64, before: bool) -> Driven {
+    let Some(path) = scene.source_path(source as usize) else { return Driven::default() };
     let motion = if before { path.before(t) } else { path.at(t) };
-    let carry = match body.material.response {
+    let material = scene.bodies.get(source as usize).map(|body| body.material);
+    let carry = material.map_or(DVec3::ZERO, |material| match material.response {
         Response::Rigid => DVec3::ZERO,
         Response::Inertial => motion.acceleration,
-        Response::World => motion.acceleration + 2.0 * body.material.damping * motion.velocity,
-    };
+        Response::World => motion.acceleration + 2.0 * material.damping * motion.velocity,
+    });
     Driven { position: motion.position, velocity: motion.velocity, carry }
 }
 
 /// The jump of the velocities of a body's vertices at `t` [s] due to the velocity jump of its path [scene unit/s]: the
 /// vertices keep their world velocity, unless the body is rigid. At t = 0 every velocity is zero.
 pub(in crate::sim) fn kick(scene: &Scene, body: u32, t: f64) -> DVec3 {
-    let body = &scene.bodies[body as usize];
+    let Some(body) = scene.bodies.get(body as usize) else { return DVec3::ZERO };
     match (body.path(), body.material.response) {
         (Some(path), Response::Inertial | Response::World) if t > 0.0 => -path.kick(t),
         _ => DVec3::ZERO,

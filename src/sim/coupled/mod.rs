@@ -41,7 +41,7 @@ use glam::DVec3;
 use self::{
     dense::Interpolated,
     explicit::Scheme,
-    islands::{Conditions, Forest, Group, Job},
+    islands::{Conditions, Forest, Group, Job, source_at},
     member::{Member, Shapes, driven},
     near::Near,
     neighbours::Neighbour,
@@ -49,16 +49,16 @@ use self::{
 use super::{
     body::{BodyView, Solved},
     events::Event,
-    free::{self, Field, Ledger, Parts, Scratch, Snapshot},
+    free::{self, Field, Ledger, Pair, Parts, Scratch, Snapshot, Window},
     report::{Failure, Overworked, Stage, StepReport, Stopwatch, Strain, Toil},
     solver::{Setting, Step},
     span::Span,
-    terms::{Cause, Source, Surroundings, Weighted},
+    terms::{Cause, Origin, Source, Surroundings, Weighted},
     work::{Stop, Tally, Work},
 };
 use crate::{
     model::{phase::Phase, shape_matching::Plane},
-    scene::{self, Response, Scene},
+    scene::{self, Point, Response, Scene},
 };
 
 /// Limit on repetitions of a step because bodies moved farther than expected.
@@ -75,6 +75,8 @@ const ORDINARY_HELD: u64 = 2000;
 /// The bodies of a coupled scene.
 pub(super) struct Coupled {
     members: Vec<Member>,
+    /// The force points, as bodies without vertices.
+    points: Vec<free::Body>,
     near: Near,
     /// The bodies that take steps, ascending.
     awake: Vec<u32>,
@@ -109,6 +111,7 @@ impl Coupled {
         starts.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut coupled = Coupled {
             members: members.collect(),
+            points: scene.points.iter().map(|point| source_at(point, 0.0)).collect(),
             near: Near::new(scene),
             awake: Vec::new(),
             resting_hash: 0,
@@ -145,6 +148,7 @@ impl Coupled {
     pub fn resume(&mut self, scene: &Scene, before: &Coupled, kept: &[Option<usize>], wake_all: bool, time: f64) {
         let span = Span { start: time, end: time + scene.dt };
         self.ledger = before.ledger;
+        self.move_points(scene, time);
         for (index, (member, kept)) in self.members.iter_mut().zip(kept).enumerate() {
             member.neighbours.clear();
             match kept {
@@ -208,6 +212,7 @@ impl Coupled {
         let mut stopwatch = Stopwatch::start();
         step.report.error = 0.0; // it becomes the largest of this step
         self.wake_pushed(step.span);
+        self.wake_near_points(step);
         self.find_neighbours(step);
         if let Some(scheme) = Scheme::of(step.setting.scene.integrator) {
             return self.step_explicitly(scheme, step, stopwatch);
@@ -241,6 +246,7 @@ impl Coupled {
         stopwatch.stop(Stage::Reach, step.report);
         let Coupled { members, near, .. } = self;
         let diverged = explicit::step(scheme, step.setting.scene, members, near, step.span, step.report);
+        self.move_points(step.setting.scene, step.span.end);
         stopwatch.stop(Stage::Integrate, step.report);
         Ok(diverged)
     }
@@ -268,6 +274,46 @@ impl Coupled {
             }
         }
         self.awake.sort_unstable();
+    }
+
+    /// Wakes the bodies near which a force point moves, or begins or ceases to act, during the step.
+    fn wake_near_points(&mut self, step: &Step<'_>) {
+        let (Setting { scene, .. }, span) = (step.setting, step.span);
+        let changes = |point: &Point| {
+            let is_switched = [point.start, point.end()].iter().any(|t| (span.start..=span.end).contains(t));
+            is_switched || !point.path.is_still(span.start, span.end)
+        };
+        if !scene.points.iter().any(changes) {
+            return;
+        }
+        let tally = Tally::new(step.work, None);
+        for body in 0..self.members.len() as u32 {
+            if !tally.spend(scene.points.len() as u64) {
+                break;
+            }
+            let is_awake = self.members[body as usize].is_awake;
+            if !is_awake && self.points_near(scene, span, body as usize).any(|(_, point)| changes(point)) {
+                self.wake(body);
+            }
+        }
+        self.awake.sort_unstable();
+    }
+
+    /// The force points that may act on vertices of a body during `span` and its ends.
+    fn points_near<'a>(
+        &'a self,
+        scene: &'a Scene,
+        span: Span,
+        body: usize,
+    ) -> impl Iterator<Item = (u32, &'a Point)> + 'a {
+        let Member { body: own, bounds, extent, .. } = &self.members[body];
+        let vertices = f64::max(*extent, bounds.extent) + bounds.way;
+        scene.points_on(body).filter(move |(_, point)| {
+            let (centre, radius) = point.path.ball(span.start, span.end);
+            let reach = scene.influence.sphere_radius(point.radius) + radius + vertices;
+            let is_near = centre.distance(own.centre) <= reach * (1.0 + 1e-9) + 1e-9 * centre.length();
+            is_near && point.start <= span.end && span.start <= point.end()
+        })
     }
 
     fn wake(&mut self, body: u32) {
@@ -405,7 +451,8 @@ impl Coupled {
         let is_pushed = member.pushes.iter().any(|push| push.start < span.end && push.end > span.start);
         let body = &member.body;
         let touches = |plane: &Plane| plane.depth(body.centre) + member.bounds.extent + member.bounds.way > 0.0;
-        let is_driven = is_pushed || scene.bodies[index].force.is_some();
+        let is_driven =
+            is_pushed || scene.bodies[index].force.is_some() || self.points_near(scene, span, index).next().is_some();
         if is_driven || scene.planes.iter().any(touches) {
             return true;
         }
@@ -489,6 +536,7 @@ impl Coupled {
             }
         }
         self.fly(scene, span, &jobs);
+        self.move_points(scene, span.end);
         report.sleeping_bodies = self.members.len() as u64 - stepped;
         report.events.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
         self.rest(scene, span, &jobs, report);
@@ -514,10 +562,20 @@ impl Coupled {
             reach: scene.influence.reach,
             weight: scene.influence.weight,
             scaling: scene.influence.scaling,
+            first_point: scene.bodies.len() as u32,
             ..Field::default()
         };
-        let bodies = self.members.iter().map(|member| &member.body).collect();
-        Snapshot::new(bodies, self.pairs().copied().collect(), field, time)
+        let bodies = self.members.iter().map(|member| &member.body).chain(&self.points).collect();
+        let here = Span { start: time, end: time };
+        let on = |body: u32| {
+            let near = self.points_near(scene, here, body as usize);
+            near.map(move |(source, point)| {
+                let window = Window { start: point.start, end: point.end() };
+                Pair::with_point(body, source, point.strength, window, time)
+            })
+        };
+        let with_points = (0..self.members.len() as u32).flat_map(on);
+        Snapshot::new(bodies, self.pairs().copied().chain(with_points).collect(), field, time)
     }
 
     /// Reports the events of an island.
@@ -565,6 +623,14 @@ impl Coupled {
         (self.stepped, self.flying) = (stepped, flying);
     }
 
+    /// Moves the force points to where they are at `time` [s].
+    fn move_points(&mut self, scene: &Scene, time: f64) {
+        for (own, point) in self.points.iter_mut().zip(&scene.points) {
+            let motion = point.path.at(time);
+            (own.centre, own.velocity) = (motion.position, motion.velocity);
+        }
+    }
+
     /// Puts calm islands to rest, and straightens bodies on which nothing acts any more.
     fn rest(&mut self, scene: &Scene, span: Span, jobs: &[Job], report: &mut StepReport) {
         for job in jobs {
@@ -576,7 +642,10 @@ impl Coupled {
             let is_calm = |body: &u32| {
                 let member = &self.members[*body as usize];
                 let is_pushed = member.pushes.iter().any(|push| push.start <= span.end && push.end > span.end);
-                let is_driven = is_pushed || scene.bodies[*body as usize].force.is_some();
+                let mut points = self.points_near(scene, span, *body as usize);
+                let is_driven = is_pushed
+                    || scene.bodies[*body as usize].force.is_some()
+                    || points.any(|(_, point)| !point.path.is_still(span.end, f64::INFINITY));
                 !is_driven && is_still(body) && member.is_calm(scene.tolerance)
             };
             if sources.iter().all(is_still) && bodies.iter().all(is_calm) {
@@ -771,7 +840,15 @@ impl Coupled {
             let (strength, phase) = (scaling * pair.law.strength(pair.phase, q), pair.phase);
             let sphere_radius = scene.influence.sphere_radius(source.radius);
             if strength != 0.0 && centre.length() <= sphere_radius + member.extent {
-                sources.push(Source { body: other, centre, sphere_radius, strength, phase });
+                sources.push(Source { origin: Origin::Body { index: other, phase }, centre, sphere_radius, strength });
+            }
+        }
+        for (source, point) in scene.points_on(index).filter(|(_, point)| point.acts_at(time)) {
+            let centre = point.path.position(time) - member.body.centre;
+            let sphere_radius = scene.influence.sphere_radius(point.radius);
+            if centre.length() <= sphere_radius + member.extent {
+                let origin = Origin::Point { index: source - scene.bodies.len() as u32 };
+                sources.push(Source { origin, centre, sphere_radius, strength: scene.point_strength(point, index) });
             }
         }
     }

@@ -130,7 +130,7 @@ impl Near {
         let (first, second) = (&members[a].body, &members[b].body);
         let q = first.centre.distance(second.centre) / (first.radius + second.radius);
         let phase = if t == 0.0 { law.thresholds.initial(q) } else { Phase::Apart };
-        let pair = Pair { a: a as u32, b: b as u32, phase, law };
+        let pair = Pair { a: a as u32, b: b as u32, phase, law, window: None };
         self.hash = self.hash.wrapping_add(checksum::of_pair(pair.a, pair.b, phase));
         if let Some(index) = self.free.pop() {
             self.pairs[index as usize] = pair;

@@ -6,7 +6,7 @@ use crate::{
     model::{
         PairLaw,
         influence::{Scaling, Weight},
-        phase::Phase,
+        phase::{Phase, Transition},
         shape_matching::Plane,
     },
     scene::Force,
@@ -29,8 +29,11 @@ pub struct Field {
     pub weight: Weight,
     /// Dependence of strengths on body sizes.
     pub scaling: Scaling,
-    /// Instants at which a path or one of its derivatives jumps [s], ascending.
+    /// Instants at which a path or one of its derivatives jumps, or a force point begins or ceases to act [s],
+    /// ascending.
     pub breaks: Vec<f64>,
+    /// Index of the first body that stands for a force point; those after it do so, too.
+    pub first_point: u32,
 }
 
 impl Default for Field {
@@ -44,6 +47,7 @@ impl Default for Field {
             weight: Weight::Linear,
             scaling: Scaling::Relative,
             breaks: Vec::new(),
+            first_point: u32::MAX,
         }
     }
 }
@@ -63,7 +67,7 @@ pub struct Push {
     pub end: f64,
 }
 
-/// Two bodies that can interact.
+/// Two bodies that can interact, or a body and a force point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pair {
     /// Index of the first body.
@@ -74,6 +78,39 @@ pub struct Pair {
     pub phase: Phase,
     /// Thresholds of the phases and strength of the influence.
     pub law: PairLaw,
+    /// When the second one acts, if it is a force point.
+    pub window: Option<Window>,
+}
+
+/// The time during which a force point acts: [start, end).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Window {
+    /// Its start [s].
+    pub start: f64,
+    /// Its end, exclusive [s].
+    pub end: f64,
+}
+
+impl Window {
+    /// The phase of a body and the force point at `t` [s], see [`Pair::with_point`].
+    pub fn phase(self, t: f64) -> Phase {
+        if self.start <= t && t < self.end { Phase::Merged } else { Phase::Apart }
+    }
+}
+
+impl Pair {
+    /// Body `a` and force point `b`, at `t` [s]: merged while the point acts, with its signed strength [1/s²] as α, and
+    /// apart otherwise, without a force. The distance does not change the phase.
+    pub fn with_point(a: u32, b: u32, strength: f64, window: Window, t: f64) -> Pair {
+        let law = PairLaw { alpha: strength, beta: 0.0, apart_repels: false, core_width: 0.0, ..PairLaw::DEFAULT };
+        Pair { a, b, phase: window.phase(t), law, window: Some(window) }
+    }
+
+    /// The transitions out of its phase at thresholds of the distance.
+    pub(super) fn transitions(&self) -> impl Iterator<Item = Transition> + use<> {
+        let has_thresholds = self.window.is_none();
+        self.law.thresholds.transitions(self.phase).filter(move |_| has_thresholds)
+    }
 }
 
 impl Field {

@@ -483,7 +483,7 @@ impl Island {
         }
     }
 
-    /// Moves bodies on paths across jumps of position, together with their vertices.
+    /// Moves bodies on paths across jumps of position, together with their vertices. Force points begin and cease to act.
     pub(in crate::sim) fn jump(&mut self, paths: &dyn Paths, report: &mut Report) {
         for index in 0..self.bodies.len() {
             let body = &mut self.bodies[index];
@@ -506,7 +506,16 @@ impl Island {
                 let after = energy(a, b);
                 let old = Body { centre: from, ..self.bodies[index].clone() };
                 let before = if pair.a == own { energy(&old, b) } else { energy(a, &old) };
-                report.ledger.prescribed += after - before;
+                *report.ledger.of_source(own, &self.field) += after - before;
+            }
+        }
+        for pair in &mut self.pairs {
+            let phase = pair.window.map_or(pair.phase, |window| window.phase(self.time));
+            if phase != pair.phase {
+                let jump = pair.law.strength(phase, 0.0) - pair.law.strength(pair.phase, 0.0);
+                let (a, b) = (&self.bodies[pair.a as usize], &self.bodies[pair.b as usize]);
+                report.ledger.points += conserved::influence(a, b, &self.field, jump);
+                pair.phase = phase;
             }
         }
     }
@@ -875,7 +884,7 @@ impl Island {
         let ends = law.rim(phase).into_iter().flat_map(|rim| rim.ends());
         let are_waited_for = self.bodies.len() <= MAX_WAITING;
         let ends = ends.filter(move |&level| level > 0.0 && are_waited_for).map(|level| (level, None, None));
-        let ways = law.thresholds.transitions(phase).filter(move |way| !law.is_gradual(phase, way.to));
+        let ways = pair.transitions().filter(move |way| !law.is_gradual(phase, way.to));
         ways.map(|way| (way.level, Some(way.falling), Some(way.to))).chain(ends)
     }
 
@@ -917,7 +926,7 @@ impl Island {
             let mut positive = course.starts_positive();
             for &theta in course.crossings().as_slice() {
                 let phase = self.pairs[index].phase;
-                let passed = pair.law.thresholds.transitions(phase).find(|way| way.level == level);
+                let passed = self.pairs[index].transitions().find(|way| way.level == level);
                 let rate = course.rate_at(theta) / (2.0 * h * level * radii * radii);
                 if let Some(way) = passed.filter(|way| way.falling == positive) {
                     let time = start + theta * h;
@@ -1021,7 +1030,7 @@ impl Island {
             let rate = apart.dot(a.velocity - b.velocity);
             // a body that jumps may pass two thresholds at once
             for first in [true, false] {
-                let beyond = self.pairs[index].law.thresholds.transitions(self.pairs[index].phase).find(|way| {
+                let beyond = self.pairs[index].transitions().find(|way| {
                     let side = if way.falling { 1.0 } else { -1.0 };
                     let gap = side * (apart.length() - way.level * radii);
                     let standing = STANDING * way.level * radii;

@@ -37,26 +37,35 @@ pub struct Ledger {
     /// Bodies on prescribed paths: work of the motion of their spheres, and of their vertices on spheres of free
     /// bodies.
     pub prescribed: f64,
+    /// Force points: work of the motion of their spheres, and Σ m Δs (Φ − Φ(r_e)) where they begin or cease to act.
+    pub points: f64,
     /// Kinetic energy removed from bodies when they come to rest.
     pub rest: f64,
 }
 
 impl Ledger {
+    /// The entry for the motion of a body on a path, or of a force point.
+    pub(super) fn of_source(&mut self, source: u32, field: &Field) -> &mut f64 {
+        if source < field.first_point { &mut self.prescribed } else { &mut self.points }
+    }
+
     /// Energy added by all causes together [mass · scene unit²/s²].
     pub fn total(&self) -> f64 {
-        self.events + self.core + self.damping + self.friction + self.pushes + self.prescribed + self.rest
+        self.events + self.core + self.damping + self.friction + self.pushes + self.prescribed + self.points + self.rest
     }
 }
 
 impl AddAssign for Ledger {
     fn add_assign(&mut self, other: Ledger) {
-        self.events += other.events;
-        self.core += other.core;
-        self.damping += other.damping;
-        self.friction += other.friction;
-        self.pushes += other.pushes;
-        self.prescribed += other.prescribed;
-        self.rest += other.rest;
+        let Ledger { events, core, damping, friction, pushes, prescribed, points, rest } = other;
+        self.events += events;
+        self.core += core;
+        self.damping += damping;
+        self.friction += friction;
+        self.pushes += pushes;
+        self.prescribed += prescribed;
+        self.points += points;
+        self.rest += rest;
     }
 }
 
@@ -84,7 +93,8 @@ impl Done<'_> {
                 ledger.friction += self.friction(i);
                 ledger.pushes += self.pushes(i) + self.given(i);
             }
-            ledger.prescribed += self.prescribed(i);
+            ledger.prescribed += self.prescribed(i, |source| source < self.field.first_point);
+            ledger.points += self.prescribed(i, |source| source >= self.field.first_point);
         }
         ledger.core = self.pairs.iter().map(|pair| self.core(pair)).sum();
         ledger
@@ -178,10 +188,12 @@ impl Done<'_> {
         }))
     }
 
-    /// Work in pairs of a free body and one on a path, by the forces on the vertices of body `index`.
-    fn prescribed(self, index: usize) -> f64 {
+    /// Work in pairs of a free body and one on a path, by the forces on the vertices of body `index`, of those sources that
+    /// are `selected`.
+    fn prescribed(self, index: usize, selected: impl Fn(u32) -> bool) -> f64 {
         let (body, course) = (&self.bodies[index], &self.courses[index]);
-        let counts = |source: u32| self.bodies[source as usize].is_prescribed() != body.is_prescribed();
+        let counts =
+            |source: u32| selected(source) && self.bodies[source as usize].is_prescribed() != body.is_prescribed();
         let mut work = 0.0;
         for reaction in course.reactions.iter().filter(|reaction| counts(reaction.source)) {
             work += self.over(std::array::from_fn(|node| {

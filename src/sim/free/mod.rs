@@ -53,7 +53,7 @@ mod step;
 pub use crate::model::{PairLaw, shape_matching::Rotation};
 pub use body::{Body, Motion, Shape};
 pub use conserved::Conserved;
-pub use field::{Driven, Field, NoPaths, Pair, Paths, Push};
+pub use field::{Driven, Field, NoPaths, Pair, Paths, Push, Window};
 pub use island::{Change, Failure, Island, Report, Way};
 pub(super) use island::{Parts, Scratch};
 pub use ledger::Ledger;

@@ -104,7 +104,7 @@ impl<'a> Snapshot<'a> {
                 own.set(i, own.get(i) + g);
                 acts = true;
             });
-            if acts {
+            if acts && pair.window.is_none() {
                 several[cause] |= sources[cause].is_some();
                 sources[cause] = Some(other);
             }
@@ -117,8 +117,8 @@ impl<'a> Snapshot<'a> {
         let axes = DMat3::from_quat(body.rotation);
         // Σ m f of external forces on vertices, and its moment
         let (mut sum, mut moment) = (DVec3::ZERO, DVec3::ZERO);
-        for cause in [Cause::Attraction, Cause::Repulsion, Cause::Core, Cause::Push, Cause::Plane] {
-            for (i, f) in by_cause[cause as usize].iter().enumerate() {
+        for accelerations in by_cause.iter() {
+            for (i, f) in accelerations.iter().enumerate() {
                 let pull = shape.masses[i] * f;
                 sum += pull;
                 moment += (axes * shape.rest[i] + body.state(i).0).cross(pull);
@@ -160,6 +160,9 @@ impl<'a> Snapshot<'a> {
 
     /// The cause that the forces of a pair belong to.
     fn cause(&self, pair: &Pair) -> Cause {
+        if pair.window.is_some() {
+            return Cause::Point;
+        }
         let (a, b) = (self.bodies[pair.a as usize], self.bodies[pair.b as usize]);
         let q = a.centre.distance(b.centre) / (a.radius + b.radius);
         match (pair.phase, pair.law.strength(pair.phase, q) > 0.0) {

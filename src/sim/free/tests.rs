@@ -54,7 +54,7 @@ fn body(radius: f64, oscillator: Oscillator, from: DVec3, velocity: DVec3, spin:
 }
 
 fn pair(a: u32, b: u32, phase: Phase, law: PairLaw) -> Pair {
-    Pair { a, b, phase, law }
+    Pair { a, b, phase, law, window: None }
 }
 
 /// Two bodies of different size that meet off-centre.

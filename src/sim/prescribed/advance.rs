@@ -138,8 +138,7 @@ impl<'a> Context<'a> {
             return own + active.bounds.pull;
         }
         // an inaccurate step may have taken vertices to any neighbour
-        let neighbours = &self.body(active.body).neighbours;
-        own + neighbours.iter().map(|neighbour| neighbour.pull).sum::<f64>()
+        own + self.sources(active.body, span).map(|source| source.pull).sum::<f64>()
     }
 
     /// A bound on the acceleration of any vertex during `span` by terms that do not depend on other bodies
@@ -152,6 +151,25 @@ impl<'a> Context<'a> {
     pub fn on(&self, index: u32) -> On<'a, &'a Pairs> {
         let Context { setting: Setting { scene, .. }, tracks, pairs, .. } = *self;
         self.body(index).on(scene, index, tracks, pairs)
+    }
+
+    /// The nearby bodies, and the force points that act during `span`: whatever has a sphere that may act on a body.
+    fn sources(&self, index: u32, span: Span) -> impl Iterator<Item = &'a Neighbour> + use<'a> {
+        let (scene, body) = (self.setting.scene, self.body(index));
+        let acts = move |point: &&Neighbour| {
+            let point = &scene.points[point.other as usize - scene.bodies.len()];
+            point.start < span.end && span.start < point.end()
+        };
+        body.neighbours.iter().chain(body.points.iter().filter(acts))
+    }
+
+    /// Whether a force point comes so near a body during `span` that it may act on vertices up to `farthest` from the
+    /// centre [scene unit].
+    pub fn is_near_point(&self, index: u32, farthest: f64, span: Span) -> bool {
+        let mut points = self.sources(index, span).filter(|source| source.is_point());
+        points.any(|point| {
+            self.nearest(index, point.other, span) <= self.tracks.motion_bounds(point.other).sphere + farthest
+        })
     }
 
     /// Lower bound on the distance of the centres of two bodies within the step, allowing for rounding [scene unit].
@@ -171,7 +189,7 @@ impl<'a> Context<'a> {
             (bounds.farthest, bounds.pull, bounds.max_reach) = (distance, pull, later);
             bounds.may_sleep = !margins.iter().any(|margin| margin.gap <= later);
             bounds.reachable.clear();
-            for (source, margin) in self.body(active.body).neighbours.iter().zip(&*margins) {
+            for (source, margin) in self.sources(active.body, span).zip(&*margins) {
                 if margin.gap <= distance && (source.always_acts || self.acts(source, active.body)) {
                     bounds.reachable.push(*source);
                 }
@@ -191,7 +209,7 @@ impl<'a> Context<'a> {
         let own = *self.tracks.motion_bounds(index);
         let own_force = self.own_force(index, span);
         margins.clear();
-        margins.extend(self.body(index).neighbours.iter().map(|neighbour| {
+        margins.extend(self.sources(index, span).map(|neighbour| {
             let other = self.tracks.motion_bounds(neighbour.other);
             Margin { gap: own.nearest(other, span.length()) - other.sphere, pull: neighbour.pull }
         }));

@@ -8,7 +8,7 @@ use smallvec::{Array, SmallVec};
 
 use super::{
     deformation::{Deformation, Now, REST},
-    neighbours::{FatBounds, Neighbours},
+    neighbours::{FatBounds, Neighbour, Neighbours},
     pairs::Pairs,
     tracks::Tracks,
 };
@@ -20,7 +20,7 @@ use crate::{
         integrator::exponential::{StepStatistics, together::Largest},
         numerics::larger,
         state::State,
-        terms::On,
+        terms::{On, points},
     },
 };
 
@@ -34,6 +34,8 @@ pub(in crate::sim) struct Body {
     pub material: Material,
     /// The scene's pushes on this body.
     pub pushes: Box<[Push]>,
+    /// The force points that act on it at some time.
+    pub points: Box<[Neighbour]>,
     /// Its index among the active bodies; `None` if it is at rest.
     pub active: Option<u32>,
     /// Nearby bodies, ascending.
@@ -52,6 +54,7 @@ impl Body {
             radius: scene.bodies[index].radius,
             material: scene.bodies[index].material,
             pushes: pushes.into(),
+            points: points::neighbours(scene, index),
             active: None,
             neighbours: Neighbours::new(),
             fat_bounds: FatBounds::NONE,
@@ -68,13 +71,13 @@ impl Body {
 
     /// The data about the body that force terms use; `index` is its index in the scene.
     pub fn on<'a>(&'a self, scene: &'a Scene, index: u32, tracks: &'a Tracks, phases: &'a Pairs) -> On<'a, &'a Pairs> {
-        let Body { material, neighbours, pushes, .. } = self;
-        On { scene, index, material, neighbours, pushes, tracks, phases }
+        let Body { material, neighbours, points, pushes, .. } = self;
+        On { scene, index, material, neighbours, points, pushes, tracks, phases }
     }
 
     /// Memory allocated for the body [bytes].
     pub fn memory(&self) -> usize {
-        spilled(&self.neighbours) + size_of_val(&*self.pushes)
+        spilled(&self.neighbours) + size_of_val(&*self.pushes) + size_of_val(&*self.points)
     }
 }
 

@@ -118,6 +118,7 @@ impl Prescribed {
         stopwatch.stop(Stage::Events, step.report);
         self.wake_acted_on(step);
         self.wake_moved(step);
+        self.wake_near_points(step);
         self.find_bounds(step)?;
         stopwatch.stop(Stage::Reach, step.report);
         let sum = self.integrate(step)?;
@@ -192,6 +193,23 @@ impl Prescribed {
             }
         }
         self.woken = watched;
+    }
+
+    /// Wakes the bodies near which a force point acts during the step.
+    fn wake_near_points(&mut self, step: &Step<'_>) {
+        if step.setting.scene.points.is_empty() {
+            return;
+        }
+        let tally = Tally::new(step.work, None);
+        for body in 0..self.bodies.len() as u32 {
+            if !tally.spend(step.setting.scene.points.len() as u64) {
+                return;
+            }
+            let reading = self.reading(step.setting, step.work);
+            if !self.is_awake(body) && reading.is_near_point(body, self.extent(body as usize), step.span) {
+                self.wake(step.setting, body);
+            }
+        }
     }
 
     fn is_awake(&self, body: u32) -> bool {

@@ -6,12 +6,12 @@ use smallvec::SmallVec;
 /// memory, and each list of its own is another place.
 pub(in crate::sim) type Neighbours = SmallVec<[Neighbour; 3]>;
 
-/// A nearby body.
+/// A nearby body, or a force point.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::sim) struct Neighbour {
-    /// Index of the other body.
+    /// Index of the other body; force points follow the bodies.
     pub other: u32,
-    /// Index of the pair.
+    /// Index of the pair, or [`Neighbour::POINT`].
     pub pair: u32,
     /// Index of the pair's law in the scene.
     pub law: u32,
@@ -19,6 +19,16 @@ pub(in crate::sim) struct Neighbour {
     pub pull: f64,
     /// Whether the other's sphere acts on this body in every phase of the pair.
     pub always_acts: bool,
+}
+
+impl Neighbour {
+    /// In place of the index of a pair, for a force point.
+    pub const POINT: u32 = u32::MAX;
+
+    /// Whether it is a force point.
+    pub fn is_point(&self) -> bool {
+        self.pair == Neighbour::POINT
+    }
 }
 
 /// The limits within which a body's neighbours are complete.

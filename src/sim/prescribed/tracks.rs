@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use crate::{
     scene::{
-        Material, Path, Scene,
+        Material, Path, Response, Scene,
         path::{Bounds, Turns},
     },
     sim::{events::PairPaths, numerics::nodes::SAMPLES, span::Span, terms},
@@ -16,10 +16,12 @@ const PARALLEL_TRACKS: usize = 256;
 /// Mover index of a body that never moves.
 const STILL: u32 = u32::MAX;
 
-/// The tracks of all bodies.
+/// The tracks of all bodies, and of the force points, which follow them.
 pub struct Tracks {
     /// The path of each body.
     paths: Vec<Path>,
+    /// Number of bodies.
+    bodies: usize,
     /// The bodies that move, ascending.
     movers: Vec<Mover>,
     /// Motion bounds of each body, contiguous because neighbours look each other up in every step.
@@ -88,14 +90,14 @@ pub struct Mover {
 impl Tracks {
     /// The tracks of a scene, all of whose bodies are on paths, before the first step.
     pub(in crate::sim) fn new(scene: &Scene) -> Tracks {
-        let paths: Vec<Path> = scene.bodies.iter().filter_map(|body| body.path().cloned()).collect();
-        let mut of_body = vec![STILL; scene.bodies.len()];
+        let sources = 0..scene.bodies.len() + scene.points.len();
+        let paths: Vec<Path> = sources.clone().filter_map(|source| scene.source_path(source).cloned()).collect();
+        let mut of_body = vec![STILL; paths.len()];
         let mut movers = Vec::new();
-        let motion_bounds = scene.bodies.iter().zip(&paths).map(|(body, path)| MotionBounds {
-            centre: path.position(0.0),
-            speed: 0.0,
-            radius: body.radius,
-            sphere: scene.influence.sphere_radius(body.radius),
+        let motion_bounds = sources.zip(&paths).map(|(source, path)| {
+            let radius = scene.source_radius(source);
+            let sphere = scene.influence.sphere_radius(radius);
+            MotionBounds { centre: path.position(0.0), speed: 0.0, radius, sphere }
         });
         let motion_bounds = motion_bounds.collect();
         for (body, mover) in (0..).zip(&mut of_body) {
@@ -105,7 +107,8 @@ impl Tracks {
                 let turns = path.turns(&SAMPLES.map(|theta| theta * scene.dt));
                 let bounds = Bounds { speed: 0.0, acceleration: 0.0 };
                 let samples = Samples { positions: [path.position(0.0); 5], uniform: [DVec3::ZERO; 5] };
-                let material = scene.bodies[body as usize].material;
+                let rigid = Material { omega: 0.0, damping: 0.0, response: Response::Rigid };
+                let material = scene.bodies.get(body as usize).map_or(rigid, |body| body.material);
                 movers.push(Mover {
                     body,
                     is_watched: false,
@@ -121,7 +124,7 @@ impl Tracks {
                 });
             }
         }
-        Tracks { paths, movers, motion_bounds, of_body }
+        Tracks { paths, bodies: scene.bodies.len(), movers, motion_bounds, of_body }
     }
 
     /// Evaluates the motion of all movers over a step.
@@ -154,9 +157,10 @@ impl Tracks {
         }
     }
 
-    /// Selects the movers for which `may` holds. For most, nothing changes relative to their neighbours.
+    /// Selects the bodies that move for which `may` holds. For most, nothing changes relative to their neighbours.
     pub(in crate::sim) fn watch(&mut self, may: impl Fn(&Mover) -> bool + Sync + Send) {
-        each(&mut self.movers, |track| track.is_watched = may(track));
+        let bodies = self.bodies;
+        each(&mut self.movers, |track| track.is_watched = (track.body as usize) < bodies && may(track));
     }
 
     /// The bodies that are watched, ascending.

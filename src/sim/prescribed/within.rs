@@ -76,10 +76,13 @@ impl<'a> Recomputed<'a> {
     pub fn breaks(&self) -> Vec<f64> {
         let scene = self.world.scene();
         let span = Span { start: self.before.time, end: self.world.time() };
-        let knots = (0..scene.bodies.len()).flat_map(|body| self.path(body).knots().iter().copied());
+        let sources = scene.bodies.len() + scene.points.len();
+        let knots = (0..sources).flat_map(|source| self.path(source).knots().iter().copied());
         let mut breaks: Vec<f64> = knots.filter(|&t| span.holds(t)).chain([span.start, span.end]).collect();
         for index in 0..self.world.body_count() {
-            self.on(index).jumps(&self.body(index).neighbours, span, &mut breaks);
+            let Body { neighbours, points, .. } = self.body(index);
+            self.on(index).jumps(neighbours, span, &mut breaks);
+            self.on(index).jumps(points, span, &mut breaks);
         }
         breaks.sort_by(f64::total_cmp);
         breaks.dedup();
@@ -134,7 +137,8 @@ impl<'a> Recomputed<'a> {
         let surroundings = self.surroundings(index, from, from, states);
         // a sphere may come within reach during the interval
         let mut acting = Acting::default();
-        self.on(index).over(&body.neighbours, Span { start: from, end: to }, &mut acting);
+        let near: Vec<Neighbour> = body.neighbours.iter().chain(&body.points).copied().collect();
+        self.on(index).over(&near, Span { start: from, end: to }, &mut acting);
         let Acting { spheres } = &acting;
         let is_still = states.displacement.iter().chain(states.velocity.iter()).all(|v| v == DVec3::ZERO);
         if is_still && spheres.is_empty() && surroundings.is_idle() && self.path(index).is_fixed() {

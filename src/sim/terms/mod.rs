@@ -9,6 +9,7 @@
 pub(super) mod carry;
 mod free;
 pub(super) mod oscillator;
+pub(super) mod points;
 pub(super) mod push;
 pub(super) mod spheres;
 
@@ -26,7 +27,7 @@ use crate::{
     scene::{Material, Push, Scene, path::Kinematics},
 };
 pub use push::Weighted;
-pub use spheres::{Source, Sphere};
+pub use spheres::{Origin, Source, Sphere};
 
 macro_rules! terms {
     ($($module:ident::$Term:ident => [$($(#[$doc:meta])* $Cause:ident: $name:literal),*];)*) => {
@@ -52,10 +53,14 @@ macro_rules! terms {
         }
 
         impl Cause {
-            /// The causes that can occur in a scene, in the order of [`Cause::ALL`]; some occur only in coupled scenes.
-            pub fn of(is_coupled: bool) -> impl Iterator<Item = Cause> {
-                let needs = |cause: &Cause| matches!(cause, Cause::Gravity | Cause::Plane | Cause::Reaction);
-                Cause::ALL.into_iter().filter(move |cause| is_coupled || !needs(cause))
+            /// The causes that can occur in a scene, in the order of [`Cause::ALL`].
+            pub fn of(scene: &Scene) -> impl Iterator<Item = Cause> + use<> {
+                let (is_coupled, has_points) = (scene.is_coupled(), !scene.points.is_empty());
+                Cause::ALL.into_iter().filter(move |cause| match cause {
+                    Cause::Gravity | Cause::Plane | Cause::Reaction => is_coupled,
+                    Cause::Point => has_points,
+                    _ => true,
+                })
             }
         }
 
@@ -116,6 +121,10 @@ terms! {
         Repulsion: "repulsion",
         /// (3.5): influence spheres of bodies in their core.
         Core: "core"
+    ];
+    points::Points => [
+        /// Force points (3.1.2), by (3.4) or (3.5).
+        Point: "point"
     ];
     oscillator::Springs => [
         /// −ω²x of (3.2).
@@ -178,6 +187,8 @@ pub(super) struct On<'a, P> {
     pub material: &'a Material,
     /// Nearby bodies.
     pub neighbours: &'a [Neighbour],
+    /// The force points that act on it at some time.
+    pub points: &'a [Neighbour],
     /// The scene's pushes on it.
     pub pushes: &'a [Push],
     pub tracks: &'a Tracks,
@@ -188,8 +199,8 @@ pub(super) struct On<'a, P> {
 impl<'a, P> On<'a, P> {
     /// The same body, with phases from another source.
     pub fn with_phases<Q>(self, phases: Q) -> On<'a, Q> {
-        let On { scene, index, material, neighbours, pushes, tracks, .. } = self;
-        On { scene, index, material, neighbours, pushes, tracks, phases }
+        let On { scene, index, material, neighbours, points, pushes, tracks, .. } = self;
+        On { scene, index, material, neighbours, points, pushes, tracks, phases }
     }
 }
 

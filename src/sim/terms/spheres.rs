@@ -12,10 +12,10 @@ use crate::{
     sim::{numerics::arrays::Vectors, prescribed::neighbours::Neighbour, span::Span},
 };
 
-/// An influence sphere of another body that can reach this body in a part of a step.
+/// An influence sphere that can reach a body in a part of a step.
 #[derive(Clone, Copy, Debug)]
 pub struct Sphere {
-    /// Index of the body that it belongs to.
+    /// The body or force point that it belongs to, as in [`Scene::source_path`].
     pub body: u32,
     /// Its radius r_e [scene unit].
     pub radius: f64,
@@ -25,28 +25,52 @@ pub struct Sphere {
     pub strength: f64,
 }
 
-/// An influence sphere of another body at an instant, seen from the body acted on.
+/// What an influence sphere belongs to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Origin {
+    /// A body.
+    Body {
+        /// Its index.
+        index: u32,
+        /// The phase of the pair, which determines the strength.
+        phase: Phase,
+    },
+    /// A force point.
+    Point {
+        /// Its index.
+        index: u32,
+    },
+}
+
+/// An influence sphere at an instant, seen from the body acted on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Source {
-    /// Index of the body that it belongs to.
-    pub body: u32,
+    /// What it belongs to.
+    pub origin: Origin,
     /// Its centre relative to the centre of the body acted on, c_j − c_i [scene unit].
     pub centre: DVec3,
     /// Its radius r_e [scene unit].
     pub sphere_radius: f64,
     /// Signed strength [1/s²]: positive attracts, negative repels.
     pub strength: f64,
-    /// The phase of the pair, which determines the strength.
-    pub phase: Phase,
 }
 
 impl Source {
     /// The cause that its force counts as.
     pub fn cause(&self) -> Cause {
-        match (self.phase, self.strength > 0.0) {
-            (Phase::Core, _) => Cause::Core,
-            (_, true) => Cause::Attraction,
-            (_, false) => Cause::Repulsion,
+        match (self.origin, self.strength > 0.0) {
+            (Origin::Point { .. }, _) => Cause::Point,
+            (Origin::Body { phase: Phase::Core, .. }, _) => Cause::Core,
+            (Origin::Body { .. }, true) => Cause::Attraction,
+            (Origin::Body { .. }, false) => Cause::Repulsion,
+        }
+    }
+
+    /// The body that it belongs to, if it belongs to one.
+    pub fn body(&self) -> Option<u32> {
+        match self.origin {
+            Origin::Body { index, .. } => Some(index),
+            Origin::Point { .. } => None,
         }
     }
 }
@@ -70,13 +94,14 @@ impl Term for Spheres {
             }
             let centre = on.tracks.path(neighbour.other as usize).position(moment.time) - motion.position;
             if centre.length() <= sphere_radius + farthest {
-                surroundings.sources.push(Source { body: neighbour.other, centre, sphere_radius, strength, phase });
+                let origin = Origin::Body { index: neighbour.other, phase };
+                surroundings.sources.push(Source { origin, centre, sphere_radius, strength });
             }
         }
     }
 
     fn over<P: Phases>(on: &On<'_, P>, near: &[Neighbour], part: Span, acting: &mut Acting) {
-        for neighbour in near {
+        for neighbour in near.iter().filter(|neighbour| !neighbour.is_point()) {
             let strength = on.strength(neighbour, on.phases.from(on.index, neighbour, part.start));
             let radius = on.tracks.motion_bounds(neighbour.other).sphere;
             if strength != 0.0 {
@@ -88,7 +113,7 @@ impl Term for Spheres {
 
     fn jumps<P: Phases>(on: &On<'_, P>, near: &[Neighbour], span: Span, jumps: &mut Vec<f64>) {
         let first = jumps.len();
-        for neighbour in near {
+        for neighbour in near.iter().filter(|neighbour| !neighbour.is_point()) {
             on.phases.changes(on.index, neighbour, jumps);
         }
         let mut place = first;
