@@ -11,8 +11,8 @@ use crate::{
         phase::Phase,
     },
     observe::PairEvent,
-    scene::{Path, Point, Push, Response, Scene},
-    sim::Cause,
+    scene::{Material, Path, Point, Push, Response, Scene, path::Kinematics},
+    sim::{Cause, terms::carry},
 };
 
 use super::PHASES;
@@ -37,8 +37,7 @@ pub struct StepContext<'a> {
 pub struct Part<'a> {
     scene: &'a Scene,
     path: &'a Path,
-    response: Response,
-    damping: f64,
+    material: Material,
     /// Start of the part [s].
     pub start: f64,
     /// End of the part [s].
@@ -167,8 +166,7 @@ impl StepContext<'_> {
         Part {
             scene,
             path,
-            response: body.material.response,
-            damping: body.material.damping,
+            material: body.material,
             start,
             end,
             sources: sources.iter().filter_map(source).collect(),
@@ -323,11 +321,7 @@ impl Part<'_> {
         let place = |path: &Path| path.position(if path.is_held() { 0.5 * (self.start + self.end) } else { t });
         let own = if t == self.end { self.path.before(t) } else { self.path.at(t) };
         let centre = place(self.path);
-        now.carry = match self.response {
-            Response::Rigid => DVec3::ZERO,
-            Response::Inertial => -own.acceleration,
-            Response::World => -(own.acceleration + own.velocity * (2.0 * self.damping)),
-        };
+        now.carry = DVec3::ZERO - carry::carry(&self.material, &own);
         now.pushes.clear();
         now.pushes.extend_from_slice(&self.pushes);
         now.spheres.clear();
@@ -341,19 +335,17 @@ impl Part<'_> {
         self.at(middle, now);
         let (first, last) = (self.path.at(self.start), self.path.at(self.end));
         let length = self.end - self.start;
-        let change = (last.velocity - first.velocity) / length;
-        now.carry = match self.response {
-            Response::Rigid => DVec3::ZERO,
-            _ if self.path.is_held() => DVec3::ZERO,
-            Response::Inertial => -change,
-            Response::World => -(change + (last.position - first.position) * (2.0 * self.damping / length)),
+        let mean = Kinematics {
+            velocity: (last.position - first.position) / length,
+            acceleration: (last.velocity - first.velocity) / length,
+            ..first
         };
+        now.carry = if self.path.is_held() { DVec3::ZERO } else { DVec3::ZERO - carry::carry(&self.material, &mean) };
     }
 
     /// Jump of the nodes' velocities at the start of the part [scene unit/s]. At t = 0 every velocity is zero.
     pub fn kick(&self) -> DVec3 {
-        let feels = self.response != Response::Rigid && self.start > 0.0;
-        if feels { -self.path.kick(self.start) } else { DVec3::ZERO }
+        carry::kick(&self.material, self.path, self.start)
     }
 
     /// The velocity of the centre at time `t` [scene unit/s].

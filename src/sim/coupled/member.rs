@@ -12,11 +12,12 @@ use crate::{
         oscillator::Oscillator,
         shape_matching::{resistance, rotation_by, solve},
     },
-    scene::{self, Motion, Response, Scene},
+    scene::{self, Motion, Scene},
     sim::{
         checksum,
         free::{Body, Driven, Push, Shape, Way},
         span::Span,
+        terms::carry,
     },
 };
 
@@ -368,21 +369,15 @@ fn pushed(push: &scene::Push) -> Push {
 pub(in crate::sim) fn driven(scene: &Scene, source: u32, t: f64, before: bool) -> Driven {
     let Some(path) = scene.source_path(source as usize) else { return Driven::default() };
     let motion = if before { path.before(t) } else { path.at(t) };
-    let material = scene.bodies.get(source as usize).map(|body| body.material);
-    let carry = material.map_or(DVec3::ZERO, |material| match material.response {
-        Response::Rigid => DVec3::ZERO,
-        Response::Inertial => motion.acceleration,
-        Response::World => motion.acceleration + 2.0 * material.damping * motion.velocity,
-    });
+    let body = scene.bodies.get(source as usize);
+    let carry = body.map_or(DVec3::ZERO, |body| carry::carry(&body.material, &motion));
     Driven { position: motion.position, velocity: motion.velocity, carry }
 }
 
-/// The jump of the velocities of a body's vertices at `t` [s] due to the velocity jump of its path [scene unit/s]: the
-/// vertices keep their world velocity, unless the body is rigid. At t = 0 every velocity is zero.
-pub(in crate::sim) fn kick(scene: &Scene, body: u32, t: f64) -> DVec3 {
-    let Some(body) = scene.bodies.get(body as usize) else { return DVec3::ZERO };
-    match (body.path(), body.material.response) {
-        (Some(path), Response::Inertial | Response::World) if t > 0.0 => -path.kick(t),
-        _ => DVec3::ZERO,
-    }
+/// The jump of the velocities of a body's vertices at `t` [s], see [`carry::kick`]; zero for a free body and for a force
+/// point.
+pub(in crate::sim) fn kick(scene: &Scene, source: u32, t: f64) -> DVec3 {
+    let body = scene.bodies.get(source as usize);
+    let on_path = body.and_then(|body| Some((body, body.path()?)));
+    on_path.map_or(DVec3::ZERO, |(body, path)| carry::kick(&body.material, path, t))
 }

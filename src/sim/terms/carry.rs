@@ -23,13 +23,18 @@ pub fn kick(material: &Material, path: &Path, t: f64) -> DVec3 {
     }
 }
 
+/// The acceleration that a body's own motion takes from its vertices, in the axes of the body [scene unit/s²].
+pub fn carry(material: &Material, motion: &Kinematics) -> DVec3 {
+    match material.response {
+        Response::Rigid => DVec3::ZERO,
+        Response::Inertial => motion.acceleration,
+        Response::World => motion.acceleration + 2.0 * material.damping * motion.velocity,
+    }
+}
+
 impl Term for Carry {
     fn uniform(material: &Material, motion: &Kinematics) -> Option<(Cause, DVec3)> {
-        let carry = match material.response {
-            Response::Rigid => DVec3::ZERO,
-            Response::Inertial => motion.acceleration,
-            Response::World => motion.acceleration + 2.0 * material.damping * motion.velocity,
-        };
+        let carry = carry(material, motion);
         (carry != DVec3::ZERO).then_some((Cause::Carry, -carry))
     }
 

@@ -6,7 +6,7 @@
 //! Everything that sums what acts on a body (integrators, motion bounds, arrows, energy, the stages of a step) uses the
 //! table below.
 
-pub(super) mod carry;
+pub(crate) mod carry;
 mod free;
 pub(super) mod oscillator;
 pub(super) mod points;
@@ -112,7 +112,8 @@ macro_rules! terms {
     };
 }
 
-// In the order in which their accelerations are summed. A new term is a file beside this one and a line here.
+// In the order in which their accelerations are summed. For bodies on paths, a new term is a file beside this one and a line
+// here. Free bodies (`free::force`, `coupled::explicit`) and the elastic models (`models::elastic`) sum terms themselves.
 terms! {
     spheres::Spheres => [
         /// (3.4): influence spheres of merged bodies.
