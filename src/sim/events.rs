@@ -7,7 +7,7 @@
 
 use super::{
     numerics::roots::{self, Falling, Sample},
-    work::{LOOK_AT_PATHS, Tally},
+    work::{DISTANCE, Tally},
 };
 use crate::{
     model::phase::{Phase, Thresholds},
@@ -24,9 +24,9 @@ pub struct Event {
     pub time: f64,
     /// The first step whose final state it affects.
     pub step: u64,
-    /// Index of one body of the pair …
+    /// Index of the first body of the pair.
     pub a: u32,
-    /// … and of the other, a < b.
+    /// Index of the second body; a < b.
     pub b: u32,
     /// Centre distance over the sum of the radii at that time [–].
     pub q: f64,
@@ -222,7 +222,7 @@ impl Falling for Gap<'_> {
 
     /// Signed g and g′ at `t`.
     fn at(&self, t: f64) -> (f64, f64) {
-        self.work.spend(LOOK_AT_PATHS);
+        self.work.spend(DISTANCE);
         self.of(&self.pair.a.at(t), &self.pair.b.at(t))
     }
 
@@ -231,7 +231,7 @@ impl Falling for Gap<'_> {
     }
 
     fn sample(&self, start: f64, middle: f64, end: f64) -> Option<Sample> {
-        if !self.work.spend(LOOK_AT_PATHS) {
+        if !self.work.spend(DISTANCE) {
             return None;
         }
         let half = 0.5 * (end - start);

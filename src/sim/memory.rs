@@ -27,9 +27,9 @@ const COUPLED_BODY_BYTES: u64 = 4096;
 const BODY_BYTES: u64 = 2048;
 /// Per pair of nearby bodies, with their neighbour entries, and per pair of a body and a force point [bytes].
 const PAIR_BYTES: u64 = 256;
-/// Limit on the number of pairs, whatever the memory: this constant …
+/// Constant part of the limit on the number of pairs, whatever the memory.
 const MAX_PAIRS: u64 = 2_000_000;
-/// … plus this many per body.
+/// Part of that limit per body.
 const MAX_PAIRS_PER_BODY: u64 = 64;
 
 /// The scene needs more memory than is available, or has more pairs of nearby bodies than can be stepped.

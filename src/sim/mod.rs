@@ -21,11 +21,34 @@
 //!
 //! This module does not depend on Rerun or files, nor on clocks other than the step's own timers.
 //!
+//! # Glossary
+//! | term | meaning |
+//! | --- | --- |
+//! | rest shape | positions l of a body's vertices about its centre while nothing acts on it |
+//! | displacement | x, from the rest shape to a vertex |
+//! | carry | the acceleration that a body's own motion takes from its vertices |
+//! | influence sphere | the ball in which a body or a force point attracts or repels vertices; its surface is the rim |
+//! | source | what has an influence sphere: the bodies, then the force points |
+//! | pair | two bodies near each other |
+//! | q | centre distance of a pair over the sum of the radii |
+//! | phase | of a pair: apart, merged or in the core; it decides which force acts |
+//! | event | a change of phase, where q passes a threshold |
+//! | jump | an instant at which a force or a path is discontinuous; a step is divided there |
+//! | coupled | of a scene: its bodies must be stepped together |
+//! | island | bodies of a coupled scene that can act on each other in a step |
+//! | active set | the vertices of a body that are stepped, because a sphere may reach them |
+//! | asleep | of a body: not stepped, because nothing acts on it |
+//! | fat bounds | a ball around a body for which its neighbours were found |
+//! | substep | a part of a step for which the integrator is called once |
+//! | nodes, samples | the instants of a substep at which forces are collocated, and those at which they are evaluated |
+//! | residual | what the polynomial through the nodes leaves out of a force; it estimates the error |
+//! | tolerance | the error that a second of simulated time may add, in radii |
+//!
 //! # A step of bodies on paths
 //! Names in front are those of the stages in `/timings`.
 //!
 //! 1. [`World::step`] → `Prescribed::step` (`prescribed`), which lists the stages
-//! 2. reach: `Tracks::follow` (`tracks`) evaluates the paths; `Pairs::follow` (`pairs`) searches the grid
+//! 2. reach: `Tracks::evaluate` (`tracks`) evaluates the paths; `Pairs::update` (`pairs`) searches the grid
 //! 3. events: `Pairs::find_events` → `Search::first_change` ([`events`]) → `roots`
 //! 4. reach: `wake_acted_on`, `wake_moved`; `find_bounds` → `Context::find_reachable` (`advance`)
 //! 5. integrate: `Context::advance` for every awake body
@@ -37,15 +60,15 @@
 //!
 //! # A step of a coupled scene
 //! 1. [`World::step`] → `Coupled::step` (`coupled`), which lists the stages
-//! 2. reach: `wake_pushed`; `find_neighbours` → `Near::follow` (`near`) searches the grid
+//! 2. reach: `wake_pushed`; `find_neighbours` → `Near::update` (`near`) searches the grid
 //! 3. integrate, of an explicit scheme: `explicit::step` (`coupled`); otherwise:
 //! 4. reach: `find_islands` groups the bodies that can act on each other (`islands`)
 //! 5. integrate: `islands::advance` → `Island::advance_with` ([`free`]) for every island
 //! 6. ‥ `Island::substep` tries steps until the error is within the tolerance: `solve` → `converge`
-//! 7. ‥ ‥ `evaluate` (`force`, `kernels`) computes forces, `Course::follow` (`step`) moves bodies, `judge` estimates
+//! 7. ‥ ‥ `evaluate` (`force`, `kernels`) computes forces, `Course::correct` (`step`) moves bodies, `estimate_error` estimates
 //! 8. ‥ ‥ the step is shortened to end at the `first_crossing` of a threshold; `commit` makes it the state
-//! 9. again from 4 with wider bounds for bodies that moved farther than expected (`has_strayed`)
-//! 10. reach: `end` takes the results over, moves bodies on which nothing acts (`fly`), and puts calm ones to `rest`
+//! 9. again from 4 with wider bounds for bodies that moved farther than expected (`has_left_bounds`)
+//! 10. reach: `end` takes the results over, moves bodies on which nothing acts (`advance_unforced`), and lets slow ones `sleep`
 //!
 //! # What a step skips
 //! Step cost scales with active interactions, not with vertices, and skipping changes no result:

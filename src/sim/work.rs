@@ -15,11 +15,12 @@ use std::{
 const MAX_DEBT: u64 = 600_000_000;
 /// Debt that is announced [units].
 const ANNOUNCED_DEBT: u64 = MAX_DEBT / 10;
-/// Allowance of a step [units]: a constant, …
+/// Constant part of the allowance of a step [units].
 const FREE: u64 = 500_000;
-/// … plus this much per stepped vertex, …
+/// Part of the allowance of a step per stepped vertex [units].
 const FREE_PER_VERTEX: u64 = 100;
-/// … plus twice the [base](super::integrator::exponential::StepStatistics::base) of the last step, at most this.
+/// Largest part of the allowance of a step for twice the [base](super::integrator::exponential::StepStatistics::base) of
+/// the last one [units].
 const MAX_BASE: u64 = 1_000_000_000;
 /// A tally is added to the total each time it has grown by this much [units].
 const GRAIN: u64 = 1 << 15;
@@ -27,7 +28,7 @@ const GRAIN: u64 = 1 << 15;
 const MIN_REPORTED: u64 = 1 << 10;
 
 /// Cost of evaluating the distance of two centres [units].
-pub(super) const LOOK_AT_PATHS: u64 = 80;
+pub(super) const DISTANCE: u64 = 80;
 /// Cost of finding, storing and recording a change of phase [units].
 pub(super) const EVENT: u64 = 2000;
 /// Cost of testing two bodies whose fat bounds may overlap [units].

@@ -21,9 +21,9 @@ use crate::{
 const PRECISION: f64 = 1e-8;
 /// An interval between two steps is halved at most this often; then the solver answers.
 const MAX_HALVINGS: u32 = 6;
-/// At most this much memory holds the states of a step [bytes], …
+/// Largest memory for the states of a step [bytes].
 const MEMORY: usize = 256 << 20;
-/// … and at most this many states are kept.
+/// Largest number of states of a step that are kept.
 const MOST_STATES: usize = 256;
 
 /// The states of a step.

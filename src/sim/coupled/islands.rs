@@ -185,9 +185,9 @@ impl Job {
             Err(_) => (bodies.len() + sources.binary_search(&body).unwrap_or_default()) as u32,
         };
         let mut parts = std::mem::take(&mut self.parts);
-        let Parts { bodies: copies, field, pairs: between, paces, .. } = &mut parts;
-        paces.clear();
-        paces.extend(bodies.iter().map(|&body| members[body as usize].pace));
+        let Parts { bodies: copies, field, pairs: between, step_lengths, .. } = &mut parts;
+        step_lengths.clear();
+        step_lengths.extend(bodies.iter().map(|&body| members[body as usize].step_length));
         field.gravity = scene.gravity;
         field.planes.clone_from(&scene.planes);
         field.pushes.clear();

@@ -21,20 +21,20 @@ use crate::{
     },
 };
 
-/// Number of consecutive steps that a body must end [calm](Member::is_calm) before it rests, at least …
-const CALM_STEPS: f64 = 12.0;
-/// … and for at least this time, as is usual in game engines [s].
-const CALM_TIME: f64 = 0.5;
-/// Share of the tolerance within which the motion of a body counts as calm. The integrator's own errors are far below
+/// Least number of consecutive steps after which a body must be [slow](Member::is_slow) before it sleeps.
+const SLOW_STEPS: f64 = 12.0;
+/// Shortest time for which a body must be slow before it sleeps, as is usual in game engines [s].
+const SLOW_TIME: f64 = 0.5;
+/// Share of the tolerance within which the motion of a body counts as slow. The integrator's own errors are far below
 /// the rest.
-const CALM: f64 = 0.5;
+const SLOW: f64 = 0.5;
 /// Larger tolerances than this do not let bodies rest any sooner [radii/s]: the motion lost by resting is an error that
 /// shorter steps do not reduce.
-const MAX_CALM_TOLERANCE: f64 = 1e-2;
+const MAX_SLOW_TOLERANCE: f64 = 1e-2;
 /// Share of the tolerance within which the deformation of a body counts as zero.
-const STRAIGHT: f64 = 0.1;
+const UNDEFORMED: f64 = 0.1;
 /// Larger tolerances than this do not allow a larger deformation to count as zero [radii/s].
-const MAX_STRAIGHT_TOLERANCE: f64 = 1e-5;
+const MAX_UNDEFORMED_TOLERANCE: f64 = 1e-5;
 /// How much farther than in free flight a body may move in a step before the step is repeated [radii].
 const SLACK: f64 = 0.05;
 
@@ -45,11 +45,11 @@ pub(in crate::sim) struct Member {
     /// Its state. An undeformed body has empty lists of displacements and velocities.
     pub body: Body,
     /// Step length with which its island last met the tolerance [s].
-    pub pace: f64,
-    /// Number of consecutive steps that it ended calm.
-    pub calm: u32,
+    pub step_length: f64,
+    /// Number of consecutive steps after which it was slow.
+    pub slow_steps: u32,
     /// Its motion at the end of the first of these steps.
-    pub calm_from: Drift,
+    pub slow_from: Drift,
     /// Whether it takes steps; otherwise it rests and keeps its state.
     pub is_awake: bool,
     /// How far it may move in the current step.
@@ -63,9 +63,9 @@ pub(in crate::sim) struct Member {
     /// A bound on the speed of its vertices relative to the frame [scene unit/s].
     pub speed: f64,
     /// [`Member::hash`] while it rests.
-    pub resting_hash: u64,
-    /// Angular velocity, if the body turns like a rigid one, see [`Member::steady_spin`] [rad/s].
-    pub steady: Option<DVec3>,
+    pub sleeping_hash: u64,
+    /// Angular velocity, if the body turns like a rigid one, see [`Member::find_rigid_spin`] [rad/s].
+    pub rigid_spin: Option<DVec3>,
     /// The pushes on it, in order of their starts.
     pub pushes: Box<[Push]>,
 }
@@ -129,35 +129,36 @@ impl Member {
         let mut member = Member {
             mesh,
             body,
-            pace: f64::INFINITY,
-            calm: 0,
-            calm_from: Drift::default(),
+            step_length: f64::INFINITY,
+            slow_steps: 0,
+            slow_from: Drift::default(),
             is_awake: false,
             bounds: StepBounds::default(),
             fat: FatBounds::default(),
             neighbours: Vec::new(),
             extent,
             speed,
-            resting_hash: 0,
-            steady: None,
+            sleeping_hash: 0,
+            rigid_spin: None,
             pushes: pushes.into(),
         };
         if speed == 0.0 {
-            member.straighten();
+            member.clear_deformation();
         }
         member
     }
 
     /// Takes over the state of another body with the same shape.
     pub fn resume(&mut self, before: &Member) {
-        let Member { body, pace, calm, calm_from, is_awake, extent, speed, steady, .. } = before;
+        let Member { body, step_length, slow_steps, slow_from, is_awake, extent, speed, rigid_spin, .. } = before;
         self.body = Body { shape: Arc::clone(&self.body.shape), ..body.clone() };
-        (self.pace, self.calm, self.calm_from, self.is_awake) = (*pace, *calm, *calm_from, *is_awake);
-        (self.extent, self.speed, self.steady) = (*extent, *speed, *steady);
+        (self.step_length, self.slow_steps, self.slow_from, self.is_awake) =
+            (*step_length, *slow_steps, *slow_from, *is_awake);
+        (self.extent, self.speed, self.rigid_spin) = (*extent, *speed, *rigid_spin);
     }
 
     /// Makes the body undeformed.
-    pub fn straighten(&mut self) {
+    pub fn clear_deformation(&mut self) {
         (self.body.x, self.body.u) = (Vec::new(), Vec::new());
         (self.extent, self.speed) = (self.body.shape.extent(), 0.0);
     }
@@ -167,9 +168,9 @@ impl Member {
         !self.body.x.is_empty()
     }
 
-    /// Sets the expected bounds on its motion during `span`. If it moves farther, [`Member::strayed`] detects that and
+    /// Sets the expected bounds on its motion during `span`. If it moves farther, [`Member::left_bounds`] detects that and
     /// the step is repeated.
-    pub fn expect(&mut self, scene: &scene::Body, gravity: DVec3, span: Span) {
+    pub fn bound_motion(&mut self, scene: &scene::Body, gravity: DVec3, span: Span) {
         let Member { body, extent, speed, .. } = self;
         let (slack, h) = (SLACK * body.radius, span.length());
         let way = match scene.path() {
@@ -183,61 +184,61 @@ impl Member {
     }
 
     /// Whether the body moved farther than expected; if so, widens its bounds.
-    pub fn strayed(&mut self, way: &Way) -> bool {
+    pub fn left_bounds(&mut self, way: &Way) -> bool {
         let StepBounds { way: max_way, extent } = &mut self.bounds;
-        let strays = [(way.centre, max_way), (way.extent, extent)].map(|(moved, max)| {
-            let strays = moved > *max;
-            if strays {
+        let is_beyond = [(way.centre, max_way), (way.extent, extent)].map(|(moved, max)| {
+            let is_beyond = moved > *max;
+            if is_beyond {
                 *max = 2.0 * moved;
             }
-            strays
+            is_beyond
         });
-        strays != [false; 2]
+        is_beyond != [false; 2]
     }
 
     /// Whether the body is nearly still: neither its rigid motion nor its vibration moves a vertex faster than half of
     /// the error growth that the tolerance allows.
     ///
-    /// A body that is calm for half a second and [does not speed up](Member::stays_calm) rests: its velocities are set
+    /// A body that is slow for half a second and [does not speed up](Member::stays_slow) rests: its velocities are set
     /// to zero and its displacements kept. The resulting error grows by less than half of the tolerance. No rule wakes
-    /// a resting body that would have sped up, so a body must be calm for long enough to reveal an unstable
+    /// a resting body that would have sped up, so a body must be slow for long enough to reveal an unstable
     /// equilibrium.
-    pub fn is_calm(&self, tolerance: f64) -> bool {
-        let max = self.max_calm_speed(tolerance);
+    pub fn is_slow(&self, tolerance: f64) -> bool {
+        let max = self.max_slow_speed(tolerance);
         let swing = self.speed / self.body.oscillator.omega.max(1.0);
         swing <= max && self.body.velocity.length() + self.body.frame_spin().length() * self.extent <= max
     }
 
-    /// The largest speed of any point of a calm body [scene unit/s].
-    fn max_calm_speed(&self, tolerance: f64) -> f64 {
-        CALM * tolerance.min(MAX_CALM_TOLERANCE) * self.body.radius
+    /// The largest speed of any point of a slow body [scene unit/s].
+    fn max_slow_speed(&self, tolerance: f64) -> f64 {
+        SLOW * tolerance.min(MAX_SLOW_TOLERANCE) * self.body.radius
     }
 
-    /// Counts another step of `h` [s] that the body ends calm. Returns whether it has been calm for long enough to
+    /// Counts another step of `h` [s] after which the body is slow. Returns whether it has been slow for long enough to
     /// rest.
-    pub fn stays_calm(&mut self, tolerance: f64, h: f64) -> bool {
+    pub fn stays_slow(&mut self, tolerance: f64, h: f64) -> bool {
         let now = Drift { velocity: self.body.velocity, spin: self.body.frame_spin() };
-        if self.calm == 0 {
-            self.calm_from = now;
+        if self.slow_steps == 0 {
+            self.slow_from = now;
         }
-        self.calm += 1;
-        if f64::from(self.calm) < (CALM_TIME / h).ceil().max(CALM_STEPS) {
+        self.slow_steps += 1;
+        if f64::from(self.slow_steps) < (SLOW_TIME / h).ceil().max(SLOW_STEPS) {
             return false;
         }
-        // a steady acceleration must gain no more than the calm speed per second
-        let Drift { velocity, spin } = self.calm_from;
+        // a steady acceleration must gain no more than the slow speed per second
+        let Drift { velocity, spin } = self.slow_from;
         let gained = (now.velocity - velocity).length() + (now.spin - spin).length() * self.extent;
-        let steady = gained <= self.max_calm_speed(tolerance) * f64::from(self.calm) * h;
+        let steady = gained <= self.max_slow_speed(tolerance) * f64::from(self.slow_steps) * h;
         if !steady {
-            self.calm = 0;
+            self.slow_steps = 0;
         }
         steady
     }
 
     /// Whether its deformation is so small that setting it to zero is an error of less than a tenth of the tolerance.
     /// That is done if nothing acts on the body.
-    pub fn is_nearly_straight(&self, tolerance: f64) -> bool {
-        let max = STRAIGHT * tolerance.min(MAX_STRAIGHT_TOLERANCE) * self.body.radius;
+    pub fn is_nearly_undeformed(&self, tolerance: f64) -> bool {
+        let max = UNDEFORMED * tolerance.min(MAX_UNDEFORMED_TOLERANCE) * self.body.radius;
         let x = self.body.x.iter().map(|x| x.length_squared()).fold(0.0, f64::max).sqrt();
         x <= max && self.speed <= max * self.body.oscillator.omega.max(1.0)
     }
@@ -247,7 +248,7 @@ impl Member {
     /// Damping leads there.
     ///
     /// Ω must be along the axis of largest moment: about any other axis, the rotation of a damped body is unstable.
-    pub fn steady_spin(&self, tolerance: f64) -> Option<DVec3> {
+    pub fn find_rigid_spin(&self, tolerance: f64) -> Option<DVec3> {
         let body = &self.body;
         let Oscillator { omega, damping } = body.oscillator;
         if !body.turns() || damping == 0.0 || !self.is_deformed() {
@@ -263,7 +264,7 @@ impl Member {
         let (inertia, frame_spin) = (resistance(squares), body.frame_spin());
         let spin = solve(inertia, body.spin);
         // deviations of the vertices change the moments too, and thus the spin: this error grows with |Ω|
-        let max = STRAIGHT * tolerance.min(MAX_STRAIGHT_TOLERANCE) * body.radius / spin.length().max(1.0);
+        let max = UNDEFORMED * tolerance.min(MAX_UNDEFORMED_TOLERANCE) * body.radius / spin.length().max(1.0);
         let wobble = solve(inertia, spin.cross(inertia * spin));
         if !(spin != DVec3::ZERO && wobble.length() * self.extent <= max && is_largest(inertia, spin)) {
             return None;
@@ -304,7 +305,7 @@ impl Member {
     }
 
     /// Sets all velocities to zero. Returns the lost energy [mass · scene unit²/s²].
-    pub fn halt(&mut self) -> f64 {
+    pub fn stop(&mut self) -> f64 {
         let lost = self.kinetic_energy();
         let Body { velocity, spin, u, .. } = &mut self.body;
         (*velocity, *spin) = (DVec3::ZERO, DVec3::ZERO);
@@ -331,8 +332,8 @@ impl Member {
         if !self.body.is_free() && !self.is_awake && !self.is_deformed() {
             return 0;
         }
-        let is_steady = u64::from(self.steady.is_some());
-        let others = [u64::from(self.calm), u64::from(self.is_awake) + 2 * is_steady, self.pace.to_bits()];
+        let is_steady = u64::from(self.rigid_spin.is_some());
+        let others = [u64::from(self.slow_steps), u64::from(self.is_awake) + 2 * is_steady, self.step_length.to_bits()];
         checksum::of_body(index, &self.body, others)
     }
 

@@ -17,14 +17,14 @@
 //!
 //! # What a step skips
 //! - A body that is undeformed, does not turn and is out of reach of everything moves in closed form. So does one that
-//!   turns like a rigid body about its axis of largest moment ([`member::Member::steady_spin`]); damping leads there.
+//!   turns like a rigid body about its axis of largest moment ([`member::Member::find_rigid_spin`]); damping leads there.
 //!   In general, other rotations have no closed form. Vertices feel the centrifugal force, so a turning body is not
 //!   rigid: if thrown undeformed, it swings about a stretched shape, and if it turns about no principal axis, its
 //!   stretch keeps changing. Its motion is x = X l + ξ, where the ξ are free oscillators and X is a matrix whose nine
 //!   equations contain the polar decomposition of Q + X: a pseudo-rigid body (Cohen & Muncaster, The Theory of
 //!   Pseudo-rigid Bodies, 1988). Euler's top, which has a closed form, is off by Ω²/ω² of the radius. Such a body takes
 //!   steps; the cost of their iterations does not depend on the number of vertices (`free::passive`).
-//! - A body comes to rest when its whole island is nearly still ([`member::Member::is_calm`]), and costs nothing until
+//! - A body comes to rest when its whole island is nearly still ([`member::Member::is_slow`]), and costs nothing until
 //!   a moving body comes near it or a push begins. Its island then wakes as a whole.
 
 pub(super) mod dense;
@@ -65,7 +65,7 @@ use crate::{
 const MAX_ROUNDS: u32 = 40;
 
 /// Number of steps between tests whether a body that turns alone does so like a rigid one.
-const STEADY_EVERY: u64 = 16;
+const RIGID_SPIN_EVERY: u64 = 16;
 
 /// Ordinary work of a step per vertex: a few sweeps of a few steps, at four nodes [units].
 const ORDINARY: u64 = 200;
@@ -81,17 +81,17 @@ pub(super) struct Coupled {
     /// The bodies that take steps, ascending.
     awake: Vec<u32>,
     /// Sum of the hashes of the bodies that are not awake.
-    resting_hash: u64,
-    /// Times at which pushes begin [s], ascending, with the bodies' indices; …
+    sleeping_hash: u64,
+    /// Times at which pushes begin [s], ascending, with the bodies' indices.
     starts: Vec<(f64, u32)>,
-    /// … and how many have begun.
+    /// Number of pushes that have begun.
     started: usize,
     forest: Forest,
     jobs: Vec<Job>,
     /// Buffers, reused; `before` holds the islands of the previous step.
     before: Vec<Job>,
     groups: Vec<Group>,
-    flying: Vec<u32>,
+    unforced: Vec<u32>,
     stepped: Vec<u32>,
     /// Index of a body's island in the step, by its root.
     job_of: Vec<u32>,
@@ -114,14 +114,14 @@ impl Coupled {
             points: scene.points.iter().map(|point| source_at(point, 0.0)).collect(),
             near: Near::new(scene),
             awake: Vec::new(),
-            resting_hash: 0,
+            sleeping_hash: 0,
             starts,
             started: 0,
             forest: Forest::default(),
             jobs: Vec::new(),
             before: Vec::new(),
             groups: Vec::new(),
-            flying: Vec::new(),
+            unforced: Vec::new(),
             stepped: Vec::new(),
             job_of: vec![0; scene.bodies.len()],
             scratches: Mutex::default(),
@@ -130,7 +130,7 @@ impl Coupled {
         };
         let first = Span { start: 0.0, end: scene.dt };
         for (member, body) in coupled.members.iter_mut().zip(&scene.bodies) {
-            member.expect(body, scene.gravity, first);
+            member.bound_motion(body, scene.gravity, first);
         }
         if !coupled.near.start(scene, &mut coupled.members, max_pairs, &Tally::new(work, None)) {
             return None;
@@ -161,9 +161,9 @@ impl Coupled {
                 }
             }
             if wake_all && !member.is_awake {
-                (member.is_awake, member.calm) = (true, 0);
+                (member.is_awake, member.slow_steps) = (true, 0);
             }
-            member.expect(&scene.bodies[index], scene.gravity, span);
+            member.bound_motion(&scene.bodies[index], scene.gravity, span);
         }
         let tally = Tally::unlimited();
         self.near = Near::new(scene);
@@ -188,10 +188,10 @@ impl Coupled {
             }
         }
         self.awake = (0..self.members.len() as u32).filter(|&body| self.members[body as usize].is_awake).collect();
-        self.resting_hash = 0;
+        self.sleeping_hash = 0;
         for (body, member) in (0..).zip(&mut self.members).filter(|(_, member)| !member.is_awake) {
-            member.resting_hash = member.hash(body);
-            self.resting_hash = self.resting_hash.wrapping_add(member.resting_hash);
+            member.sleeping_hash = member.hash(body);
+            self.sleeping_hash = self.sleeping_hash.wrapping_add(member.sleeping_hash);
         }
         self.started = self.starts.partition_point(|start| start.0 < time);
         for start in 0..self.started {
@@ -223,7 +223,7 @@ impl Coupled {
             stopwatch.stop(Stage::Reach, step.report);
             self.integrate(step)?;
             stopwatch.stop(Stage::Integrate, step.report);
-            if !self.has_strayed() {
+            if !self.has_left_bounds() {
                 self.end(step);
                 stopwatch.stop(Stage::Reach, step.report);
                 return Ok(None);
@@ -253,11 +253,11 @@ impl Coupled {
 
     /// Whether a body moved farther than was expected when islands were found. The islands of such bodies are advanced
     /// again.
-    fn has_strayed(&mut self) -> bool {
+    fn has_left_bounds(&mut self) -> bool {
         let mut any = false;
         for job in &mut self.jobs {
             for (&body, way) in job.group.bodies.iter().zip(&job.parts.ways) {
-                if self.members[body as usize].strayed(way) {
+                if self.members[body as usize].left_bounds(way) {
                     (any, job.is_done) = (true, false);
                 }
             }
@@ -318,8 +318,8 @@ impl Coupled {
 
     fn wake(&mut self, body: u32) {
         let member = &mut self.members[body as usize];
-        self.resting_hash = self.resting_hash.wrapping_sub(member.resting_hash);
-        (member.is_awake, member.calm) = (true, 0);
+        self.sleeping_hash = self.sleeping_hash.wrapping_sub(member.sleeping_hash);
+        (member.is_awake, member.slow_steps) = (true, 0);
         self.awake.push(body);
     }
 
@@ -332,11 +332,11 @@ impl Coupled {
                 let motion = path.at(span.start);
                 (member.body.centre, member.body.velocity) = (motion.position, motion.velocity);
             }
-            member.expect(&scene.bodies[body as usize], scene.gravity, span);
+            member.bound_motion(&scene.bodies[body as usize], scene.gravity, span);
         }
         let tally = Tally::new(step.work, None);
         for &body in &self.awake {
-            self.near.follow(scene, &mut self.members, body as usize, span.start, &tally);
+            self.near.update(scene, &mut self.members, body as usize, span.start, &tally);
         }
     }
 
@@ -351,7 +351,7 @@ impl Coupled {
         while next < self.awake.len() {
             let body = self.awake[next];
             next += 1;
-            self.near.follow(scene, &mut self.members, body as usize, span.start, &tally);
+            self.near.update(scene, &mut self.members, body as usize, span.start, &tally);
             for index in 0..self.members[body as usize].neighbours.len() {
                 let Neighbour { other, pair } = self.members[body as usize].neighbours[index];
                 let is_awake = self.members[other as usize].is_awake;
@@ -360,7 +360,7 @@ impl Coupled {
                 }
                 if !is_awake {
                     self.wake(other);
-                    self.members[other as usize].expect(&scene.bodies[other as usize], scene.gravity, span);
+                    self.members[other as usize].bound_motion(&scene.bodies[other as usize], scene.gravity, span);
                     self.forest.plant(other);
                 }
             }
@@ -456,7 +456,7 @@ impl Coupled {
         if is_driven || scene.planes.iter().any(touches) {
             return true;
         }
-        if member.steady.is_some() {
+        if member.rigid_spin.is_some() {
             return false;
         }
         if member.is_deformed() {
@@ -521,8 +521,10 @@ impl Coupled {
             report.error = report.error.max(job.report.error);
             report.ledger += job.report.ledger;
             stepped += bodies;
-            let Parts { bodies: after, ways, paces, .. } = &mut job.parts;
-            for ((&index, body), (way, pace)) in job.group.bodies.iter().zip(after).zip(ways.iter().zip(paces)) {
+            let Parts { bodies: after, ways, step_lengths, .. } = &mut job.parts;
+            for ((&index, body), (way, step_length)) in
+                job.group.bodies.iter().zip(after).zip(ways.iter().zip(step_lengths))
+            {
                 let member = &mut self.members[index as usize];
                 std::mem::swap(&mut member.body, body);
                 if let Some(path) = scene.bodies[index as usize].path().filter(|path| !path.knots().is_empty()) {
@@ -530,16 +532,16 @@ impl Coupled {
                     let motion = path.at(span.end);
                     (member.body.centre, member.body.velocity) = (motion.position, motion.velocity);
                 }
-                (member.pace, member.steady) = (*pace, None);
+                (member.step_length, member.rigid_spin) = (*step_length, None);
                 member.extent = member.body.shape.extent() + way.displacement;
                 member.speed = way.speed;
             }
         }
-        self.fly(scene, span, &jobs);
+        self.advance_unforced(scene, span, &jobs);
         self.move_points(scene, span.end);
         report.sleeping_bodies = self.members.len() as u64 - stepped;
         report.events.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
-        self.rest(scene, span, &jobs, report);
+        self.sleep(scene, span, &jobs, report);
         self.ledger += report.ledger;
         jobs.iter_mut().for_each(|job| job.is_done = false);
         self.jobs = jobs;
@@ -592,35 +594,35 @@ impl Coupled {
     }
 
     /// Moves the awake bodies on which nothing acts, in closed form.
-    fn fly(&mut self, scene: &Scene, span: Span, jobs: &[Job]) {
-        let (mut stepped, mut flying) = (take(&mut self.stepped), take(&mut self.flying));
+    fn advance_unforced(&mut self, scene: &Scene, span: Span, jobs: &[Job]) {
+        let (mut stepped, mut unforced) = (take(&mut self.stepped), take(&mut self.unforced));
         stepped.clear();
         stepped.extend(jobs.iter().flat_map(|job| &job.group.bodies));
         stepped.sort_unstable();
         let h = span.length();
-        flying.clear();
-        flying.extend(self.awake.iter().filter(|body| stepped.binary_search(body).is_err()));
-        for &body in &flying {
+        unforced.clear();
+        unforced.extend(self.awake.iter().filter(|body| stepped.binary_search(body).is_err()));
+        for &body in &unforced {
             let (member, path) = (&mut self.members[body as usize], scene.bodies[body as usize].path());
             if let Some(path) = path {
                 let motion = path.at(span.end);
                 (member.body.centre, member.body.velocity) = (motion.position, motion.velocity);
                 if path.is_still(span.end, f64::INFINITY) {
-                    self.settle(body);
+                    self.put_to_sleep(body);
                 }
                 continue;
             }
             let free::Body { centre, velocity, .. } = &mut member.body;
             *centre += h * (*velocity + 0.5 * h * scene.gravity);
             *velocity += h * scene.gravity;
-            member.pace = f64::INFINITY;
-            if let Some(spin) = member.steady {
+            member.step_length = f64::INFINITY;
+            if let Some(spin) = member.rigid_spin {
                 member.turn(spin, h);
             } else if scene.gravity == DVec3::ZERO && member.body.velocity == DVec3::ZERO {
-                self.settle(body);
+                self.put_to_sleep(body);
             }
         }
-        (self.stepped, self.flying) = (stepped, flying);
+        (self.stepped, self.unforced) = (stepped, unforced);
     }
 
     /// Moves the force points to where they are at `time` [s].
@@ -631,36 +633,36 @@ impl Coupled {
         }
     }
 
-    /// Puts calm islands to rest, and straightens bodies on which nothing acts any more.
-    fn rest(&mut self, scene: &Scene, span: Span, jobs: &[Job], report: &mut StepReport) {
+    /// Puts slow islands to rest, and clears the deformation of bodies on which nothing acts any more.
+    fn sleep(&mut self, scene: &Scene, span: Span, jobs: &[Job], report: &mut StepReport) {
         for job in jobs {
             let Group { bodies, sources, pairs } = &job.group;
             let is_still = |body: &u32| {
                 let path = scene.bodies[*body as usize].path();
                 path.is_none_or(|path| path.is_still(span.end, f64::INFINITY))
             };
-            let is_calm = |body: &u32| {
+            let is_slow = |body: &u32| {
                 let member = &self.members[*body as usize];
                 let is_pushed = member.pushes.iter().any(|push| push.start <= span.end && push.end > span.end);
                 let mut points = self.points_near(scene, span, *body as usize);
                 let is_driven = is_pushed
                     || scene.bodies[*body as usize].force.is_some()
                     || points.any(|(_, point)| !point.path.is_still(span.end, f64::INFINITY));
-                !is_driven && is_still(body) && member.is_calm(scene.tolerance)
+                !is_driven && is_still(body) && member.is_slow(scene.tolerance)
             };
-            if sources.iter().all(is_still) && bodies.iter().all(is_calm) {
-                let mut may_rest = true;
+            if sources.iter().all(is_still) && bodies.iter().all(is_slow) {
+                let mut may_sleep = true;
                 for &body in bodies {
-                    may_rest &= self.members[body as usize].stays_calm(scene.tolerance, span.length());
+                    may_sleep &= self.members[body as usize].stays_slow(scene.tolerance, span.length());
                 }
-                if may_rest {
+                if may_sleep {
                     for &body in bodies {
-                        report.ledger.rest -= self.members[body as usize].halt();
-                        self.settle(body);
+                        report.ledger.rest -= self.members[body as usize].stop();
+                        self.put_to_sleep(body);
                     }
                 }
             } else {
-                bodies.iter().for_each(|&body| self.members[body as usize].calm = 0);
+                bodies.iter().for_each(|&body| self.members[body as usize].slow_steps = 0);
             }
             if let (&[body], []) = (&bodies[..], &pairs[..]) {
                 let member = &mut self.members[body as usize];
@@ -671,22 +673,22 @@ impl Coupled {
                     continue;
                 }
                 if is_turning {
-                    if report.step.is_multiple_of(STEADY_EVERY) {
-                        member.steady = member.steady_spin(scene.tolerance);
+                    if report.step.is_multiple_of(RIGID_SPIN_EVERY) {
+                        member.rigid_spin = member.find_rigid_spin(scene.tolerance);
                     }
-                } else if member.is_nearly_straight(scene.tolerance) {
-                    member.straighten();
+                } else if member.is_nearly_undeformed(scene.tolerance) {
+                    member.clear_deformation();
                 }
             }
         }
     }
 
     /// Puts a body to rest.
-    fn settle(&mut self, body: u32) {
+    fn put_to_sleep(&mut self, body: u32) {
         let member = &mut self.members[body as usize];
         member.is_awake = false;
-        member.resting_hash = member.hash(body);
-        self.resting_hash = self.resting_hash.wrapping_add(member.resting_hash);
+        member.sleeping_hash = member.hash(body);
+        self.sleeping_hash = self.sleeping_hash.wrapping_add(member.sleeping_hash);
     }
 }
 
@@ -766,7 +768,7 @@ impl Coupled {
     /// A hash of the exact state.
     pub fn hash(&self) -> u64 {
         let awake = self.awake.iter().map(|&body| self.members[body as usize].hash(body));
-        awake.fold(self.resting_hash.wrapping_add(self.near.hash()), u64::wrapping_add)
+        awake.fold(self.sleeping_hash.wrapping_add(self.near.hash()), u64::wrapping_add)
     }
 
     /// All pairs that are near each other or not apart, in ascending order of their bodies.

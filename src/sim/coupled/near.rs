@@ -61,7 +61,7 @@ impl Near {
     }
 
     /// Finds the neighbours of a body again if it may leave its fat bounds in this step.
-    pub fn follow(&mut self, scene: &Scene, members: &mut [Member], i: usize, t: f64, work: &Tally<'_>) {
+    pub fn update(&mut self, scene: &Scene, members: &mut [Member], i: usize, t: f64, work: &Tally<'_>) {
         let Member { body, bounds, fat, .. } = &members[i];
         if body.centre.distance(fat.centre) + bounds.way > fat.skin || bounds.extent > fat.extent {
             self.place(scene, members, i);

@@ -93,12 +93,12 @@ impl Contact<'_> {
     /// Depth, positive where the contact acts, and its rate: a difference of squares [scene unit²] for spheres, a
     /// length [scene unit] for planes, a cosine for pushes.
     #[inline(always)]
-    pub(super) fn depth(&self, look: usize, seen: &Seen) -> (f64, f64) {
+    pub(super) fn depth(&self, sample: usize, seen: &Seen) -> (f64, f64) {
         let Seen { a, s, rate, place, turning } = *seen;
         match self {
             Contact::Sphere(sphere) => {
-                let d = (sphere.places[look].centre - place.centre) - s;
-                let v = (sphere.places[look].velocity - place.velocity) - rate;
+                let d = (sphere.places[sample].centre - place.centre) - s;
+                let v = (sphere.places[sample].velocity - place.velocity) - rate;
                 let distance = d.length();
                 ((sphere.radius - distance) * (sphere.radius + distance), -2.0 * d.dot(v))
             }
@@ -110,7 +110,7 @@ impl Contact<'_> {
     /// Whether the contact acts at the start of a step of length `h` [s], from the state of a vertex at its nodes, and
     /// when it begins and ceases to. Wendland's weight has no kink at the rim, so that sphere acts throughout.
     pub(super) fn passage(&self, weight: Weight, h: f64, seen: &[Seen; 4]) -> (bool, Crossings) {
-        let depth = |look: usize| self.depth(look, &seen[look]);
+        let depth = |sample: usize| self.depth(sample, &seen[sample]);
         let depths = [depth(0), depth(1), depth(2), depth(3)];
         let (values, rates) = (depths.map(|d| d.0), depths.map(|d| h * d.1));
         if weight == Weight::Wendland && matches!(self, Contact::Sphere(_)) {
@@ -128,12 +128,12 @@ impl Contact<'_> {
 
     /// Acceleration, continued smoothly to where the contact does not act [scene unit/s²].
     #[inline(always)]
-    pub(super) fn acceleration(&self, weight: Weight, look: usize, seen: &Seen) -> DVec3 {
+    pub(super) fn acceleration(&self, weight: Weight, sample: usize, seen: &Seen) -> DVec3 {
         let Seen { a, s, rate, place, .. } = *seen;
         match self {
             Contact::Sphere(sphere) => {
-                let d = (sphere.places[look].centre - place.centre) - s;
-                influence(d, weight, sphere.radius, sphere.strength[look])
+                let d = (sphere.places[sample].centre - place.centre) - s;
+                influence(d, weight, sphere.radius, sphere.strength[sample])
             }
             Contact::Plane(plane) => plane.acceleration(plane.depth(place.centre + s), place.velocity + rate),
             Contact::Push(push) => push.direction * (-push.strength * push.direction.dot(unit(a))),
@@ -174,8 +174,8 @@ impl Acting {
             let (mine, its) = (&places[index], &places[other as usize]);
             let radii = own.radius + source.radius;
             let is_gradual = pair.law.rim(pair.phase).is_some();
-            let strength = std::array::from_fn(|look| {
-                let q = if is_gradual { mine[look].centre.distance(its[look].centre) / radii } else { 0.0 };
+            let strength = std::array::from_fn(|sample| {
+                let q = if is_gradual { mine[sample].centre.distance(its[sample].centre) / radii } else { 0.0 };
                 scale * pair.law.strength(pair.phase, q)
             });
             if is_gradual || strength != [0.0; 5] {
@@ -204,16 +204,17 @@ impl Acting {
         let mut crossing = std::mem::take(&mut course.crossing);
         crossing.clear();
         let n = course.active.len();
-        let extent = (0..4).map(|look| course.frames[look].extent).fold(0.0, f64::max);
-        let speed = (0..4).map(|look| {
-            let frame = &course.frames[look];
+        let extent = (0..4).map(|sample| course.frames[sample].extent).fold(0.0, f64::max);
+        let speed = (0..4).map(|sample| {
+            let frame = &course.frames[sample];
             frame.speed + frame.frame_spin.length() * frame.extent
         });
         let speed = speed.fold(0.0, f64::max);
         if field.weight == Weight::Linear && n > 0 {
             let turning = std::array::from_fn(|node| course.frames[node].frame_spin);
             for sphere in &self.spheres {
-                let apart: [DVec3; 4] = std::array::from_fn(|look| sphere.places[look].centre - places[look].centre);
+                let apart: [DVec3; 4] =
+                    std::array::from_fn(|sample| sphere.places[sample].centre - places[sample].centre);
                 let passing: [DVec3; 4] =
                     std::array::from_fn(|node| sphere.places[node].velocity - places[node].velocity);
                 let nearest = apart.iter().map(|apart| apart.length()).fold(f64::INFINITY, f64::min);
@@ -229,17 +230,17 @@ impl Acting {
         std::mem::swap(&mut course.held, &mut course.held_before);
         course.held.clear();
         let seen =
-            |course: &Course, i: usize| -> [Seen; 4] { std::array::from_fn(|look| see(course, places, look, i)) };
+            |course: &Course, i: usize| -> [Seen; 4] { std::array::from_fn(|sample| see(course, places, sample, i)) };
         for (number, plane) in (0..).zip(&field.planes) {
-            let depth = |look: usize| plane.depth(places[look].centre);
+            let depth = |sample: usize| plane.depth(places[sample].centre);
             let deepest = (0..4).map(depth).fold(f64::NEG_INFINITY, f64::max);
-            let passing = (0..4).map(|look| plane.normal.dot(places[look].velocity).abs()).fold(0.0, f64::max);
+            let passing = (0..4).map(|sample| plane.normal.dot(places[sample].velocity).abs()).fold(0.0, f64::max);
             let band = 0.5 * span.h * (speed + passing);
             if deepest + extent + band < 0.0 {
                 continue;
             }
             for i in 0..n {
-                let depth = |look: usize| plane.depth(places[look].centre + course.active.s(look, i));
+                let depth = |sample: usize| plane.depth(places[sample].centre + course.active.s(sample, i));
                 let depths = [depth(0), depth(1), depth(2), depth(3)];
                 if depths.iter().all(|&d| d < -band) {
                     continue;
@@ -305,10 +306,10 @@ impl Acting {
     pub fn evaluate(&self, view: &View<'_>, course: &mut Course) {
         let View { body, field, places, first, arch, .. } = *view;
         course.reactions.clear();
-        let extent = (0..4).map(|look| course.frames[look].extent).fold(0.0, f64::max);
+        let extent = (0..4).map(|sample| course.frames[sample].extent).fold(0.0, f64::max);
         let mut fresh = true;
         for sphere in &self.spheres {
-            let apart: [DVec3; 4] = std::array::from_fn(|look| sphere.places[look].centre - places[look].centre);
+            let apart: [DVec3; 4] = std::array::from_fn(|sample| sphere.places[sample].centre - places[sample].centre);
             let nearest = apart.iter().map(|apart| apart.length()).fold(f64::INFINITY, f64::min);
             if nearest > sphere.radius + extent || course.active.len() == 0 {
                 continue;
@@ -331,8 +332,8 @@ impl Acting {
         let mut held = std::mem::take(&mut course.held);
         for Held { contact: number, vertex, g } in &mut held {
             let plane = &field.planes[*number as usize];
-            let seen: [Seen; 4] = std::array::from_fn(|look| see(course, places, look, *vertex as usize));
-            *g = std::array::from_fn(|look| Contact::Plane(plane).acceleration(field.weight, look, &seen[look]));
+            let seen: [Seen; 4] = std::array::from_fn(|sample| see(course, places, sample, *vertex as usize));
+            *g = std::array::from_fn(|sample| Contact::Plane(plane).acceleration(field.weight, sample, &seen[sample]));
             let key = (*number, *vertex);
             let known = course.held_before.binary_search_by_key(&key, |held| (held.contact, held.vertex));
             if let Ok(known) = known
@@ -340,44 +341,44 @@ impl Acting {
             {
                 *g = hold(plane, &course.held_before[known].g, g, &seen, &responses);
             }
-            for look in first..4 {
-                course.active.accelerate(look, *vertex as usize, g[look]);
+            for sample in first..4 {
+                course.active.accelerate(sample, *vertex as usize, g[sample]);
             }
         }
         course.held = held;
         let mut pushed = std::mem::take(&mut course.pushed);
         for Held { contact: number, vertex, g } in &mut pushed {
             let contact = Contact::Push(&self.pushes[*number as usize]);
-            *g = std::array::from_fn(|look| {
-                contact.acceleration(field.weight, look, &see(course, places, look, *vertex as usize))
+            *g = std::array::from_fn(|sample| {
+                contact.acceleration(field.weight, sample, &see(course, places, sample, *vertex as usize))
             });
-            for look in first..4 {
-                course.active.accelerate(look, *vertex as usize, g[look]);
+            for sample in first..4 {
+                course.active.accelerate(sample, *vertex as usize, g[sample]);
             }
         }
         course.pushed = pushed;
-        for look in first..4 {
-            course.gather(arch, body, look);
+        for sample in first..4 {
+            course.gather(arch, body, sample);
         }
     }
 
     /// Evaluates the forces that act at a single sample.
-    pub fn evaluate_at(&self, look: usize, view: &View<'_>, course: &mut Course) {
+    pub fn evaluate_at(&self, sample: usize, view: &View<'_>, course: &mut Course) {
         let View { body, field, span, places, arch, .. } = *view;
         let weights = cubic(span.midpoint);
-        course.active.clear_forces(look..look + 1);
-        let extent = course.frames[look].extent;
+        course.active.clear_forces(sample..sample + 1);
+        let extent = course.frames[sample].extent;
         for sphere in &self.spheres {
-            let apart = sphere.places[look].centre - places[look].centre;
+            let apart = sphere.places[sample].centre - places[sample].centre;
             let mut force = DVec3::ZERO;
             if apart.length() < sphere.radius + extent {
-                force = -kernels::pull_at(arch, &mut course.active, sphere, field.weight, look, apart);
+                force = -kernels::pull_at(arch, &mut course.active, sphere, field.weight, sample, apart);
             }
             match course.reactions.iter_mut().find(|known| known.source == sphere.source) {
-                Some(known) => known.force[look] = force,
+                Some(known) => known.force[sample] = force,
                 None => {
                     let mut reaction = Reaction { source: sphere.source, force: [DVec3::ZERO; 5], power: [0.0; 4] };
-                    reaction.force[look] = force;
+                    reaction.force[sample] = force;
                     course.reactions.push(reaction);
                 }
             }
@@ -386,7 +387,7 @@ impl Acting {
         let pushes = (0..).zip(self.pushes.iter().map(Contact::Push));
         for (number, contact) in planes.chain(pushes) {
             if let Contact::Plane(plane) = contact
-                && plane.depth(places[look].centre) + extent < 0.0
+                && plane.depth(places[sample].centre) + extent < 0.0
             {
                 continue;
             }
@@ -394,10 +395,10 @@ impl Acting {
                 if course.active.is_split(i) {
                     continue;
                 }
-                let seen = see(course, places, look, i);
-                if contact.depth(look, &seen).0 > 0.0 {
-                    let mut g = contact.acceleration(field.weight, look, &seen);
-                    if let (MIDDLE, Contact::Plane(plane)) = (look, contact) {
+                let seen = see(course, places, sample, i);
+                if contact.depth(sample, &seen).0 > 0.0 {
+                    let mut g = contact.acceleration(field.weight, sample, &seen);
+                    if let (MIDDLE, Contact::Plane(plane)) = (sample, contact) {
                         let key = (number, i as u32);
                         let known = course.held.binary_search_by_key(&key, |held| (held.contact, held.vertex));
                         if let Ok(known) = known {
@@ -405,23 +406,23 @@ impl Acting {
                             g = expected + softened(plane, &seen, g - expected, span.h);
                         }
                     }
-                    course.active.accelerate(look, i, g);
-                    if let (0, Contact::Plane(_)) = (look, contact) {
+                    course.active.accelerate(sample, i, g);
+                    if let (0, Contact::Plane(_)) = (sample, contact) {
                         course.held.push(Held { contact: number, vertex: i as u32, g: [g; 4] });
                     }
                 }
             }
         }
-        course.gather(arch, body, look);
+        course.gather(arch, body, sample);
     }
 }
 
 /// The state of an active vertex at a sample.
 #[inline(always)]
-pub(super) fn see(course: &Course, places: &[Place; 5], look: usize, i: usize) -> Seen {
-    let (frame, active) = (&course.frames[look], &course.active);
-    let s = active.s(look, i);
-    let a = s - active.x(look, i);
-    let rate = frame.frame_spin.cross(a) + active.u(look, i);
-    Seen { a, s, rate, place: places[look], turning: frame.frame_spin }
+pub(super) fn see(course: &Course, places: &[Place; 5], sample: usize, i: usize) -> Seen {
+    let (frame, active) = (&course.frames[sample], &course.active);
+    let s = active.s(sample, i);
+    let a = s - active.x(sample, i);
+    let rate = frame.frame_spin.cross(a) + active.u(sample, i);
+    Seen { a, s, rate, place: places[sample], turning: frame.frame_spin }
 }

@@ -35,7 +35,7 @@ const SETTLED: f64 = 3e-2;
 /// Larger tolerances than this make steps longer, but do not end their iteration earlier [radii/s]. Otherwise its
 /// remainder, which is of low order, would dominate the error of steps much shorter than the tolerance requires.
 pub(super) const MAX_SETTLED_TOLERANCE: f64 = 1e-6;
-/// A step may be longer than [`Island::pace`] by this factor if that saves another step. Its expected error is then
+/// A step may be longer than [`Island::step_length`] by this factor if that saves another step. Its expected error is then
 /// nine tenths of the tolerance, and this saves far more steps than are rejected.
 const HOPED: f64 = 1.15;
 /// Distances within this fraction of a threshold count as on it.
@@ -148,7 +148,7 @@ pub(in crate::sim) struct Parts {
     /// Motion of each body so far.
     pub ways: Vec<Way>,
     /// Step length at which each body is expected to meet the tolerance [s]; unlimited where missing.
-    pub paces: Vec<f64>,
+    pub step_lengths: Vec<f64>,
 }
 
 /// Free bodies, and the bodies on prescribed paths near them.
@@ -160,8 +160,8 @@ pub struct Island {
     pub(super) tolerance: f64,
     pub(super) time: f64,
     /// Step length that is expected to meet the tolerance [s].
-    pub(super) pace: f64,
-    pub(super) paces: Vec<f64>,
+    pub(super) step_length: f64,
+    pub(super) step_lengths: Vec<f64>,
     /// Motion of each body so far.
     pub(super) ways: Vec<Way>,
     scratch: Scratch,
@@ -282,7 +282,7 @@ pub(super) struct Outcome {
 }
 
 /// Corrections of a body below this size count as converged, in a step of length `h` [s] [scene unit].
-pub(super) fn settled(tolerance: f64, radius: f64, h: f64) -> f64 {
+pub(super) fn small_correction(tolerance: f64, radius: f64, h: f64) -> f64 {
     SETTLED * tolerance.min(MAX_SETTLED_TOLERANCE) * radius * h
 }
 
@@ -296,20 +296,20 @@ impl Island {
 
     /// Like [`Island::new`], at `time` [s] and from existing lists.
     pub(in crate::sim) fn resume(parts: Parts, tolerance: f64, time: f64) -> Island {
-        let Parts { bodies, pairs, field, mut ways, mut paces } = parts;
-        paces.resize(bodies.len(), f64::INFINITY);
-        let pace = paces.iter().copied().fold(f64::INFINITY, f64::min);
+        let Parts { bodies, pairs, field, mut ways, mut step_lengths } = parts;
+        step_lengths.resize(bodies.len(), f64::INFINITY);
+        let step_length = step_lengths.iter().copied().fold(f64::INFINITY, f64::min);
         let way = |body: &Body| Way { from: body.centre, extent: body.shape.extent, ..Way::default() };
         ways.clear();
         ways.extend(bodies.iter().map(way));
         let scratch = Scratch::default();
-        Island { bodies, pairs, field, tolerance, time, pace, paces, ways, scratch }
+        Island { bodies, pairs, field, tolerance, time, step_length, step_lengths, ways, scratch }
     }
 
     /// Takes the island apart.
     pub(in crate::sim) fn into_parts(self) -> Parts {
-        let Island { bodies, pairs, field, ways, paces, .. } = self;
-        Parts { bodies, pairs, field, ways, paces }
+        let Island { bodies, pairs, field, ways, step_lengths, .. } = self;
+        Parts { bodies, pairs, field, ways, step_lengths }
     }
 
     /// Number of bodies up to the last that has vertices; those after it only act on others.
@@ -372,7 +372,7 @@ impl Island {
         while self.time < end {
             self.substep(scratch, &mut advance, paths, work, report)?;
         }
-        self.paces.fill(self.pace);
+        self.step_lengths.fill(self.step_length);
         self.finish(scratch, paths, report)
     }
 
@@ -410,7 +410,7 @@ impl Island {
         self.leave_phases(scratch, paths, report)?;
         let stop = f64::min(advance.end, self.field.next_break(self.time));
         let left = stop - self.time;
-        let parts = (left / (HOPED * self.pace)).ceil().max(1.0);
+        let parts = (left / (HOPED * self.step_length)).ceil().max(1.0);
         let mut next = if parts > 1.0 { self.time + left / parts } else { stop };
         let attempt = loop {
             let attempt = self.attempt(scratch, next, paths, work, report);
@@ -430,7 +430,7 @@ impl Island {
                 let body = attempt.map_or(0, |attempt| attempt.outcome.body);
                 return Err(Failure::Unresolved { body, time: self.time, step: h });
             }
-            self.pace = factor * h;
+            self.step_length = factor * h;
             next = self.time + factor * h;
         };
         let Attempt { end: next, outcome, crossing } = attempt;
@@ -438,7 +438,7 @@ impl Island {
         if h > 0.0 {
             let factor = 0.85 * libm::pow(outcome.error.max(1e-9), -0.2);
             // a step that was cut short does not limit the next one
-            self.pace = if factor > MAX_GROWTH { self.pace.max(MAX_GROWTH * h) } else { factor * h };
+            self.step_length = if factor > MAX_GROWTH { self.step_length.max(MAX_GROWTH * h) } else { factor * h };
             report.steps += 1;
             if report.shortest.is_none_or(|(shortest, _)| h < shortest) {
                 report.shortest = Some((h, outcome.body as u32));
@@ -543,7 +543,7 @@ impl Island {
 
     pub(super) fn stopped(&self) -> Failure {
         let body = (0..self.bodies.len()).max_by_key(|&i| self.bodies[i].x.len()).unwrap_or(0);
-        Failure::Stopped { body, time: self.time, step: self.pace }
+        Failure::Stopped { body, time: self.time, step: self.step_length }
     }
 
     /// Tries a step to `next`, or to the first instant before at which a step has to end, without committing it; `None`
@@ -563,7 +563,7 @@ impl Island {
             (end, left) = self.end_at(scratch, next, crossing, paths, work, report)?;
         }
         let outcome = match end > self.time {
-            true => self.judge(scratch, &self.span(end), paths, left),
+            true => self.estimate_error(scratch, &self.span(end), paths, left),
             false => Outcome { error: 0.0, body: 0, estimate: 0.0 },
         };
         Some(Attempt { end, crossing, outcome })
@@ -585,9 +585,9 @@ impl Island {
             let left = self.converge(scratch, span, wide, paths, work, report)?;
             let Scratch { courses, acting, places, .. } = &*scratch;
             let all = self.bodies.iter().zip(courses).zip(acting.iter().zip(places));
-            let mut all =
-                all.map(|((body, course), (acting, places))| course.strays(body, &self.field, acting, places));
-            if !all.any(|strays| strays) {
+            let mut all = all
+                .map(|((body, course), (acting, places))| course.outgrows_selection(body, &self.field, acting, places));
+            if !all.any(|outgrows| outgrows) {
                 return Some(left);
             }
             wide *= 8.0;
@@ -652,7 +652,7 @@ impl Island {
                 course.predict(arch, body, span, node + 1, places);
             }
         }
-        let wanted = |body: &Body| settled(self.tolerance, body.radius, span.h);
+        let wanted = |body: &Body| small_correction(self.tolerance, body.radius, span.h);
         let mut before = f64::INFINITY;
         let mut growing = 0;
         for sweep in 0..MAX_SWEEPS {
@@ -667,22 +667,22 @@ impl Island {
             let legs = scratch.courses.iter().flat_map(|course| &course.splits).map(|split| split.legs().len() as u64);
             work.spend(LEG * legs.sum::<u64>());
             // largest correction over the wanted size
-            let follow = |((body, course), places): ((&Body, &mut Course), &mut [Place; 5]),
-                          looks: std::ops::Range<usize>| {
+            let correct_one = |((body, course), places): ((&Body, &mut Course), &mut [Place; 5]),
+                               samples: std::ops::Range<usize>| {
                 let rounding = 4e-15 * (places[0].centre.length() + body.shape.extent) * f64::max(1.0, 1.0 / span.h);
-                course.follow(arch, body, span, looks, places) / f64::max(wanted(body), rounding)
+                course.correct(arch, body, span, samples, places) / f64::max(wanted(body), rounding)
             };
-            let mut correct = |looks: std::ops::Range<usize>| {
+            let mut correct = |samples: std::ops::Range<usize>| {
                 let Scratch { courses, places, .. } = &mut *scratch;
-                let follow = |all| follow(all, looks.clone());
+                let correct_one = |all| correct_one(all, samples.clone());
                 if parallel {
                     let all = self.bodies.par_iter().zip(courses.par_iter_mut()).zip(places.par_iter_mut());
-                    all.map(follow).reduce(|| 0.0, larger)
+                    all.map(correct_one).reduce(|| 0.0, larger)
                 } else {
-                    self.bodies.iter().zip(courses.iter_mut()).zip(places.iter_mut()).map(follow).fold(0.0, larger)
+                    self.bodies.iter().zip(courses.iter_mut()).zip(places.iter_mut()).map(correct_one).fold(0.0, larger)
                 }
             };
-            // The end comes first. Once it has settled, the other nodes need no further correction: both follow from
+            // The end comes first. Once it has converged, the other nodes need no further correction: both follow from
             // the same forces.
             let mut change = correct(if sweep == 0 { 1..4 } else { 3..4 });
             if !change.is_finite() {
@@ -734,8 +734,8 @@ impl Island {
             courses.iter_mut().zip(acting.iter_mut()).enumerate().for_each(evaluate);
         }
         self.solve_splits(scratch, span, is_first, paths, parallel);
-        for look in first..4 {
-            self.drive(scratch, span, look);
+        for sample in first..4 {
+            self.drive(scratch, span, sample);
         }
     }
 
@@ -746,8 +746,9 @@ impl Island {
             return;
         }
         let Scratch { courses, acting, places, motions, .. } = &mut *scratch;
-        let settled = settled(self.tolerance, 1.0, span.h);
-        let around = Around { bodies: &self.bodies, field: &self.field, span, paths, motions, places, settled };
+        let small_correction = small_correction(self.tolerance, 1.0, span.h);
+        let around =
+            Around { bodies: &self.bodies, field: &self.field, span, paths, motions, places, small_correction };
         let solve = |(i, (course, acting)): (usize, (&mut Course, &Acting))| {
             let mut splits = std::mem::take(&mut course.splits);
             splits.iter_mut().for_each(|split| split.solve(i, course, acting, &around, is_first));
@@ -789,35 +790,35 @@ impl Island {
     }
 
     /// Evaluates the forces on all bodies at a single sample.
-    fn evaluate_at(&self, scratch: &mut Scratch, span: &Span, look: usize) {
+    fn evaluate_at(&self, scratch: &mut Scratch, span: &Span, sample: usize) {
         let Scratch { courses, acting, places, pairs_of, arch, .. } = scratch;
         for (i, (course, acting)) in courses.iter_mut().zip(acting).enumerate() {
             let pairs = pairs_of[i].iter().map(|&pair| &self.pairs[pair as usize]);
             acting.find(i, &self.bodies, pairs, &self.field, span, places);
             let (body, places) = (&self.bodies[i], &places[i]);
-            let view = View { body, field: &self.field, span, places, first: look, arch: *arch };
-            acting.evaluate_at(look, &view, course);
+            let view = View { body, field: &self.field, span, places, first: sample, arch: *arch };
+            acting.evaluate_at(sample, &view, course);
         }
-        self.drive(scratch, span, look);
+        self.drive(scratch, span, sample);
     }
 
     /// Updates all bodies for the forces at a sample.
-    fn drive(&self, scratch: &mut Scratch, span: &Span, look: usize) {
+    fn drive(&self, scratch: &mut Scratch, span: &Span, sample: usize) {
         let Scratch { courses, places, reactions, .. } = scratch;
         reactions.clear();
         reactions.resize(self.bodies.len(), DVec3::ZERO);
         for reaction in courses.iter().flat_map(|course| &course.reactions) {
-            reactions[reaction.source as usize] += reaction.force[look];
+            reactions[reaction.source as usize] += reaction.force[sample];
         }
         for (i, (body, course)) in self.bodies.iter().zip(courses).enumerate() {
-            let Place { centre, velocity } = places[i][look];
-            let given = self.field.given(i, span.time(look), centre, velocity);
-            course.drive(body, look, self.field.gravity + given, reactions[i], &places[i][look], span);
+            let Place { centre, velocity } = places[i][sample];
+            let given = self.field.given(i, span.time(sample), centre, velocity);
+            course.drive(body, sample, self.field.gravity + given, reactions[i], &places[i][sample], span);
         }
     }
 
     /// Estimates the error of a step from its residuals at the midpoints and from what is left to correct.
-    fn judge(&self, scratch: &mut Scratch, span: &Span, paths: &dyn Paths, left: f64) -> Outcome {
+    fn estimate_error(&self, scratch: &mut Scratch, span: &Span, paths: &dyn Paths, left: f64) -> Outcome {
         let arch = scratch.arch;
         let mut span = span.clone();
         for k in 0..MIDPOINTS.len() {
@@ -827,7 +828,7 @@ impl Island {
                 match courses.get_mut(i) {
                     Some(course) => {
                         course.sample_midpoint(i, body, &span, k, paths, &mut places[i]);
-                        course.follow(arch, body, &span, MIDDLE..MIDDLE + 1, &mut places[i]);
+                        course.correct(arch, body, &span, MIDDLE..MIDDLE + 1, &mut places[i]);
                     }
                     None => {
                         let Driven { position, velocity, .. } = paths.at(i, span.time(MIDDLE), false);
@@ -841,7 +842,7 @@ impl Island {
         if scratch.find_motions(&span) {
             let Scratch { courses, acting, places, motions, .. } = &mut *scratch;
             let (bodies, field) = (&self.bodies[..], &self.field);
-            let around = Around { bodies, field, span: &span, paths, motions, places, settled: 0.0 };
+            let around = Around { bodies, field, span: &span, paths, motions, places, small_correction: 0.0 };
             for (i, acting) in acting.iter().enumerate() {
                 let splits = std::mem::take(&mut courses[i].splits);
                 for split in &splits {
@@ -863,7 +864,7 @@ impl Island {
         let mut worst = Outcome { error: 0.0, body: 0, estimate: 0.0 };
         for (i, (body, course)) in self.bodies.iter().zip(&scratch.courses).enumerate() {
             let found = course.error(arch, body, &self.field) / body.radius;
-            let estimate = found + left * settled(self.tolerance, 1.0, span.h);
+            let estimate = found + left * small_correction(self.tolerance, 1.0, span.h);
             let turned = course.frames[3].turned.length();
             // Rounding of position and velocity adds as much to the estimate of a shorter step.
             let rounded = body.centre.length() + body.shape.extent + body.velocity.length();

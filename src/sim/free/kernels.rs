@@ -455,20 +455,20 @@ impl Active {
 
     /// Displacement of vertex `i` at a sample [scene unit].
     #[inline(always)]
-    pub fn x(&self, look: usize, i: usize) -> DVec3 {
-        get(&self.blocks[i / WIDTH].x[look], i % WIDTH)
+    pub fn x(&self, sample: usize, i: usize) -> DVec3 {
+        get(&self.blocks[i / WIDTH].x[sample], i % WIDTH)
     }
 
     /// Velocity of vertex `i` at a sample [scene unit/s].
     #[inline(always)]
-    pub fn u(&self, look: usize, i: usize) -> DVec3 {
-        get(&self.blocks[i / WIDTH].u[look], i % WIDTH)
+    pub fn u(&self, sample: usize, i: usize) -> DVec3 {
+        get(&self.blocks[i / WIDTH].u[sample], i % WIDTH)
     }
 
     /// Position of vertex `i` relative to the centre at a sample [scene unit].
     #[inline(always)]
-    pub fn s(&self, look: usize, i: usize) -> DVec3 {
-        get(&self.blocks[i / WIDTH].s[look], i % WIDTH)
+    pub fn s(&self, sample: usize, i: usize) -> DVec3 {
+        get(&self.blocks[i / WIDTH].s[sample], i % WIDTH)
     }
 
     /// Sets the mass, the rest position and the state at the start of vertex `i`; the mass is zero in unused lanes.
@@ -493,9 +493,9 @@ impl Active {
     }
 
     /// Adds to the displacement and the velocity of vertex `i` at a sample.
-    pub fn shift(&mut self, look: usize, i: usize, x: DVec3, u: DVec3) {
+    pub fn shift(&mut self, sample: usize, i: usize, x: DVec3, u: DVec3) {
         let (block, lane) = (&mut self.blocks[i / WIDTH], i % WIDTH);
-        for (of, by) in [(&mut block.x[look], x), (&mut block.u[look], u)] {
+        for (of, by) in [(&mut block.x[sample], x), (&mut block.u[sample], u)] {
             let moved = get(of, lane) + by;
             set(of, lane, moved);
         }
@@ -503,16 +503,16 @@ impl Active {
 
     /// Adds to the acceleration of vertex `i` at a sample.
     #[inline(always)]
-    pub fn accelerate(&mut self, look: usize, i: usize, by: DVec3) {
-        let (f, lane) = (&mut self.blocks[i / WIDTH].f[look], i % WIDTH);
+    pub fn accelerate(&mut self, sample: usize, i: usize, by: DVec3) {
+        let (f, lane) = (&mut self.blocks[i / WIDTH].f[sample], i % WIDTH);
         let changed = get(f, lane) + by;
         set(f, lane, changed);
     }
 
     /// Sets all accelerations at samples to zero.
-    pub fn clear_forces(&mut self, looks: std::ops::Range<usize>) {
+    pub fn clear_forces(&mut self, samples: std::ops::Range<usize>) {
         for block in &mut self.blocks {
-            block.f[looks.clone()].fill([[0.0; WIDTH]; 3]);
+            block.f[samples.clone()].fill([[0.0; WIDTH]; 3]);
         }
     }
 
@@ -546,7 +546,7 @@ fn real<S: Simd, const W: usize>(simd: S, block: &Block) -> Mask<S, W> {
 /// Moves active vertices to a sample.
 pub struct Move<'a> {
     pub active: &'a mut Active,
-    pub look: usize,
+    pub sample: usize,
     pub weights: &'a Dense,
     /// Shared displacement and velocity.
     pub common: [DVec3; 2],
@@ -579,7 +579,7 @@ impl Kernel for Move<'_> {
 
     #[inline(always)]
     fn run<S: Simd, const W: usize>(self, simd: S) -> Moved {
-        let Move { active, look, weights: w, common, by_rest } = self;
+        let Move { active, sample, weights: w, common, by_rest } = self;
         let common = [Vector::<S, 1>::splat(simd, common[0]), Vector::splat(simd, common[1])];
         let by_rest = [columns::<S, 1>(simd, by_rest[0]), columns(simd, by_rest[1])];
         let none = [Reals::splat(simd, 0.0); W];
@@ -594,14 +594,14 @@ impl Kernel for Move<'_> {
                 let f = [part(simd, a, at), part(simd, b, at), part(simd, c, at), part(simd, d, at)];
                 let x = x0 * w.xx + u0 * w.xu + (combine(&w.x, &f) + (common[0] + times(&by_rest[0], rest)));
                 let u = x0 * w.ux + u0 * w.uu + (combine(&w.u, &f) + (common[1] + times(&by_rest[1], rest)));
-                let (x_before, u_before) = (part(simd, &block.x[look], at), part(simd, &block.u[look], at));
+                let (x_before, u_before) = (part(simd, &block.x[sample], at), part(simd, &block.u[sample], at));
                 // unused lanes repeat the last vertex
                 far[i] = far[i].larger((x - x_before).length_squared());
                 fast[i] = fast[i].larger((u - u_before).length_squared());
                 max_x[i] = max_x[i].larger(x.length_squared());
                 max_u[i] = max_u[i].larger(u.length_squared());
-                store_part(x, &mut block.x[look], at);
-                store_part(u, &mut block.u[look], at);
+                store_part(x, &mut block.x[sample], at);
+                store_part(u, &mut block.u[sample], at);
                 let mx = x * Reals::load(simd, &block.masses, at);
                 diagonal[i] = diagonal[i] + Vector { x: mx.x * x.x, y: mx.y * x.y, z: mx.z * x.z };
                 beside[i] = beside[i] + Vector { x: mx.y * x.z, y: mx.z * x.x, z: mx.x * x.y };
@@ -625,13 +625,13 @@ impl Move<'_> {
 }
 
 /// Computes the positions of active vertices relative to the centre, for these axes.
-pub fn place(arch: Arch, active: &mut Active, look: usize, axes: DMat3) {
-    arch.dispatch(InLanes(PlaceAll { active, look, axes }));
+pub fn place(arch: Arch, active: &mut Active, sample: usize, axes: DMat3) {
+    arch.dispatch(InLanes(PlaceAll { active, sample, axes }));
 }
 
 struct PlaceAll<'a> {
     active: &'a mut Active,
-    look: usize,
+    sample: usize,
     axes: DMat3,
 }
 
@@ -640,10 +640,10 @@ impl Kernel for PlaceAll<'_> {
 
     #[inline(always)]
     fn run<S: Simd, const W: usize>(self, simd: S) {
-        let PlaceAll { active, look, axes } = self;
+        let PlaceAll { active, sample, axes } = self;
         let axes = columns::<S, W>(simd, axes);
         for block in &mut active.blocks {
-            store(times(&axes, load(simd, &block.rest)) + load(simd, &block.x[look]), &mut block.s[look]);
+            store(times(&axes, load(simd, &block.rest)) + load(simd, &block.x[sample]), &mut block.s[sample]);
         }
     }
 }
@@ -822,15 +822,15 @@ impl Pull<'_> {
 }
 
 /// Adds the force of a sphere at a single sample on the active vertices inside it. Returns Σ m f.
-pub fn pull_at(arch: Arch, active: &mut Active, sphere: &Sphere, weight: Weight, look: usize, apart: DVec3) -> DVec3 {
-    arch.dispatch(InLanes(PullAt { active, sphere, weight, look, apart }))
+pub fn pull_at(arch: Arch, active: &mut Active, sphere: &Sphere, weight: Weight, sample: usize, apart: DVec3) -> DVec3 {
+    arch.dispatch(InLanes(PullAt { active, sphere, weight, sample, apart }))
 }
 
 struct PullAt<'a> {
     active: &'a mut Active,
     sphere: &'a Sphere,
     weight: Weight,
-    look: usize,
+    sample: usize,
     apart: DVec3,
 }
 
@@ -839,21 +839,21 @@ impl Kernel for PullAt<'_> {
 
     #[inline(always)]
     fn run<S: Simd, const W: usize>(self, simd: S) -> DVec3 {
-        let PullAt { active, sphere, weight, look, apart } = self;
+        let PullAt { active, sphere, weight, sample, apart } = self;
         let rim = Reals::splat(simd, sphere.radius * sphere.radius);
         let apart = Vector::<S, W>::splat(simd, apart);
         let (one, no_force) = (Reals::splat(simd, 1.0), zero::<S, W>(simd));
         let mut force = no_force;
         for block in &mut active.blocks {
-            let d = apart - load(simd, &block.s[look]);
+            let d = apart - load(simd, &block.s[sample]);
             let square = d.length_squared();
             let inside = square.below(rim).and(Reals::load(simd, &block.split, 0).below(one));
             if !inside.any() {
                 continue;
             }
             let z = square.sqrt() * (1.0 / sphere.radius);
-            let g = inside.select_vector(d * (weight.inside(z) * sphere.strength[look]), no_force);
-            let f = &mut block.f[look];
+            let g = inside.select_vector(d * (weight.inside(z) * sphere.strength[sample]), no_force);
+            let f = &mut block.f[sample];
             store(load(simd, f) + g, f);
             force = force + g * Reals::load(simd, &block.masses, 0);
         }
@@ -880,13 +880,13 @@ impl Default for Gathered {
 }
 
 /// Sums the accelerations of active vertices at a sample; then adds `turning`×x to them.
-pub fn gather(arch: Arch, active: &mut Active, look: usize, turning: DVec3) -> Gathered {
-    arch.dispatch(InLanes(Gather { active, look, turning }))
+pub fn gather(arch: Arch, active: &mut Active, sample: usize, turning: DVec3) -> Gathered {
+    arch.dispatch(InLanes(Gather { active, sample, turning }))
 }
 
 struct Gather<'a> {
     active: &'a mut Active,
-    look: usize,
+    sample: usize,
     turning: DVec3,
 }
 
@@ -895,16 +895,16 @@ impl Kernel for Gather<'_> {
 
     #[inline(always)]
     fn run<S: Simd, const W: usize>(self, simd: S) -> Gathered {
-        let Gather { active, look, turning } = self;
+        let Gather { active, sample, turning } = self;
         let none = [zero::<S, 1>(simd); W];
         let (mut sum, mut by_rest, mut spinning) = (none, [[none[0]; 3]; W], none);
         for block in &active.blocks {
             for i in 0..W {
                 let at = i * S::F64_LANES;
-                let force = part(simd, &block.f[look], at) * Reals::load(simd, &block.masses, at);
+                let force = part(simd, &block.f[sample], at) * Reals::load(simd, &block.masses, at);
                 sum[i] = sum[i] + force;
                 add_outer(&mut by_rest[i], part(simd, &block.rest, at), force);
-                spinning[i] = spinning[i] + cross(part(simd, &block.s[look], at), force);
+                spinning[i] = spinning[i] + cross(part(simd, &block.s[sample], at), force);
             }
         }
         let column = |c: usize| total_vector_parts(by_rest.map(|by_rest| by_rest[c]));
@@ -912,8 +912,8 @@ impl Kernel for Gather<'_> {
         if turning != DVec3::ZERO {
             let turning = Vector::<S, W>::splat(simd, turning);
             for block in &mut active.blocks {
-                let f = &mut block.f[look];
-                store(load(simd, f) + cross(turning, load(simd, &block.x[look])), f);
+                let f = &mut block.f[sample];
+                store(load(simd, f) + cross(turning, load(simd, &block.x[sample])), f);
             }
         }
         Gathered { force: total_vector_parts(sum), by_rest, spinning: total_vector_parts(spinning) }

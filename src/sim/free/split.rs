@@ -187,7 +187,7 @@ pub struct Around<'a> {
     /// The places of the bodies with vertices at the samples.
     pub places: &'a [[Place; 5]],
     /// Displacements of a body of radius 1 below this count as converged [scene unit].
-    pub settled: f64,
+    pub small_correction: f64,
 }
 
 impl Around<'_> {
@@ -521,7 +521,7 @@ impl Split {
 /// The contacts that act on a vertex at any time in a step of length `h` [s]; `None` if none begins or ceases to act.
 pub fn passages(vertex: usize, course: &Course, acting: &Acting, view: &View<'_>) -> Option<Passages> {
     let View { field, span, places, .. } = *view;
-    let seen: [Seen; 4] = std::array::from_fn(|look| see(course, places, look, vertex));
+    let seen: [Seen; 4] = std::array::from_fn(|sample| see(course, places, sample, vertex));
     let spheres = acting.spheres.iter().map(|sphere| (Contact::Sphere(sphere), By::Sphere(sphere.source)));
     let planes = (0..).zip(&field.planes).map(|(n, plane)| (Contact::Plane(plane), By::Plane(n)));
     let pushes = (0..).zip(&acting.pushes).map(|(n, push)| (Contact::Push(push), By::Push(n)));
@@ -585,7 +585,7 @@ impl Leg {
             self.touches.clear();
             self.touches.extend(acts.iter().map(touch));
         }
-        let settled = LEFT_TO_SWEEP * around.settled * body.radius;
+        let small_correction = LEFT_TO_SWEEP * around.small_correction * body.radius;
         // effect of a change of force on the displacement, now or after the oscillator has turned the velocity into one
         let Oscillator { omega, damping } = body.oscillator;
         let gain = length / omega.max(2.0 * damping).max(1.0);
@@ -619,7 +619,7 @@ impl Leg {
                 }
                 touch.g = found;
             }
-            if is_rough || !(change * gain > settled) {
+            if is_rough || !(change * gain > small_correction) {
                 break;
             }
         }

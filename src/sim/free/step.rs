@@ -35,7 +35,7 @@ use crate::{
     },
     sim::numerics::{
         bernstein::Curve,
-        dense::{BALLISTIC, Dense, ballistic, early, early_ballistic, looks, residual},
+        dense::{BALLISTIC, Dense, at_samples, ballistic, early, early_ballistic, residual},
         lagrange::{combine, combine_matrices, cubic},
         larger,
         nodes::{MIDPOINTS, NODES, SAMPLES},
@@ -187,10 +187,10 @@ pub struct LateSum {
     momentum: DVec3,
     /// Rotation of the frame beyond the integral of the cubic through its rates at the nodes [rad].
     turned: DVec3,
-    /// Displacement and velocity of all vertices …
+    /// Displacement and velocity of all vertices.
     pub x: DVec3,
     pub u: DVec3,
-    /// … and per rest position.
+    /// Displacement and velocity per rest position.
     pub x_by_rest: DMat3,
     pub u_by_rest: DMat3,
 }
@@ -244,23 +244,23 @@ impl Span {
 
     /// The motion of a body on a path at the samples, also stored in `places`.
     pub fn driven(&self, index: usize, paths: &dyn Paths, places: &mut [Place; 5]) -> [Driven; 5] {
-        let driven = std::array::from_fn(|look| paths.at(index, self.time(look), look == 3));
+        let driven = std::array::from_fn(|sample| paths.at(index, self.time(sample), sample == 3));
         *places = driven.map(|driven: Driven| Place { centre: driven.position, velocity: driven.velocity });
         driven
     }
 
-    /// Time of sample `look` [s].
-    pub fn time(&self, look: usize) -> f64 {
-        match look {
+    /// Time of a sample [s].
+    pub fn time(&self, sample: usize) -> f64 {
+        match sample {
             0 => self.start,
             3 => self.end,
-            _ => self.start + self.theta(look) * self.h,
+            _ => self.start + self.theta(sample) * self.h,
         }
     }
 
-    /// Time of sample `look`, as a fraction of the step.
-    pub fn theta(&self, look: usize) -> f64 {
-        if look == MIDDLE { self.midpoint } else { SAMPLES[look] }
+    /// Time of a sample, as a fraction of the step.
+    pub fn theta(&self, sample: usize) -> f64 {
+        if sample == MIDDLE { self.midpoint } else { SAMPLES[sample] }
     }
 
     /// Moves the sample [`MIDDLE`] to midpoint `k`.
@@ -283,7 +283,7 @@ impl Course {
     ) {
         if self.known != (body.oscillator, span.h) {
             self.known = (body.oscillator, span.h);
-            self.weights = looks(body.oscillator, span.h);
+            self.weights = at_samples(body.oscillator, span.h);
             self.early = early(body.oscillator, span.h);
         }
         for (into, from) in [(&mut self.start.x, &body.x), (&mut self.start.u, &body.u)] {
@@ -317,7 +317,7 @@ impl Course {
     }
 
     /// Finds the active vertices: those that spheres, planes or pushes may reach in the step. Allows for `wide` times
-    /// the expected motion; [`Course::strays`] reports whether that was enough.
+    /// the expected motion; [`Course::outgrows_selection`] reports whether that was enough.
     pub fn select(&mut self, view: View<'_>, acting: &mut Acting, wide: f64) {
         let View { body, field, span, places, arch, .. } = view;
         let Maxima { x, u, rest: extent } = self.maxima;
@@ -336,10 +336,10 @@ impl Course {
         let at = places[0];
         self.spheres.clear();
         for sphere in &mut acting.spheres {
-            let away = |look: usize| {
-                let coasting = SAMPLES[look] * span.h * (sphere.places[0].velocity - at.velocity);
+            let away = |sample: usize| {
+                let coasting = SAMPLES[sample] * span.h * (sphere.places[0].velocity - at.velocity);
                 let (now, then) =
-                    (sphere.places[look].centre - places[look].centre, sphere.places[0].centre - at.centre);
+                    (sphere.places[sample].centre - places[sample].centre, sphere.places[0].centre - at.centre);
                 (now - then).length().max(coasting.length())
             };
             sphere.band = wide * (margin + 1.2 * (own + (1..4).map(away).fold(0.0, f64::max)));
@@ -351,9 +351,9 @@ impl Course {
         self.planes.clear();
         acting.plane_bands.clear();
         for plane in &field.planes {
-            let away = |look: usize| {
-                let coasting = SAMPLES[look] * span.h * plane.normal.dot(at.velocity);
-                plane.normal.dot(places[look].centre - at.centre).abs().max(coasting.abs())
+            let away = |sample: usize| {
+                let coasting = SAMPLES[sample] * span.h * plane.normal.dot(at.velocity);
+                plane.normal.dot(places[sample].centre - at.centre).abs().max(coasting.abs())
             };
             let band = wide * (margin + 1.2 * (own + (1..4).map(away).fold(0.0, f64::max)));
             acting.plane_bands.push(band);
@@ -406,24 +406,24 @@ impl Course {
     }
 
     /// Whether an inactive vertex may have come into reach.
-    pub fn strays(&self, body: &Body, field: &Field, acting: &Acting, places: &[Place; 5]) -> bool {
+    pub fn outgrows_selection(&self, body: &Body, field: &Field, acting: &Acting, places: &[Place; 5]) -> bool {
         if self.active.len() == body.shape.rest.len() {
             return false;
         }
         let start = Linear::x();
-        let own = |look: usize| {
-            let turned = self.frames[look].turned.length();
-            self.others[look][0].difference(&start, &self.maxima) + turned * self.maxima.rest
+        let own = |sample: usize| {
+            let turned = self.frames[sample].turned.length();
+            self.others[sample][0].difference(&start, &self.maxima) + turned * self.maxima.rest
         };
         let own = [0.0, own(1), own(2), own(3)];
-        (1..4).any(|look| {
+        (1..4).any(|sample| {
             acting.spheres.iter().any(|sphere| {
-                let now = sphere.places[look].centre - places[look].centre;
+                let now = sphere.places[sample].centre - places[sample].centre;
                 let moved = now - (sphere.places[0].centre - places[0].centre);
-                !(own[look] + moved.length() <= sphere.band)
+                !(own[sample] + moved.length() <= sphere.band)
             }) || field.planes.iter().zip(&acting.plane_bands).any(|(plane, &band)| {
-                let moved = plane.normal.dot(places[look].centre - places[0].centre).abs();
-                !(own[look] + moved <= band)
+                let moved = plane.normal.dot(places[sample].centre - places[0].centre).abs();
+                !(own[sample] + moved <= band)
             })
         })
     }
@@ -439,26 +439,26 @@ impl Course {
     /// Updates the centre and the vertices at the samples from the last forces at the nodes. Returns the largest change
     /// of a position, or of a velocity times the time it lasts [scene unit]. After an evaluation, the call for the end
     /// comes first: it computes the effects of pieces at all nodes.
-    pub fn follow(
+    pub fn correct(
         &mut self,
         arch: Arch,
         body: &Body,
         span: &Span,
-        looks: std::ops::Range<usize>,
+        samples: std::ops::Range<usize>,
         places: &mut [Place; 5],
     ) -> f64 {
         let weights = self.weights;
-        match looks.end {
+        match samples.end {
             4 => self.add_pieces(body, span, 1..4),
-            end if end > MIDDLE => self.add_pieces(body, span, looks.clone()),
+            end if end > MIDDLE => self.add_pieces(body, span, samples.clone()),
             _ => {} // computed with the end
         }
         // the middle does not act on the nodes
-        let rounds = if looks.start == MIDDLE { 1 } else { MAX_ROUNDS };
-        self.advance(arch, body, span, [&weights, &span.ballistic], (looks, rounds), places)
+        let rounds = if samples.start == MIDDLE { 1 } else { MAX_ROUNDS };
+        self.advance(arch, body, span, [&weights, &span.ballistic], (samples, rounds), places)
     }
 
-    /// Like [`Course::follow`], with these weights for vertices and centres and at most `rounds` corrections of the
+    /// Like [`Course::correct`], with these weights for vertices and centres and at most `rounds` corrections of the
     /// rotations.
     fn advance(
         &mut self,
@@ -466,7 +466,7 @@ impl Course {
         body: &Body,
         span: &Span,
         [weights, ballistic]: [&[Dense]; 2],
-        (looks, rounds): (std::ops::Range<usize>, usize),
+        (samples, rounds): (std::ops::Range<usize>, usize),
         places: &mut [Place; 5],
     ) -> f64 {
         // time that a velocity lasts: an oscillator turns it into a displacement; a centre keeps it, so count one
@@ -481,19 +481,19 @@ impl Course {
         let start = places[0];
         let orbital = |place: &Place| mass * span.arm(place.centre).cross(place.velocity);
         let momentum = orbital(&start) + body.spin;
-        for look in looks.clone() {
-            let (w, late) = (&weights[look - 1], self.late[look - 1]);
+        for sample in samples.clone() {
+            let (w, late) = (&weights[sample - 1], self.late[sample - 1]);
             if body.is_free() {
-                let b = &ballistic[look - 1];
-                self.moved[look] = b.xu * start.velocity + (combine(&b.x, acceleration) + late.centre);
+                let b = &ballistic[sample - 1];
+                self.moved[sample] = b.xu * start.velocity + (combine(&b.x, acceleration) + late.centre);
                 let place = Place {
-                    centre: start.centre + self.moved[look],
+                    centre: start.centre + self.moved[sample],
                     velocity: start.velocity + (combine(&b.u, acceleration) + late.velocity),
                 };
-                change = larger(change, (place.centre - places[look].centre).length());
-                change = larger(change, (place.velocity - places[look].velocity).length());
-                places[look] = place;
-                self.frames[look].momentum = momentum + (combine(&b.u, torque) + late.momentum) - orbital(&place);
+                change = larger(change, (place.centre - places[sample].centre).length());
+                change = larger(change, (place.velocity - places[sample].velocity).length());
+                places[sample] = place;
+                self.frames[sample].momentum = momentum + (combine(&b.u, torque) + late.momentum) - orbital(&place);
             }
             let (x_common, u_common) = (combine(&w.x, common) + late.x, combine(&w.u, common) + late.u);
             let x_by_rest = combine_matrices(&w.x, drive) + late.x_by_rest;
@@ -509,36 +509,36 @@ impl Course {
             }
             let are_others = self.active.len() < body.shape.rest.len();
             if is_coupled {
-                change = larger(change, others[0].difference(&self.others[look][0], &self.maxima));
-                change = larger(change, swing * others[1].difference(&self.others[look][1], &self.maxima));
+                change = larger(change, others[0].difference(&self.others[sample][0], &self.maxima));
+                change = larger(change, swing * others[1].difference(&self.others[sample][1], &self.maxima));
             } else if are_others {
-                change = larger(change, x.difference(&self.others[look][0], &self.maxima));
-                change = larger(change, swing * u.difference(&self.others[look][1], &self.maxima));
+                change = larger(change, x.difference(&self.others[sample][0], &self.maxima));
+                change = larger(change, swing * u.difference(&self.others[sample][1], &self.maxima));
             }
-            self.others[look] = others;
+            self.others[sample] = others;
 
             // effects on single vertices are added below; the change of the rest is measured without them
             let active = &mut self.active;
             for (vertex, late) in &self.own_before {
-                let (x, u) = late[look - 1];
-                active.shift(look, *vertex as usize, -x, -u);
+                let (x, u) = late[sample - 1];
+                active.shift(sample, *vertex as usize, -x, -u);
             }
             let (common, by_rest) = ([x_common, u_common], [x_by_rest, u_by_rest]);
             let mut moved = match active.len() {
                 0 => Moved::default(),
-                _ => Move { active, look, weights: w, common, by_rest }.find(arch),
+                _ => Move { active, sample, weights: w, common, by_rest }.find(arch),
             };
             let [mut far, mut fast] = moved.changes;
             let mut sums = Sums::default();
             for (vertex, late) in &self.own {
-                let (x, u) = late[look - 1];
+                let (x, u) = late[sample - 1];
                 let known = self.own_before.iter().find(|(before, _)| before == vertex);
-                let (x_before, u_before) = known.map_or((DVec3::ZERO, DVec3::ZERO), |(_, late)| late[look - 1]);
+                let (x_before, u_before) = known.map_or((DVec3::ZERO, DVec3::ZERO), |(_, late)| late[sample - 1]);
                 far = larger(far, (x - x_before).length_squared());
                 fast = larger(fast, (u - u_before).length_squared());
                 let (vertex, active) = (*vertex as usize, &mut self.active);
-                let (m, before) = (active.mass(vertex), [active.x(look, vertex), active.u(look, vertex)]);
-                active.shift(look, vertex, x, u);
+                let (m, before) = (active.mass(vertex), [active.x(sample, vertex), active.u(sample, vertex)]);
+                active.shift(sample, vertex, x, u);
                 let (after, l) = ([before[0] + x, before[1] + u], m * active.rest(vertex));
                 sums.lx += outer(l, x);
                 sums.lu += outer(l, u);
@@ -549,7 +549,7 @@ impl Course {
                 moved.largest = [0, 1].map(|k| larger(moved.largest[k], after[k].length_squared()));
             }
             change = larger(larger(change, far.sqrt()), swing * fast.sqrt());
-            if body.turns() || (look == 3 && body.is_free()) {
+            if body.turns() || (sample == 3 && body.is_free()) {
                 let linear = |q: &Scaled, w: &[f64; 4]| {
                     let (by_l, sum) = self.first.linear_sums(q);
                     let [a, b, c, d, _] = &self.gathered;
@@ -558,16 +558,16 @@ impl Course {
                 };
                 if self.active.len() > 0 {
                     let ((lx, mean_x), (lu, mean_u)) = (linear(&x, &w.x), linear(&u, &w.u));
-                    self.sums[look] = Sums { lx, lu, xx: moved.xx, xu: moved.xu, x: mean_x, u: mean_u } + sums;
+                    self.sums[sample] = Sums { lx, lu, xx: moved.xx, xu: moved.xu, x: mean_x, u: mean_u } + sums;
                 }
-                self.frames[look].sums = self.sums[look];
+                self.frames[sample].sums = self.sums[sample];
                 if are_others {
                     let sums = if is_coupled {
                         self.moments.sums(&others[0], &others[1])
                     } else {
                         self.moments.scaled_sums(&x, &u)
                     };
-                    self.frames[look].sums = sums + self.sums[look];
+                    self.frames[sample].sums = sums + self.sums[sample];
                 }
             }
             let [mut far, mut fast] = moved.largest.map(f64::sqrt);
@@ -583,19 +583,19 @@ impl Course {
                 far = larger(far, x.bound(maxima, maxima.x, way_x));
                 fast = larger(fast, u.bound(maxima, maxima.u, way_u));
             }
-            let frame = &mut self.frames[look];
+            let frame = &mut self.frames[sample];
             (frame.extent, frame.speed) = (body.shape.extent + far, fast);
         }
         if body.turns() {
-            change = self.turn(body, ballistic, looks.clone(), rounds, change);
+            change = self.turn(body, ballistic, samples.clone(), rounds, change);
         } else {
-            for look in looks.clone() {
-                self.frames[look].rotation = body.rotation;
-                self.orient(body, look);
+            for sample in samples.clone() {
+                self.frames[sample].rotation = body.rotation;
+                self.orient(body, sample);
             }
         }
-        for look in looks {
-            self.place(arch, look);
+        for sample in samples {
+            self.place(arch, sample);
         }
         change
     }
@@ -606,7 +606,7 @@ impl Course {
         &mut self,
         body: &Body,
         ballistic: &[Dense],
-        looks: std::ops::Range<usize>,
+        samples: std::ops::Range<usize>,
         rounds: usize,
         mut change: f64,
     ) -> f64 {
@@ -615,13 +615,13 @@ impl Course {
                 rotation_vector_rate(self.frames[node].turned, self.frames[node].frame_spin)
             });
             let mut moved = 0.0;
-            for look in looks.clone() {
-                let turned = combine(&ballistic[look - 1].u, rates) + self.late[look - 1].turned;
-                let frame = &mut self.frames[look];
+            for sample in samples.clone() {
+                let turned = combine(&ballistic[sample - 1].u, rates) + self.late[sample - 1].turned;
+                let frame = &mut self.frames[sample];
                 moved = larger(moved, (turned - frame.turned).length() * body.shape.extent);
                 frame.turned = turned;
                 frame.rotation = rotation_by(turned) * body.rotation;
-                self.orient(body, look);
+                self.orient(body, sample);
             }
             change = larger(change, moved);
             if moved <= LEFT_TO_SWEEP * change {
@@ -632,37 +632,37 @@ impl Course {
     }
 
     /// Places the active vertices at a sample.
-    fn place(&mut self, arch: Arch, look: usize) {
+    fn place(&mut self, arch: Arch, sample: usize) {
         if self.active.len() == 0 {
             return;
         }
-        kernels::place(arch, &mut self.active, look, self.frames[look].axes);
+        kernels::place(arch, &mut self.active, sample, self.frames[sample].axes);
     }
 
     /// Sums the forces on the active vertices at a sample, then adds the part of the damping that is not in −2κ x′.
-    pub fn gather(&mut self, arch: Arch, body: &Body, look: usize) {
+    pub fn gather(&mut self, arch: Arch, body: &Body, sample: usize) {
         if !body.is_free() {
             return;
         }
-        let frame = &mut self.frames[look];
+        let frame = &mut self.frames[sample];
         let twice_damped = 2.0 * body.oscillator.damping * frame.spin;
         if self.active.len() > 0 {
-            let mut gathered = kernels::gather(arch, &mut self.active, look, twice_damped);
+            let mut gathered = kernels::gather(arch, &mut self.active, sample, twice_damped);
             let Gathered { force, by_rest, spinning } = gathered;
             (frame.mean, frame.turning, frame.spinning) = (force / body.mass(), moment(frame.axes * by_rest), spinning);
             let damping = cross_matrix(twice_damped);
-            gathered.force += damping * self.sums[look].x;
-            gathered.by_rest += self.sums[look].lx * damping.transpose();
-            self.gathered[look] = gathered;
+            gathered.force += damping * self.sums[sample].x;
+            gathered.by_rest += self.sums[sample].lx * damping.transpose();
+            self.gathered[sample] = gathered;
         }
         if body.turns() && body.oscillator.damping != 0.0 {
-            self.coupling[look] = self.others[look][0].crossed(twice_damped);
+            self.coupling[sample] = self.others[sample][0].crossed(twice_damped);
         }
     }
 
     /// Updates the quantities that depend on the rotation at a sample.
-    fn orient(&mut self, body: &Body, look: usize) {
-        let frame = &mut self.frames[look];
+    fn orient(&mut self, body: &Body, sample: usize) {
+        let frame = &mut self.frames[sample];
         frame.axes = DMat3::from_quat(frame.rotation);
         frame.inner = frame.sums.inner(&body.shape, frame.axes);
         if body.turns() {
@@ -672,11 +672,11 @@ impl Course {
     }
 
     /// Updates the body at a sample for the forces on its vertices and for `reaction`, the force on its sphere.
-    pub fn drive(&mut self, body: &Body, look: usize, gravity: DVec3, reaction: DVec3, place: &Place, span: &Span) {
+    pub fn drive(&mut self, body: &Body, sample: usize, gravity: DVec3, reaction: DVec3, place: &Place, span: &Span) {
         let mass = body.mass();
-        let frame = &mut self.frames[look];
+        let frame = &mut self.frames[sample];
         if !body.is_free() {
-            frame.common = -self.driven[look].carry;
+            frame.common = -self.driven[sample].carry;
             return;
         }
         frame.acceleration = frame.mean + (gravity + reaction / mass);
@@ -691,9 +691,9 @@ impl Course {
     }
 
     /// Computes the effects of pieces at these samples.
-    fn add_pieces(&mut self, body: &Body, span: &Span, looks: std::ops::Range<usize>) {
+    fn add_pieces(&mut self, body: &Body, span: &Span, samples: std::ops::Range<usize>) {
         std::mem::swap(&mut self.own, &mut self.own_before);
-        self.late[looks.start - 1..looks.end - 1].fill(LateSum::default());
+        self.late[samples.start - 1..samples.end - 1].fill(LateSum::default());
         self.own.clear();
         if self.pieces.is_empty() && self.splits.is_empty() {
             return;
@@ -705,9 +705,9 @@ impl Course {
                 *rate += piece.effect_at(node).frame_spin;
             }
         }
-        for look in looks.clone() {
-            let theta = span.theta(look);
-            let late = &mut self.late[look - 1];
+        for sample in samples.clone() {
+            let theta = span.theta(sample);
+            let late = &mut self.late[sample - 1];
             for piece in &self.pieces {
                 let effect = piece.effect_at(theta);
                 late.centre += effect.centre;
@@ -715,19 +715,19 @@ impl Course {
                 late.momentum += effect.momentum;
                 late.turned += effect.turned;
             }
-            late.turned -= combine(&span.ballistic[look - 1].u, rates);
+            late.turned -= combine(&span.ballistic[sample - 1].u, rates);
         }
         for split in &self.splits {
             let mut own = [(DVec3::ZERO, DVec3::ZERO); 4];
-            for look in looks.clone() {
-                let deviation = split.at(body, span.h, span.theta(look));
-                own[look - 1] = deviation.own();
+            for sample in samples.clone() {
+                let deviation = split.at(body, span.h, span.theta(sample));
+                own[sample - 1] = deviation.own();
                 if !body.is_free() {
                     continue;
                 }
-                let (x, u) = own[look - 1];
+                let (x, u) = own[sample - 1];
                 let share = self.active.mass(split.vertex as usize) / body.mass();
-                let late = &mut self.late[look - 1];
+                let late = &mut self.late[sample - 1];
                 late.x -= share * x;
                 late.u -= share * u;
                 let [x, u] = deviation.by_rest();

@@ -78,13 +78,13 @@ pub fn residual(oscillator: Oscillator, h: f64) -> [(f64, f64); 3] {
 }
 
 /// Dense output at each sample after the start of a step of length `h` [s]: at the other three nodes and the middle.
-pub fn looks(oscillator: Oscillator, h: f64) -> [Dense; 4] {
-    std::array::from_fn(|look| Dense::new(oscillator, h, SAMPLES[look + 1]))
+pub fn at_samples(oscillator: Oscillator, h: f64) -> [Dense; 4] {
+    std::array::from_fn(|sample| Dense::new(oscillator, h, SAMPLES[sample + 1]))
 }
 
-/// Like [`looks`], without spring and damping; these weights scale with powers of `h`.
+/// Like [`at_samples`], without spring and damping; these weights scale with powers of `h`.
 pub fn ballistic(h: f64) -> [Dense; 4] {
-    static UNIT: LazyLock<[Dense; 4]> = LazyLock::new(|| looks(BALLISTIC, 1.0));
+    static UNIT: LazyLock<[Dense; 4]> = LazyLock::new(|| at_samples(BALLISTIC, 1.0));
     UNIT.map(|unit| scaled(unit, h))
 }
 

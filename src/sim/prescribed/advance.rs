@@ -32,9 +32,9 @@ use crate::{
     },
 };
 
-/// The distance that spheres may move before an active set is selected again: at least this [radii] …
+/// Least distance that spheres may move before an active set is selected again [radii].
 const SKIN: f64 = 0.1;
-/// … and at least this many times their travel in a step.
+/// The same in travels of the spheres in a step.
 const SKIN_STEPS: f64 = 3.0;
 
 thread_local! {
@@ -239,19 +239,19 @@ impl<'a> Context<'a> {
         // may get anywhere in an inaccurate step.
         let at_rest = active.is_at_rest();
         let farthest = if at_rest { self.body(active.body).radius } else { f64::INFINITY };
-        let look = |time, surroundings: &mut Surroundings| {
+        let collect = |time, surroundings: &mut Surroundings| {
             let moment = Moment { time, phases_at: span.start };
             self.on(active.body).surroundings_into(moment, farthest, surroundings);
         };
         interval.h = span.length();
         interval.oscillator = active.state.oscillator;
         interval.weight = self.setting.scene.influence.weight;
-        look(span.start, &mut interval.start);
+        collect(span.start, &mut interval.start);
         if middle {
-            look(span.start + 0.5 * span.length(), &mut interval.middle);
+            collect(span.start + 0.5 * span.length(), &mut interval.middle);
         }
         if end {
-            look(span.end, &mut interval.end);
+            collect(span.end, &mut interval.end);
         }
         if active.is_at_rest() && interval.is_idle(scheme) && self.kicks(active.body, span) == DVec3::ZERO {
             return StepStatistics::default();

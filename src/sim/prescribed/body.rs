@@ -43,7 +43,7 @@ pub(in crate::sim) struct Body {
     /// The bounds for which its neighbours were found.
     pub fat_bounds: FatBounds,
     /// No pair of the body changes its phase before this time, if the body moves [s].
-    pub calm_until: f64,
+    pub unchanged_until: f64,
 }
 
 impl Body {
@@ -58,7 +58,7 @@ impl Body {
             active: None,
             neighbours: Neighbours::new(),
             fat_bounds: FatBounds::NONE,
-            calm_until: f64::NEG_INFINITY,
+            unchanged_until: f64::NEG_INFINITY,
         }
     }
 }

@@ -62,9 +62,9 @@ pub(super) struct Prescribed {
     pub actives: ActiveSet,
     tracks: Tracks,
     pub pairs: Pairs,
-    /// Times at which terms begin to act on bodies by themselves [s], ascending, with the bodies' indices; …
+    /// Times at which terms begin to act on bodies by themselves [s], ascending, with the bodies' indices.
     starts: Vec<(f64, u32)>,
-    /// … and how many of them have begun.
+    /// Number of these that have begun.
     started: usize,
     /// Buffer, reused.
     woken: Vec<u32>,
@@ -132,9 +132,9 @@ impl Prescribed {
     fn find_neighbours(&mut self, step: &Step<'_>) -> Result<(), Failure> {
         let (Prescribed { bodies, tracks, pairs, .. }, &Step { setting: Setting { scene, .. }, span, .. }) =
             (self, step);
-        tracks.follow(span);
-        let followed = pairs.follow(Moving { scene, bodies, tracks, work: step.work }, span);
-        followed.map_err(|(stop, body)| too_many_neighbours(step, stop, body, pairs))
+        tracks.evaluate(span);
+        let updated = pairs.update(Moving { scene, bodies, tracks, work: step.work }, span);
+        updated.map_err(|(stop, body)| too_many_neighbours(step, stop, body, pairs))
     }
 
     /// Finds the exact times at which pairs change phase during the step.

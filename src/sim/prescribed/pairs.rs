@@ -24,7 +24,7 @@ use crate::{
         reach::{Ball, Grid},
         span::Span,
         terms::spheres,
-        work::{EVENT, LOOK_AT_PATHS, NEAR_ENOUGH, NEW_PAIR, Stop, Tally, Work},
+        work::{DISTANCE, EVENT, NEAR_ENOUGH, NEW_PAIR, Stop, Tally, Work},
     },
 };
 
@@ -40,9 +40,9 @@ const FEW_PAIRS: u64 = 1 << 16;
 /// Two bodies that are near each other.
 #[derive(Clone, Debug)]
 pub(in crate::sim) struct Pair {
-    /// Index of one body …
+    /// Index of the first body.
     pub a: u32,
-    /// … and of the other, a < b.
+    /// Index of the second body; a < b.
     pub b: u32,
     /// Index of its law in the scene.
     law: u32,
@@ -130,7 +130,7 @@ impl Pairs {
     ///
     /// # Errors
     /// If there are too many: the body at which the search stopped.
-    pub fn follow(&mut self, among: Moving<'_>, span: Span) -> Result<(), (Stop, u32)> {
+    pub fn update(&mut self, among: Moving<'_>, span: Span) -> Result<(), (Stop, u32)> {
         let Moving { scene, bodies, tracks, work } = among;
         tracks.watch(|track| bodies[track.body as usize].fat_bounds.until < span.end);
         let mut of = Surrounded { scene, bodies, tracks, work: Tally::new(work, None) };
@@ -170,13 +170,13 @@ impl Pairs {
         let grid = &self.grid;
         if of.work.spend(NEAR_ENOUGH * self.found.len() as u64) {
             self.found.retain(|&j| are_near(of.scene, of.bodies, grid, i as u32, j));
-            self.meet(of, i, t);
+            self.replace_neighbours(of, i, t);
         }
     }
 
     /// Makes `found` the neighbours of body `i`. A known pair keeps its phase; a pair that is not apart stays listed at
     /// any distance.
-    fn meet(&mut self, of: &mut Surrounded<'_>, i: usize, t: f64) {
+    fn replace_neighbours(&mut self, of: &mut Surrounded<'_>, i: usize, t: f64) {
         let Surrounded { scene, bodies, tracks, work } = of;
         let found = std::mem::take(&mut self.found);
         let mut kept = std::mem::take(&mut self.kept);
@@ -205,7 +205,7 @@ impl Pairs {
                 let index = others.partition_point(|neighbour| neighbour.other < i as u32);
                 others.insert(index, spheres::neighbour(scene, other, i as u32, pair));
                 for body in [i, other as usize] {
-                    bodies[body].calm_until = f64::NEG_INFINITY;
+                    bodies[body].unchanged_until = f64::NEG_INFINITY;
                 }
                 spheres::neighbour(scene, i as u32, other, pair)
             });
@@ -250,14 +250,14 @@ impl Pairs {
         let ahead = AHEAD * scene.dt * ((span.start / (AHEAD * scene.dt) + 1e-6).floor() + 1.0);
         self.changes.clear();
         self.changed.clear();
-        tracks.watch(|track| bodies[track.body as usize].calm_until <= span.end);
+        tracks.watch(|track| bodies[track.body as usize].unchanged_until <= span.end);
         for body in tracks.watched() {
-            let mut calm_until = f64::INFINITY;
+            let mut unchanged_until = f64::INFINITY;
             for neighbour in &bodies[body as usize].neighbours {
                 let index = neighbour.pair as usize;
                 // of two bodies that move, the first has found the changes for both
                 if !self.pairs[index].may_change(span) {
-                    calm_until = self.pairs[index].calm_until().min(calm_until);
+                    unchanged_until = self.pairs[index].unchanged_until().min(unchanged_until);
                     continue;
                 }
                 let first = self.changes.len();
@@ -282,9 +282,9 @@ impl Pairs {
                     self.pairs[index].changes = first as u32..self.changes.len() as u32;
                     self.changed.push(neighbour.pair);
                 }
-                calm_until = self.pairs[index].calm_until().min(calm_until);
+                unchanged_until = self.pairs[index].unchanged_until().min(unchanged_until);
             }
-            bodies[body as usize].calm_until = calm_until;
+            bodies[body as usize].unchanged_until = unchanged_until;
         }
         events.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
         Ok(())
@@ -340,7 +340,7 @@ impl Pair {
     }
 
     /// The phase does not change before this time [s].
-    fn calm_until(&self) -> f64 {
+    fn unchanged_until(&self) -> f64 {
         self.upcoming.map_or(self.known_until, |(time, _)| time.min(self.known_until))
     }
 
@@ -361,7 +361,7 @@ impl Pair {
                     return;
                 }
                 self.upcoming = search.first_change(phase, from, horizon);
-                if !work.spend(LOOK_AT_PATHS) {
+                if !work.spend(DISTANCE) {
                     return;
                 }
             }

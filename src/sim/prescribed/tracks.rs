@@ -73,9 +73,9 @@ pub struct Mover {
     material: Material,
     /// Upper bound of the distance between any two positions of its centre [scene unit].
     extent: f64,
-    /// Whether the body stands still in the step …
+    /// Whether the body stands still in the step.
     stands_still: bool,
-    /// … and did so in the step before: nothing changes for its neighbours.
+    /// Whether it stands still and did so in the step before: nothing changes for its neighbours.
     pub is_idle: bool,
     /// Whether derivatives of the motion jump somewhere.
     has_breaks: bool,
@@ -128,9 +128,9 @@ impl Tracks {
     }
 
     /// Evaluates the motion of all movers over a step.
-    pub(in crate::sim) fn follow(&mut self, span: Span) {
+    pub(in crate::sim) fn evaluate(&mut self, span: Span) {
         let paths = &self.paths;
-        let follow = |track: &mut Mover| {
+        let evaluate = |track: &mut Mover| {
             let path = &paths[track.body as usize];
             let stands_still = path.is_still(span.start, span.end);
             track.is_idle = stands_still && track.stands_still;
@@ -146,7 +146,7 @@ impl Tracks {
             track.bounds = path.bounds(span.start, span.end);
             track.kicks = path.kicks(span.start, span.end);
         };
-        each(&mut self.movers, follow);
+        each(&mut self.movers, evaluate);
         let h = span.length();
         for track in &self.movers {
             let motion_bounds = &mut self.motion_bounds[track.body as usize];
@@ -249,7 +249,7 @@ mod tests {
             let mut tracks = Tracks::new(&scene);
             for step in 0..scene.steps() {
                 let span = Span { start: step as f64 * scene.dt, end: (step + 1) as f64 * scene.dt };
-                tracks.follow(span);
+                tracks.evaluate(span);
                 for track in tracks.all() {
                     let path = scene.bodies[track.body as usize].path().unwrap();
                     for (sample, theta) in SAMPLES.into_iter().enumerate() {

@@ -29,9 +29,9 @@ pub(crate) struct Before {
 /// The last step of a world of bodies on paths, recomputed from the state before it. The world is only read, and steps
 /// that are not inspected cost nothing.
 pub(crate) struct Recomputed<'a> {
-    /// The world after the step, …
+    /// The world after the step.
     world: &'a World,
-    /// … and its bodies.
+    /// Its bodies.
     prescribed: &'a Prescribed,
     before: Before,
     work: Tally<'a>,

@@ -17,9 +17,9 @@ use crate::{
 /// A body's course over an interval of time in which nothing jumps: phases, pushes and paths are smooth inside it.
 #[derive(Clone, Copy)]
 pub struct Course<'a> {
-    /// The scene …
+    /// The scene.
     pub scene: &'a Scene,
-    /// … and the body's index in it.
+    /// Index of the body in the scene.
     pub index: usize,
     /// The constants of its oscillators.
     pub material: Material,

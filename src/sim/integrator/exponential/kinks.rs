@@ -25,11 +25,11 @@ use crate::{
     },
 };
 
-/// The largest mean residual of the cubic through the nodes for `|t| t`, …
+/// The largest mean residual of the cubic through the nodes for `|t| t`.
 const SQUARE: f64 = 3.7e-3;
-/// … for `|t|³ t`, …
+/// The same for `|t|³ t`.
 const FOURTH: f64 = 4.25e-4;
-/// … and for the fourth power of t where t is positive, t being the time from the kink over the length of the step.
+/// The same for the fourth power of t where t is positive, t being the time from the kink over the length of the step.
 const HALF_FOURTH: f64 = 2.13e-4;
 /// Factor from the bound on the error to the usual error: passages at the worst time of a step are rare.
 const USUAL: f64 = 0.5;

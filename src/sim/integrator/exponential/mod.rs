@@ -38,9 +38,9 @@ use weights::KnownWeights;
 const MAX_HALVINGS: u32 = 10;
 /// Number of steps that a vertex may always take, however short the step of all vertices is.
 const MIN_STEPS: u32 = 128;
-/// Steps are halved once more if they are too long for more than one in this many of a body's vertices …
+/// Steps are halved once more if they are too long for more than one in this many of a body's vertices.
 const MANY: u64 = 32;
-/// … and once less if steps of twice the length would be too long for fewer than one in this many.
+/// Steps are halved once less if steps of twice the length would be too long for fewer than one in this many.
 const FEW: u64 = 64;
 
 /// Buffers, reused from step to step.

@@ -32,24 +32,24 @@ const DOUBLINGS: u32 = 32;
 /// Number of halves, quarters, … of an interval that are kept for other vertices.
 const MAX_HALVED: usize = 64;
 
-/// Work of preparing a step of one vertex by polynomials, …
+/// Work of preparing a step of one vertex by polynomials [units].
 const STEP: u64 = 60;
-/// … and by the paths.
+/// Work of the same by the paths [units].
 const STEP_EXACTLY: u64 = 400;
 /// Ratio of the work of forces on a single vertex to that of forces evaluated side by side.
 const ALONE: u64 = 8;
-/// Work of a sample of a vertex's position relative to a rim, by polynomials, …
+/// Work of a sample of a vertex's position relative to a rim, by polynomials [units].
 const SAMPLE: u64 = 4;
-/// … and by the paths.
+/// Work of the same by the paths [units].
 const SAMPLE_EXACTLY: u64 = 120;
 
 /// Buffers, reused from step to step.
 #[derive(Default)]
 pub struct Scratch {
     part: Step,
-    /// Halves, quarters, … of the interval, prepared once for all vertices that take them …
+    /// Halves, quarters, … of the interval, prepared once for all vertices that take them.
     halved: Vec<Step>,
-    /// … and how many of them belong to this interval.
+    /// Number of prepared steps that belong to this interval.
     prepared: usize,
     /// Remaining parts of the interval as (start, length) [s], the next one last.
     left: Vec<(f64, f64)>,
@@ -91,9 +91,9 @@ pub struct Single<'a> {
     pub work: &'a Tally<'a>,
     /// Number of steps beyond the first of each vertex.
     pub substeps: u64,
-    /// The largest sum of estimated errors of a vertex [scene unit] …
+    /// The largest sum of estimated errors of a vertex [scene unit].
     pub error: f64,
-    /// … and the largest sum of their parts beyond the tolerance, where steps could not be made shorter [scene unit].
+    /// The largest sum of their parts beyond the tolerance, where steps could not be made shorter [scene unit].
     pub excess: f64,
 }
 

@@ -30,7 +30,7 @@ const SMOOTH: f64 = 1e-7;
 /// Ratio of the error per unit of time of a step to that of a step of half the length.
 pub const SHORTER: f64 = 32.0;
 /// Index of the sample at [`ASIDE`].
-const ASIDE_LOOK: usize = 5;
+const ASIDE_SAMPLE: usize = 5;
 
 /// An instant of a step.
 #[derive(Clone, Debug, Default)]
@@ -72,9 +72,9 @@ pub struct Step {
 /// Factor from the number of the force's time scales that pass in a step to the fraction of the residual that counts,
 /// see `roughness` of [`Group`].
 pub const SMOOTHNESS: f64 = 0.5;
-/// Factor from the bound on what a correction leaves to what it usually leaves, and …
+/// Factor from the bound on what a correction leaves to what it usually leaves.
 pub const UNSETTLED: f64 = 0.1;
-/// … from the bound on the error of the interpolated force to the usual error: 0.15 to 0.4 over the vertices of the
+/// Factor from the bound on the error of the interpolated force to the usual error: 0.15 to 0.4 over the vertices of the
 /// reference scenes.
 pub const LEFT_OUT: f64 = 0.3;
 /// Relative error after a few roundings.
@@ -174,8 +174,8 @@ pub fn respond<S: Simd, const W: usize>(flow: Vector<S, W>, w: &[f64; 4], f: &[V
 impl<S: Simd, const W: usize> Group<'_, S, W> {
     /// F of each vertex for displacement `x` at one of the step's moments [scene unit/s²].
     #[inline(always)]
-    fn force(&self, look: usize, x: Vector<S, W>) -> Vector<S, W> {
-        let moment = &self.step.moments[look];
+    fn force(&self, sample: usize, x: Vector<S, W>) -> Vector<S, W> {
+        let moment = &self.step.moments[sample];
         let (one, position) = (Reals::splat(self.simd, 1.0), self.rest + x);
         let mut force = self.local;
         for pull in self.pulls {
@@ -232,9 +232,9 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
         let zero = Vector::splat(simd, DVec3::ZERO);
         // Loops, not closures: a closure is compiled for the baseline instruction set.
         let mut flow = [zero; 4];
-        for look in 1..5 {
-            let stage = weights.stage(look);
-            flow[look - 1] = x * stage.xx + u * stage.xu;
+        for sample in 1..5 {
+            let stage = weights.stage(sample);
+            flow[sample - 1] = x * stage.xx + u * stage.xu;
         }
 
         let mut forces = [self.force(0, x), zero, zero, zero];
@@ -284,7 +284,7 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
             // usually the force in the middle has already shown that the error is far below the tolerance
             if is_quick.or(is_near).any() {
                 let stage = &weights.aside;
-                let found = self.force(ASIDE_LOOK, respond(x * stage.xx + u * stage.xu, &stage.force, &forces));
+                let found = self.force(ASIDE_SAMPLE, respond(x * stage.xx + u * stage.xu, &stage.force, &forces));
                 let quartic = respond(bend * weights.bend_aside, &weights.polynomial_aside, &forces);
                 let skew = none.larger_or_nan((found - quartic).length_squared().sqrt() - noise);
                 let h = Reals::splat(simd, self.step.h);
@@ -375,18 +375,18 @@ impl Step {
         if course.is_whole {
             self.sample_whole(course);
         } else {
-            for (look, moment) in self.moments[..5].iter_mut().enumerate() {
-                moment.uniform = course.sample(time_of(look, course.start, h), &mut moment.centres);
+            for (sample, moment) in self.moments[..5].iter_mut().enumerate() {
+                moment.uniform = course.sample(time_of(sample, course.start, h), &mut moment.centres);
             }
         }
         let forces: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].uniform);
         let State { x, u } = carried;
         self.ringing = self.shared_ringing(carried);
-        for (look, moment) in self.moments[..5].iter_mut().enumerate() {
-            if look == 0 {
+        for (sample, moment) in self.moments[..5].iter_mut().enumerate() {
+            if sample == 0 {
                 moment.carried = x;
             } else {
-                let stage = self.weights.stage(look);
+                let stage = self.weights.stage(sample);
                 moment.carried = stage.xx * x + stage.xu * u + combine(&stage.force, forces);
             }
             for centre in &mut moment.centres {
@@ -394,9 +394,9 @@ impl Step {
             }
         }
         if self.weights.is_sampled_aside {
-            let mut aside = std::mem::take(&mut self.moments[ASIDE_LOOK]);
+            let mut aside = std::mem::take(&mut self.moments[ASIDE_SAMPLE]);
             aside.sample(Trajectories { course, whole: self, carried }, self.start + ASIDE * h);
-            self.moments[ASIDE_LOOK] = aside;
+            self.moments[ASIDE_SAMPLE] = aside;
         }
         let own = self.carried_bounds(course, carried);
         self.relative.clear();
@@ -405,7 +405,8 @@ impl Step {
             Bounds { speed: speed + own.speed, acceleration: acceleration + own.acceleration }
         }));
         let limits = self.largest_left_out(course, wanted);
-        self.smooth = (0..course.spheres.len()).all(|j| self.is_smooth(limits, |look| self.moments[look].centres[j]));
+        self.smooth =
+            (0..course.spheres.len()).all(|j| self.is_smooth(limits, |sample| self.moments[sample].centres[j]));
         self.noise = self.rounding(course);
     }
 
@@ -429,14 +430,14 @@ impl Step {
     fn is_smooth(&self, limits: [f64; 2], at: impl Fn(usize) -> DVec3) -> bool {
         let known = [at(0), at(1), at(2), at(3)];
         let is_small = |residual: DVec3, limit: f64| residual.length_squared() <= limit * limit;
-        let of_cubic = |look: usize, w: &[f64; 4]| is_small(at(look) - combine(w, known), limits[0]);
+        let of_cubic = |sample: usize, w: &[f64; 4]| is_small(at(sample) - combine(w, known), limits[0]);
         let Weights { polynomial, polynomial_aside, is_sampled_aside, .. } = self.weights;
-        if of_cubic(4, &polynomial) && (!is_sampled_aside || of_cubic(ASIDE_LOOK, &polynomial_aside)) {
+        if of_cubic(4, &polynomial) && (!is_sampled_aside || of_cubic(ASIDE_SAMPLE, &polynomial_aside)) {
             return true;
         }
         is_sampled_aside && {
             let [w0, w1, w2, w3, middle] = quartic(ASIDE);
-            is_small(at(ASIDE_LOOK) - combine(&[w0, w1, w2, w3], known) - middle * at(4), limits[1])
+            is_small(at(ASIDE_SAMPLE) - combine(&[w0, w1, w2, w3], known) - middle * at(4), limits[1])
         }
     }
 
@@ -452,10 +453,10 @@ impl Step {
 
     /// See [`Step::noise`].
     fn rounding(&self, course: &Course<'_>) -> f64 {
-        let force = |look: usize| self.moments[look].uniform;
+        let force = |sample: usize| self.moments[sample].uniform;
         let mut changes = DVec3::ZERO;
-        for look in 1..5 {
-            changes = changes.max((force(look) - force(0)).abs());
+        for sample in 1..5 {
+            changes = changes.max((force(sample) - force(0)).abs());
         }
         let of_times = force(0).length() + changes.length() * (1.0 + self.end() / self.h);
         let position = |body: usize| match course.is_whole {
@@ -508,8 +509,8 @@ impl Step {
         self.start = start;
         self.set_weights(weights);
         self.ringing = if self.weights.ringing.is_some() { whole.ringing } else { 0.0 };
-        for look in 0..if self.weights.is_sampled_aside { 6 } else { 5 } {
-            self.sample_within(course, whole, carried, look);
+        for sample in 0..if self.weights.is_sampled_aside { 6 } else { 5 } {
+            self.sample_within(course, whole, carried, sample);
         }
         self.bound_within(course, whole);
         self.noise = whole.noise;
@@ -529,15 +530,15 @@ impl Step {
     pub fn prepare_ends(&mut self, course: &Course<'_>, whole: &Step, carried: State, start: f64, h: f64) {
         self.start = start;
         self.h = h;
-        for look in [0, 3] {
-            self.sample_within(course, whole, carried, look);
+        for sample in [0, 3] {
+            self.sample_within(course, whole, carried, sample);
         }
         self.bound_within(course, whole);
     }
 
-    fn sample_within(&mut self, course: &Course<'_>, whole: &Step, carried: State, look: usize) {
-        let t = time_of(look, self.start, self.h);
-        whole.sample_at(course, carried, t, &mut self.moments[look]);
+    fn sample_within(&mut self, course: &Course<'_>, whole: &Step, carried: State, sample: usize) {
+        let t = time_of(sample, self.start, self.h);
+        whole.sample_at(course, carried, t, &mut self.moments[sample]);
     }
 
     /// Sets a moment to time `t` [s] of this step, which is that over the whole interval.
@@ -613,12 +614,12 @@ pub fn usual(course: &Course<'_>, h: f64) -> f64 {
     USUAL * 0.1 * SMOOTHNESS / 384.0 * (h / omega.max(2.0 * damping).max(1.0))
 }
 
-/// Time of sample `look` of a step [s].
-fn time_of(look: usize, start: f64, h: f64) -> f64 {
-    match look {
+/// Time of a sample of a step [s].
+fn time_of(sample: usize, start: f64, h: f64) -> f64 {
+    match sample {
         3 => start + h,
-        ASIDE_LOOK => start + ASIDE * h,
-        _ => start + SAMPLES[look] * h,
+        ASIDE_SAMPLE => start + ASIDE * h,
+        _ => start + SAMPLES[sample] * h,
     }
 }
 
@@ -660,7 +661,7 @@ impl<'a> Trajectories<'a> {
         if !whole.smooth {
             return Apart::Exact(ExactPath { trajectories: self, vertex, sphere });
         }
-        let known = std::array::from_fn(|look| whole.moments[look].centres[sphere] - vertex.rest);
+        let known = std::array::from_fn(|sample| whole.moments[sample].centres[sphere] - vertex.rest);
         let mut c = quartic_through(&known);
         if start != whole.start || h != whole.h {
             // the same polynomial in the time of the part: shifted by theta₀ (Horner) and rescaled

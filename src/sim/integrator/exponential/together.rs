@@ -22,9 +22,9 @@ use crate::sim::{
 /// A vertex with |x|² + |u|² below this, in scene units and seconds, is at rest.
 const REST_SQUARED: f64 = 1e-300;
 
-/// Work of a step of a vertex, and of each sphere that is examined for it, …
+/// Work of a step of a vertex, and of each sphere that is examined for it [units].
 const EXAMINE: u64 = 2;
-/// … and of each sphere that contains it.
+/// Work of each sphere that contains the vertex [units].
 const PULL: u64 = 24;
 
 /// Data kept from a step of the active set for the groups with a vertex that needs attention. The arrays have room for the
@@ -53,11 +53,11 @@ pub struct Outcomes {
     pub near: u64,
 }
 
-/// In a block of results: displacement and velocity at the start [scene unit, scene unit/s], …
+/// Displacement and velocity at the start in a block of results [scene unit, scene unit/s].
 pub const START: [usize; 2] = [0, 1];
-/// … the forces at the four nodes [scene unit/s²], …
+/// Forces at the four nodes in a block of results [scene unit/s²].
 pub const FORCES: [usize; 4] = [2, 3, 4, 5];
-/// … and the difference of the force in the middle from the cubic through these [scene unit/s²].
+/// Difference of the force in the middle from the cubic through these, in a block of results [scene unit/s²].
 pub const BEND: usize = 6;
 /// Number of vectors in a block of results.
 pub const RESULTS: usize = 7;

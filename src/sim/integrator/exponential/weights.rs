@@ -36,15 +36,15 @@ pub struct Weights {
     /// oscillator or of the influence passes in it, or where an estimate without that sample could be too conservative
     /// for the tolerance.
     pub is_sampled_aside: bool,
-    /// Weights for the displacement in the middle …
+    /// Weights for the displacement in the middle.
     pub middle: Stage,
-    /// … and, if the step is sampled there, at [`ASIDE`].
+    /// Weights for the displacement at [`ASIDE`], if the step is sampled there.
     pub aside: Stage,
     /// Weight of each node's force in the polynomial's value in the middle [–].
     pub polynomial: [f64; 4],
-    /// Like [`Weights::polynomial`], at [`ASIDE`] …
+    /// Like [`Weights::polynomial`], at [`ASIDE`].
     pub polynomial_aside: [f64; 4],
-    /// … and the weight there of the bend, which is 1 in the middle and 0 at the nodes [–].
+    /// Weight at [`ASIDE`] of the bend, which is 1 in the middle and 0 at the nodes [–].
     pub bend_aside: f64,
     /// Weight of the displacement at the start in the velocity at the end [1/s].
     pub ux: f64,
@@ -188,9 +188,9 @@ impl KnownWeights {
 /// a q + b (θ − ½) q and higher terms: a is the bend, b follows from the residual of the quartic at [`ASIDE`], the skew.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Residual {
-    /// Weight of the bend in the displacement [s²] …
+    /// Weight of the bend in the displacement [s²].
     pub bend_x: f64,
-    /// … and in the velocity [s].
+    /// Weight of the bend in the velocity [s].
     pub bend_u: f64,
     /// Weight of the skew in the velocity [s].
     pub skew_u: f64,
@@ -245,10 +245,10 @@ impl Weights {
         self.constant.abs() + self.h * self.swing
     }
 
-    /// Weights for the displacement at sample `look`: 1 … 3 are the nodes, 4 is the middle.
+    /// Weights for the displacement at a sample: 1 … 3 are the nodes, 4 is the middle.
     #[inline(always)]
-    pub fn stage(&self, look: usize) -> &Stage {
-        if look == 4 { &self.middle } else { &self.nodes[look] }
+    pub fn stage(&self, sample: usize) -> &Stage {
+        if sample == 4 { &self.middle } else { &self.nodes[sample] }
     }
 }
 
