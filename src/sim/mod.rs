@@ -50,7 +50,7 @@
 //! 1. [`World::step`] → `Prescribed::step` (`prescribed`), which lists the stages
 //! 2. reach: `Tracks::evaluate` (`tracks`) evaluates the paths; `Pairs::update` (`pairs`) searches the grid
 //! 3. events: `Pairs::find_events` → `Search::first_change` ([`events`]) → `roots`
-//! 4. reach: `wake_acted_on`, `wake_moved`; `find_bounds` → `Context::find_reachable` (`advance`)
+//! 4. reach: `wake_acted_on`, `wake_moved`, `wake_near_points`; `find_bounds` → `Context::find_reachable` (`advance`)
 //! 5. integrate: `Context::advance` for every awake body
 //! 6. ‥ of an explicit scheme: `explicit::advance` ([`integrator`]); otherwise:
 //! 7. ‥ `choose_active_set` (`deformation`), then `find_breaks` divides the step where something jumps
@@ -60,7 +60,7 @@
 //!
 //! # A step of a coupled scene
 //! 1. [`World::step`] → `Coupled::step` (`coupled`), which lists the stages
-//! 2. reach: `wake_pushed`; `find_neighbours` → `Near::update` (`near`) searches the grid
+//! 2. reach: `wake_pushed`, `wake_near_points`; `find_neighbours` → `Near::update` (`near`) searches the grid
 //! 3. integrate, of an explicit scheme: `explicit::step` (`coupled`); otherwise:
 //! 4. reach: `find_islands` groups the bodies that can act on each other (`islands`)
 //! 5. integrate: `islands::advance` → `Island::advance_with` ([`free`]) for every island

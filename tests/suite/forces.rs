@@ -15,9 +15,15 @@ use meldscope::{
 
 /// Step of the scenes [s]: a few thousandths of the shortest time scale of an oscillator in them.
 const STEP: f64 = 2e-4;
-/// Largest difference between a second difference and the net force [largest net force on the body]. Measured: at most
-/// 6.2e-3, of `mps`, whose springs act on predicted positions.
-const BOUND: f64 = 0.01;
+/// Upper limit on the difference between a second difference and the net force [largest net force on the body]. Measured:
+/// at most 6.2e-3 of `mps`, whose springs act on predicted positions; of the others 9.7e-5 on paths, and 3.1e-3 free.
+fn bound(integrator: Integrator, is_free: bool) -> f64 {
+    match (integrator, is_free) {
+        (Integrator::Mps, _) => 8e-3,
+        (_, false) => 1.5e-4,
+        (_, true) => 4e-3,
+    }
+}
 
 /// What both scenes have: force points, a push, and a body `a` with others merged with it, apart from it and in its core.
 const COMMON: &str = r#"
@@ -136,7 +142,7 @@ fn the_net_force_moves_the_vertices() {
     for model in [Model::Oscillators, Model::Lattice, Model::Fem] {
         let mut acted = BTreeSet::new();
         let mut expected = BTreeSet::new();
-        for (kind, text) in [("on paths", on_paths()), ("free", free())] {
+        for (is_free, text) in [(false, on_paths()), (true, free())] {
             let common = Scene::parse(&text, "forces.toml").unwrap_or_else(|error| panic!("{error}"));
             expected.extend(Cause::of(&common).map(Cause::name));
             let mut supported = 0;
@@ -144,8 +150,9 @@ fn the_net_force_moves_the_vertices() {
                 let scene = Scene { model, integrator, ..common.clone() };
                 let Some(difference) = compare(&scene, &mut acted) else { continue };
                 supported += 1;
-                if !(difference < BOUND) {
-                    wrong.push(format!("{model}, {integrator}, {kind}: {difference:.3}"));
+                if !(difference < bound(integrator, is_free)) {
+                    let kind = if is_free { "free" } else { "on paths" };
+                    wrong.push(format!("{model}, {integrator}, {kind}: {difference:.1e}"));
                 }
             }
             assert!(supported > 0, "{model}: no integrator");
@@ -214,7 +221,8 @@ fn force_points_meet_the_tolerance() {
     let now = world.conserved().expect("free bodies").energy();
     let first = 0.5 * world.scene().bodies[1].mass * 0.01;
     assert!(ledger.points.abs() > 1e-3, "{ledger:?}");
-    assert!((now - first - ledger.total()).abs() < 1e-5 * ledger.points.abs().max(1.0), "{now} {first} {ledger:?}");
+    // measured: 1.4e-7 of 15.2
+    assert!((now - first - ledger.total()).abs() < 1e-7 * ledger.points.abs(), "{now} {first} {ledger:?}");
 }
 
 /// A point that never acts, or acts on none of the bodies, changes no bit.

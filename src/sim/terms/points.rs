@@ -33,7 +33,7 @@ impl Term for Points {
             if point.acts_at(part.start) {
                 let radius = on.tracks.motion_bounds(neighbour.other).sphere;
                 let strength = on.scene.point_strength(point, on.index as usize);
-                acting.spheres.push(Sphere { body: neighbour.other, radius, inverse_radius: 1.0 / radius, strength });
+                acting.spheres.push(Sphere::new(neighbour.other, radius, strength));
             }
         }
     }

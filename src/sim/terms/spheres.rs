@@ -25,6 +25,13 @@ pub struct Sphere {
     pub strength: f64,
 }
 
+impl Sphere {
+    /// The sphere of a body or a force point.
+    pub fn new(body: u32, radius: f64, strength: f64) -> Sphere {
+        Sphere { body, radius, inverse_radius: 1.0 / radius, strength }
+    }
+}
+
 /// What an influence sphere belongs to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Origin {
@@ -105,8 +112,7 @@ impl Term for Spheres {
             let strength = on.strength(neighbour, on.phases.from(on.index, neighbour, part.start));
             let radius = on.tracks.motion_bounds(neighbour.other).sphere;
             if strength != 0.0 {
-                let sphere = Sphere { body: neighbour.other, radius, inverse_radius: 1.0 / radius, strength };
-                acting.spheres.push(sphere);
+                acting.spheres.push(Sphere::new(neighbour.other, radius, strength));
             }
         }
     }
