@@ -1,20 +1,19 @@
 //! The Rerun SDK, in one place: every other module takes its types from here.
 
 pub use rerun::{
-    ApplicationId, AsComponents, ComponentDescriptor, EntityPath, Loggable, SerializedComponentBatch, SizeBytes,
-    StoreId, StoreKind, TimeCell, TimePoint, Timeline, TimelineName,
+    ApplicationId, AsComponents, ComponentDescriptor, EntityPath, Loggable, RecordingStream, RecordingStreamBuilder,
+    RecordingStreamResult, SerializedComponentBatch, SizeBytes, StoreId, StoreKind, TimeCell, TimePoint, Timeline,
+    TimelineName,
     components::{self, Color, Radius},
     datatypes::{self, Quaternion, Rgba32},
     external::{
         re_build_info::CrateVersion,
         re_chunk_store::external::re_chunk::{
-            BatcherHooks, Chunk, ChunkBatcher, ChunkBatcherConfig, ChunkBuilder, ChunkComponents, ChunkId, PendingRow,
-            RowId, TimeColumn, external::arrow,
+            Chunk, ChunkBuilder, ChunkComponents, ChunkId, RowId, TimeColumn, external::arrow,
         },
         re_grpc_client,
         re_log_encoding::{
-            DecoderApp, EncodeError, Encoder, EncodingOptions, FileSink, ToTransport, external::lz4_flex,
-            rrd::Compression,
+            DecoderApp, EncodeError, Encoder, EncodingOptions, ToTransport, external::lz4_flex, rrd::Compression,
         },
         re_log_types::{
             ArrowMsg, BlueprintActivationCommand, LogMsg, SetStoreInfo, StoreInfo, StoreSource, external::re_tuid::Tuid,

@@ -4,13 +4,6 @@
 //! vertex's body, over all steps of the run that coincide with a step of the scene. The run time covers the steps
 //! alone, on one thread. Cases take turns, so that other load on the machine affects all of them alike.
 
-pub mod before;
-pub mod csv;
-pub mod diagram;
-pub mod random;
-pub mod table;
-pub mod verdict;
-
 use std::{
     fmt,
     time::{Duration, Instant},
@@ -18,11 +11,15 @@ use std::{
 
 use super::{
     MeasureError,
+    chart::{Axis, Chart, DIAMOND, Line, Marker, Panel, SQUARE, Style, TIP, TRIANGLE},
     reference::{Accuracy, Reference},
+    report::{Cell, Column, Machine, Report, Table},
 };
 use crate::{
     scene::{Integrator, Scene},
     sim::{TooLarge, World},
+    svg,
+    text::{counted, significant},
 };
 
 /// What to measure.
@@ -34,9 +31,9 @@ pub struct Settings {
     pub factors: Vec<f64>,
     /// Tolerances of [`Integrator::Exponential`] with error control, at the scene's step size, descending [1/s].
     pub tolerances: Vec<f64>,
-    /// A run time is the median of at least this many runs …
+    /// Each case is timed at least this often; the median counts.
     pub runs: usize,
-    /// … that took at least this long in total.
+    /// Each case is timed for at least this long in total.
     pub shortest: Duration,
 }
 
@@ -74,6 +71,8 @@ const DIVERGED: f64 = 1e3;
 pub const LEAST_ALLOWED: f64 = 1e-10;
 /// Upper limit on the number of instants at which runs are compared with the reference.
 const MAX_INSTANTS: u64 = 1024;
+/// The smallest error drawn [radii].
+const FLOOR: f64 = 1e-12;
 
 /// An integrator and its step control.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -97,11 +96,31 @@ impl Scheme {
     }
 
     /// The common name of cases that differ only in step size or tolerance.
-    pub fn family(self) -> &'static str {
+    fn family(self) -> &'static str {
         match self {
             Scheme::Fixed(integrator) => integrator.name(),
             Scheme::Controlled { .. } => "exponential, error control",
         }
+    }
+
+    fn tolerance(self) -> Option<f64> {
+        match self {
+            Scheme::Fixed(_) => None,
+            Scheme::Controlled { tolerance } => Some(tolerance),
+        }
+    }
+
+    fn style(self) -> Style {
+        let (color, marker, width) = match self {
+            Scheme::Fixed(Integrator::Thesis) => (svg::VERMILION, Marker::Cross, 3.0),
+            Scheme::Fixed(Integrator::Mps) => (svg::ORANGE, TIP, 2.0),
+            Scheme::Fixed(Integrator::Euler) => (svg::PURPLE, SQUARE, 2.0),
+            Scheme::Fixed(Integrator::Verlet) => (svg::SKY_BLUE, DIAMOND, 2.0),
+            Scheme::Fixed(Integrator::Rk4) => (svg::BLUE, TRIANGLE, 2.0),
+            Scheme::Fixed(Integrator::Exponential) => (svg::GREEN, Marker::Disc, 3.0),
+            Scheme::Controlled { .. } => (svg::INK, Marker::Star, 2.0),
+        };
+        Style { color, marker, width }
     }
 }
 
@@ -123,8 +142,8 @@ pub struct Measurement {
     pub dt: f64,
     /// Number of steps.
     pub steps: u64,
-    /// The largest error over time and vertices [radii]; `None` if the run diverged.
-    pub error: Option<f64>,
+    /// The largest error over time and vertices [radii]; infinite if the run diverged.
+    pub error: f64,
     /// The largest ratio of an error to what the tolerance allows until then [–], with error control: tolerance times
     /// time, but no less than 1e-10 R and what the reference resolves. Above 1, the tolerance is missed.
     pub share: Option<f64>,
@@ -138,15 +157,11 @@ pub struct Measurement {
 
 /// The measurements of one scene.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Report {
+pub struct Measured {
     /// Name of the scene.
     pub scene: String,
-    /// Whether it has free bodies.
-    pub is_coupled: bool,
     /// Step size of the scene [s].
     pub dt: f64,
-    /// Tolerance of the scene [1/s].
-    pub tolerance: f64,
     /// Simulated time [s].
     pub duration: f64,
     /// Number of bodies.
@@ -159,24 +174,7 @@ pub struct Report {
     pub measurements: Vec<Measurement>,
 }
 
-impl Report {
-    /// Errors below this cannot be distinguished from those of the reference [radii].
-    pub fn resolution(&self) -> f64 {
-        resolution(self.agreement)
-    }
-
-    /// Vertices times steps per run time [1/s].
-    pub fn vertex_steps_per_second(&self, measurement: &Measurement) -> f64 {
-        (self.vertices * measurement.steps) as f64 / measurement.seconds
-    }
-
-    /// Whether a measurement used the scene's own step size.
-    pub fn is_at_own_step(&self, measurement: &Measurement) -> bool {
-        (measurement.dt / self.dt - 1.0).abs() < 1e-9
-    }
-}
-
-/// See [`Report::resolution`].
+/// Errors below this cannot be distinguished from those of a reference with this agreement [radii].
 fn resolution(agreement: f64) -> f64 {
     f64::max(1e-13, 10.0 * agreement)
 }
@@ -188,9 +186,6 @@ struct Case {
     /// Step size Δt in steps of the scene.
     factor: f64,
     steps: u64,
-    error: Option<f64>,
-    /// See [`Measurement::share`].
-    share: Option<f64>,
     /// [s]
     run_times: Vec<f64>,
 }
@@ -199,7 +194,7 @@ struct Case {
 ///
 /// # Errors
 /// [`MeasureError`], before anything is measured.
-pub fn measure(scene: &Scene, settings: &Settings, progress: &mut dyn FnMut(f64)) -> Result<Report, MeasureError> {
+pub fn measure(scene: &Scene, settings: &Settings, progress: &mut dyn FnMut(f64)) -> Result<Measured, MeasureError> {
     try_out(scene)?;
     let judge = Judge::new(scene)?;
     let mut cases = cases(scene, settings);
@@ -210,11 +205,9 @@ pub fn measure(scene: &Scene, settings: &Settings, progress: &mut dyn FnMut(f64)
         done += steps as f64;
         progress(done / all);
     };
-    for case in &mut cases {
-        (case.error, case.share) = thread.install(|| judge.error(case))?.unzip();
-        if !matches!(case.scheme, Scheme::Controlled { .. }) {
-            case.share = None;
-        }
+    let mut errors = Vec::with_capacity(cases.len());
+    for case in &cases {
+        errors.push(thread.install(|| judge.error(case))?);
         progress(case.steps);
     }
     for round in 0..settings.runs {
@@ -224,41 +217,41 @@ pub fn measure(scene: &Scene, settings: &Settings, progress: &mut dyn FnMut(f64)
         }
     }
 
-    let mut report = Report {
+    let measurement = |(mut case, (error, share)): (Case, (f64, f64))| {
+        case.run_times.sort_by(f64::total_cmp);
+        Measurement {
+            scheme: case.scheme,
+            dt: case.scene.dt,
+            steps: case.steps,
+            error,
+            share: case.scheme.tolerance().map(|_| share),
+            order: None,
+            seconds: case.run_times.get(case.run_times.len() / 2).copied().unwrap_or(f64::NAN),
+            runs: case.run_times.len(),
+        }
+    };
+    let mut measurements: Vec<Measurement> = cases.into_iter().zip(errors).map(measurement).collect();
+    fill_in_orders(&mut measurements, resolution(judge.agreement));
+    Ok(Measured {
         scene: scene.name.clone(),
-        is_coupled: scene.is_coupled(),
         dt: scene.dt,
-        tolerance: scene.tolerance,
         duration: scene.steps() as f64 * scene.dt,
         bodies: scene.bodies.len(),
         vertices: scene.vertex_count(),
         agreement: judge.agreement,
-        measurements: cases.into_iter().map(Case::measurement).collect(),
-    };
-    fill_in_orders(&mut report);
-    Ok(report)
+        measurements,
+    })
 }
 
-/// The cases, in the order of [`Report::measurements`].
+/// The cases, in the order of [`Measured::measurements`].
 fn cases(scene: &Scene, settings: &Settings) -> Vec<Case> {
     let steps = scene.steps() as f64;
     let case = |scheme: Scheme, factor: f64| {
         let count = (steps / factor).round();
-        let tolerance = match scheme {
-            Scheme::Controlled { tolerance } => tolerance,
-            Scheme::Fixed(_) => NO_CONTROL,
-        };
+        let tolerance = scheme.tolerance().unwrap_or(NO_CONTROL);
         let scene = Scene { dt: scene.dt * factor, integrator: scheme.integrator(), tolerance, ..scene.clone() };
         let is_whole = (count * factor - steps).abs() < 1e-9 * steps && count >= 1.0;
-        is_whole.then(|| Case {
-            scene,
-            scheme,
-            factor,
-            steps: count as u64,
-            error: None,
-            share: None,
-            run_times: vec![],
-        })
+        is_whole.then(|| Case { scene, scheme, factor, steps: count as u64, run_times: vec![] })
     };
     let of_integrator = |&integrator: &Integrator| {
         let fixed = settings.factors.iter().filter_map(move |&factor| case(Scheme::Fixed(integrator), factor));
@@ -292,32 +285,14 @@ impl Case {
             }
         }
     }
-
-    fn measurement(mut self) -> Measurement {
-        self.run_times.sort_by(f64::total_cmp);
-        Measurement {
-            scheme: self.scheme,
-            dt: self.scene.dt,
-            steps: self.steps,
-            error: self.error,
-            share: self.share,
-            order: None,
-            seconds: self.run_times.get(self.run_times.len() / 2).copied().unwrap_or(f64::NAN),
-            runs: self.run_times.len(),
-        }
-    }
 }
 
-fn fill_in_orders(report: &mut Report) {
-    let resolution = report.resolution();
-    let measured = |measurement: &Measurement| measurement.error.filter(|&error| error > resolution);
-    for k in 1..report.measurements.len() {
-        let (before, this) = (&report.measurements[k - 1], &report.measurements[k]);
-        if before.scheme != this.scheme {
-            continue;
-        }
-        if let (Some(coarse), Some(fine)) = (measured(before), measured(this)) {
-            report.measurements[k].order = Some((coarse / fine).ln() / (before.dt / this.dt).ln());
+fn fill_in_orders(measurements: &mut [Measurement], resolution: f64) {
+    for k in 1..measurements.len() {
+        let (before, this) = (&measurements[k - 1], &measurements[k]);
+        let is_resolved = [before, this].iter().all(|it| it.error > resolution && it.error.is_finite());
+        if before.scheme == this.scheme && is_resolved {
+            measurements[k].order = Some((before.error / this.error).ln() / (before.dt / this.dt).ln());
         }
     }
 }
@@ -338,7 +313,7 @@ fn try_out(scene: &Scene) -> Result<(), MeasureError> {
 /// The reference and its accuracy.
 struct Judge {
     reference: Reference,
-    /// See [`Report::agreement`].
+    /// See [`Measured::agreement`].
     agreement: f64,
     /// Number of scene steps between instants.
     stride: u64,
@@ -362,26 +337,223 @@ impl Judge {
         ((instant - whole).abs() < 1e-9 * f64::max(1.0, whole)).then_some(whole as usize)
     }
 
-    /// The largest error over time and vertices [radii], and its [share](Measurement::share) of what is allowed; `None`
-    /// if the run diverged.
-    fn error(&self, case: &Case) -> Result<Option<(f64, f64)>, TooLarge> {
+    /// The largest error over time and vertices [radii], and its [share](Measurement::share) of what is allowed;
+    /// infinite if the run diverged.
+    fn error(&self, case: &Case) -> Result<(f64, f64), TooLarge> {
         let mut world = World::new(case.scene.clone())?;
         let (mut largest, mut share) = (0.0, 0.0);
         let least = f64::max(LEAST_ALLOWED, resolution(self.agreement));
         for step in 1..=case.steps {
             if world.step().failure.is_some() {
-                return Ok(None);
+                return Ok((f64::INFINITY, f64::INFINITY));
             }
             let Some(instant) = self.instant(case, step) else { continue };
             for (index, body) in world.bodies().enumerate() {
                 let error = self.reference.error(index, &body, instant);
                 if error.is_nan() || error > DIVERGED {
-                    return Ok(None);
+                    return Ok((f64::INFINITY, f64::INFINITY));
                 }
                 largest = f64::max(largest, error);
                 share = f64::max(share, error / f64::max(least, case.scene.tolerance * world.time()));
             }
         }
-        Ok(Some((largest, share)))
+        Ok((largest, share))
+    }
+}
+
+// --- results --------------------------------------------------------------------------------------------------------
+
+impl Measured {
+    /// Errors below this cannot be distinguished from those of the reference [radii].
+    fn resolution(&self) -> f64 {
+        resolution(self.agreement)
+    }
+
+    /// The measurements that differ only in step size or tolerance.
+    fn families(&self) -> impl Iterator<Item = &[Measurement]> {
+        self.measurements.chunk_by(|a, b| a.scheme.family() == b.scheme.family())
+    }
+
+    /// The fastest measurement of each integrator with an error of at most `target` [radii], fastest first.
+    pub fn fastest(&self, target: f64) -> Vec<&Measurement> {
+        let mut all: Vec<_> = self.measurements.iter().filter(|it| it.error.max(self.resolution()) <= target).collect();
+        all.sort_by(|x, y| x.seconds.total_cmp(&y.seconds));
+        let mut seen = vec![];
+        all.retain(|it| {
+            let integrator = it.scheme.integrator();
+            let is_first = !seen.contains(&integrator);
+            seen.push(integrator);
+            is_first
+        });
+        all
+    }
+
+    /// The tolerances that were missed, each with the largest ratio of an error to what it allows until then.
+    pub fn missed(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
+        self.measurements.iter().filter_map(|it| match (it.scheme, it.share) {
+            (Scheme::Controlled { tolerance }, Some(share)) if !(share <= 1.0) => Some((tolerance, share)),
+            _ => None,
+        })
+    }
+
+    /// The ratio of the largest to the smallest step size of the scheme as printed in the thesis, and the fraction of
+    /// the error that remains at the smallest, if it is too large for the scheme to be convergent.
+    fn thesis_stagnation(&self) -> Option<(f64, f64)> {
+        let of_thesis = || self.measurements.iter().filter(|it| it.scheme == Scheme::Fixed(Integrator::Thesis));
+        let (largest, smallest) = (of_thesis().next()?, of_thesis().next_back()?);
+        let share = smallest.error / largest.error;
+        (share >= 0.5).then_some((largest.dt / smallest.dt, share))
+    }
+
+    fn conclusions(&self) -> Vec<String> {
+        let milliseconds = |it: &Measurement| format!("{}, {} ms", it.scheme, significant(1e3 * it.seconds));
+        let mut lines = vec!["fastest for an error of at most".to_owned()];
+        for target in [1e-2, 1e-4, 1e-6, 1e-8] {
+            let line = match self.fastest(target).as_slice() {
+                [] => "none".to_owned(),
+                [only] => format!("{}; no other integrator reaches it", milliseconds(only)),
+                [first, second, ..] => format!("{}; then {}", milliseconds(first), milliseconds(second)),
+            };
+            lines.push(format!("  {target:.0e}  {line}"));
+        }
+        let share = |it: &Measurement| Some(it.error / (it.scheme.tolerance()? * self.duration));
+        let shares = || self.measurements.iter().filter(|it| it.error > self.resolution()).filter_map(share);
+        if let (Some(least), Some(largest)) = (shares().reduce(f64::min), shares().reduce(f64::max)) {
+            lines
+                .push(format!("error control: the error is {least:.0e} to {largest:.0e} of what the tolerance allows"));
+        }
+        let missed: Vec<String> =
+            self.missed().map(|(tolerance, share)| format!("{tolerance:.0e} ({share:.1} times)")).collect();
+        if !missed.is_empty() {
+            lines.push(format!("  missed at some instant: {}", missed.join(", ")));
+        }
+        if let Some((factor, share)) = self.thesis_stagnation() {
+            lines.push(format!(
+                "thesis, as printed, does not converge: a step {factor:.0} times smaller leaves {:.0} % of its error",
+                100.0 * share
+            ));
+        }
+        lines.push(format!(
+            "reference: with a tenth of the tolerance and half the step, it changes by {:.0e} R",
+            self.agreement
+        ));
+        lines
+    }
+
+    fn row(&self, it: &Measurement) -> Vec<Cell> {
+        let error = match it.error {
+            f64::INFINITY => "diverged".to_owned(),
+            error if error < self.resolution() => format!("< {:.0e}", self.resolution()),
+            error => format!("{error:.2e}"),
+        };
+        vec![
+            self.scene.as_str().into(),
+            self.vertices.into(),
+            Cell::Text(it.scheme.to_string()),
+            it.scheme.integrator().name().into(),
+            it.scheme.tolerance().into(),
+            it.dt.into(),
+            it.steps.into(),
+            Cell::Shown(it.error, error),
+            it.order.into(),
+            (1e3 * it.seconds).into(),
+            it.runs.into(),
+            ((self.vertices * it.steps) as f64 / it.seconds).into(),
+        ]
+    }
+
+    fn panel(&self, errors: Axis) -> Panel {
+        let floor = f64::max(FLOOR, self.resolution());
+        let line = |family: &[Measurement]| {
+            let scheme = family.first()?.scheme;
+            let is_thesis = scheme == Scheme::Fixed(Integrator::Thesis);
+            let name = match scheme.family() {
+                name if family.iter().any(|it| it.error.is_infinite()) => format!("{name} (out of bounds)"),
+                name if is_thesis && self.thesis_stagnation().is_some() => format!("{name} (no convergence)"),
+                name => name.to_owned(),
+            };
+            let is_own = |it: &Measurement| (it.dt / self.dt - 1.0).abs() < 1e-9 && it.scheme.tolerance().is_none();
+            let points = family.iter().map(|it| [1e3 * it.seconds, it.error.max(floor)]).collect();
+            Some(Line { name, style: scheme.style(), points, ringed: family.iter().position(is_own) })
+        };
+        let times = self.measurements.iter().map(|it| 1e3 * it.seconds);
+        Panel {
+            title: format!("{} ({} vertices)", self.scene, self.vertices),
+            axes: [Axis::spanning("run time [ms]", times, 1.5), errors],
+            lines: self.families().filter_map(line).collect(),
+        }
+    }
+}
+
+/// The columns of the measurements.
+pub fn columns() -> Vec<Column> {
+    vec![
+        Column::text("", "scene"),
+        Column::count("", "vertices"),
+        Column::text("scheme", ""),
+        Column::text("", "integrator"),
+        Column::number("", "tolerance_per_s", |x| x.to_string()),
+        Column::number("dt [s]", "dt_s", |dt| format!("{dt:.6}")),
+        Column::count("steps", "steps"),
+        Column::number("error [R]", "error_radii", |error| format!("{error:.2e}")),
+        // rounded first, to avoid a negative zero
+        Column::number("order", "order", |order| format!("{:.2}", (100.0 * order).round() / 100.0 + 0.0)),
+        Column::number("run time [ms]", "run_time_ms", significant),
+        Column::count("", "runs"),
+        Column::number("vertex-steps [M/s]", "vertex_steps_per_s", |rate| format!("{:.1}", 1e-6 * rate)),
+    ]
+}
+
+/// A table for each scene, and the work-precision diagram with a panel for each.
+pub fn report(scenes: &[Measured], machine: &Machine) -> Report {
+    let table = |measured: &Measured| Table {
+        title: format!(
+            "{}: {}, {}, {} s in steps of {:.6} s",
+            measured.scene,
+            counted(measured.bodies as u64, "body"),
+            counted(measured.vertices, "vertex"),
+            measured.duration,
+            measured.dt
+        ),
+        columns: columns(),
+        rows: measured
+            .families()
+            .flat_map(|family| std::iter::once(vec![]).chain(family.iter().map(|it| measured.row(it))))
+            .collect(),
+        conclusions: measured.conclusions(),
+    };
+    let tables: Vec<Table> = scenes.iter().map(table).collect();
+    Report {
+        columns: columns(),
+        rows: scenes.iter().flat_map(|it| it.measurements.iter().map(|measurement| it.row(measurement))).collect(),
+        tables,
+        notes: "error: the largest over time and vertices, in radii, against an independent solution by extrapolation (Gragg, \
+                Bulirsch, Stoer);\norder: relative to the previous step size; run time: of the steps alone, on one thread, median \
+                of several runs"
+            .to_owned(),
+        chart: Some(chart(scenes, machine)),
+        failure: None,
+    }
+}
+
+fn chart(scenes: &[Measured], machine: &Machine) -> Chart {
+    // the same range for all panels, so that they can be compared
+    let errors = scenes.iter().flat_map(|measured| {
+        let floor = f64::max(FLOOR, measured.resolution());
+        measured.measurements.iter().map(move |it| it.error.max(floor))
+    });
+    let errors = Axis::spanning("largest error [radii]", errors.chain([0.1]), 3.0);
+    Chart {
+        title: "Work and precision".to_owned(),
+        heading: [
+            "Down is more accurate, left is faster. Each point halves the step; a ring marks the scene’s own.",
+            "Stars: error control, each with a tighter tolerance than the one before.",
+        ],
+        panels: scenes.iter().map(|measured| measured.panel(errors.clone())).collect(),
+        notes: vec![
+            "Error: the largest over time and vertices, relative to an independent solution.".to_owned(),
+            "Run time: of the steps alone, on one thread; median of several runs.".to_owned(),
+            machine.to_string(),
+        ],
     }
 }

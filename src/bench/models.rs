@@ -5,13 +5,10 @@
 use std::time::Instant;
 
 use glam::DVec3;
-use plotters::style::RGBColor;
-use serde::Serialize;
 
 use super::{
-    drawing::{Area, Axis, Failure, INK, LEFT, Line, Marker, Sheet, Style, draw_axes, draw_lines, error_range, write},
-    machine::Machine,
-    tables::{self, missing},
+    chart::{Axis, Chart, Line, Marker, Panel, SQUARE, Style, TIP, TRIANGLE},
+    report::{Cell, Column, Machine, Report, Table},
 };
 use crate::{
     Scene,
@@ -21,12 +18,13 @@ use crate::{
     observe::{Experiment as _, Frame, Schema, Simulation, StepSummary, SurfaceEvent, Want, surface::Finding},
     scene::Model,
     sim::Options,
+    svg,
     text::{bytes, counted, significant},
 };
 
 /// Upper limit on the measured steps of a scene.
 const MAX_STEPS: u64 = 1200;
-/// Number of timings of a run, of which the median is reported.
+/// Number of timings of a run, of which the best is reported.
 const RUNS: usize = 3;
 /// Divisors of the scene's step for the work-precision diagram.
 const DIVISORS: [f64; 5] = [0.5, 1.0, 2.0, 4.0, 8.0];
@@ -34,16 +32,17 @@ const DIVISORS: [f64; 5] = [0.5, 1.0, 2.0, 4.0, 8.0];
 const FINEST: f64 = 32.0;
 /// Longer steps are tried up to this multiple of the scene's step.
 const LONGEST: f64 = 64.0;
-/// A run is stable while every displacement is below the larger of two limits: this one [radii] …
+/// A run is stable while every displacement is below this [radii], or below [`STABLE_MULTIPLE`] times the largest in the
+/// run with the scene's own step.
 const STABLE_LIMIT: f64 = 10.0;
-/// … and this multiple of the maximum in the run with the scene's own step.
+/// See [`STABLE_LIMIT`].
 const STABLE_MULTIPLE: f64 = 3.0;
 /// Smaller errors are drawn at this value [radii].
 const FLOOR: f64 = 1e-12;
 
 /// The models on one scene.
 #[derive(Clone, Debug)]
-pub struct Report {
+pub struct Measured {
     /// Name of the scene.
     pub scene: String,
     /// Number of vertices of all bodies.
@@ -59,44 +58,35 @@ pub struct Report {
 pub struct Row {
     /// Time to build the simulation, before its first step [s].
     pub build: f64,
-    /// Time of a step [s].
-    pub step: f64,
     /// Time of a step with its frame: the state with its forces, and the merged surface [s].
     pub frame: f64,
     /// Memory of the simulation, if known [bytes].
     pub memory: Option<u64>,
-    /// Runs of the diagram, with the largest error over time and vertices against the model's own converged solution.
+    /// Runs with several steps, with the largest error over time and vertices against the model's own converged solution.
     pub points: Vec<Point>,
-    /// The largest stable step [s]; `None` if no step that was tried is stable.
+    /// The largest stable step [s], if any that was tried is stable.
     pub largest_step: Option<f64>,
-    /// Whether all longer steps that were tried are stable.
-    pub is_unlimited: bool,
     /// The largest relative loss of total volume during the run [–].
     pub volume_lost: f64,
     /// Touch and part events, and phase changes, in order of time.
     pub events: Vec<(String, f64)>,
 }
 
-/// A run with one of the diagram's steps.
+/// A run with one of the steps.
 #[derive(Clone, Copy, Debug)]
 pub struct Point {
     /// The step [s].
     pub dt: f64,
-    /// Run time [s], the shortest of several; NaN if the run failed.
+    /// Time of all steps [s], the shortest of several; NaN if the run failed.
     pub seconds: f64,
-    /// The error [radii]; `None` if the run failed.
-    pub error: Option<f64>,
-}
-
-impl Row {
-    /// The error with the scene's own step [radii].
-    fn error(&self, dt: f64) -> Option<f64> {
-        self.points.iter().find(|point| point.dt == dt)?.error
-    }
+    /// Number of steps.
+    pub steps: u64,
+    /// The error [radii]; infinite if the run failed.
+    pub error: f64,
 }
 
 /// Measures some models on a scene.
-pub fn measure(scene: &Scene, models: &[Model], progress: &mut dyn FnMut(f64)) -> Report {
+pub fn measure(scene: &Scene, models: &[Model], progress: &mut dyn FnMut(f64)) -> Measured {
     let mut scene = scene.clone();
     if scene.steps() > MAX_STEPS {
         scene.duration = MAX_STEPS as f64 * scene.dt;
@@ -104,116 +94,67 @@ pub fn measure(scene: &Scene, models: &[Model], progress: &mut dyn FnMut(f64)) -
     let count = models.len() as f64;
     let rows = (0..).zip(models.iter().copied()).map(|(k, model)| {
         progress(f64::from(k) / count);
-        let run = SceneRun { scene: Scene { model, ..scene.clone() }, options: Options::default() };
-        let row = row(&run, &mut |share| progress((f64::from(k) + share) / count));
-        (model, row)
+        let scene = Scene { model, ..scene.clone() };
+        (model, row(&scene, &mut |share| progress((f64::from(k) + share) / count)))
     });
-    Report { scene: scene.name.clone(), vertices: scene.vertex_count(), dt: scene.dt, rows: rows.collect() }
+    Measured { scene: scene.name.clone(), vertices: scene.vertex_count(), dt: scene.dt, rows: rows.collect() }
 }
 
-fn row(run: &SceneRun, progress: &mut dyn FnMut(f64)) -> Result<Row, String> {
-    let dt = run.scene.dt;
-    let timed = || -> Result<(f64, Box<dyn Simulation>), String> {
-        let start = Instant::now();
-        let simulation = run.start()?;
-        Ok((start.elapsed().as_secs_f64(), simulation))
-    };
-    let (build, simulation) = timed()?;
-    drop(simulation);
-    let build = median((1..RUNS).map(|_| timed().map(|(seconds, _)| seconds)).collect::<Result<Vec<_>, _>>()?, build);
-    progress(0.1);
+fn start(scene: &Scene) -> Result<Box<dyn Simulation>, String> {
+    SceneRun { scene: scene.clone(), options: Options::default() }.start()
+}
 
-    let observed = observe(run)?;
-    progress(0.2);
-    let steps = run.scene.steps();
-    let times = (0..RUNS).map(|_| plain(run)).collect::<Result<Vec<_>, _>>()?;
-    let first = times.first().copied().unwrap_or(0.0);
-    let step = median(times, first) / steps.max(1) as f64;
+fn row(scene: &Scene, progress: &mut dyn FnMut(f64)) -> Result<Row, String> {
+    let clock = Instant::now();
+    drop(start(scene)?);
+    let build = clock.elapsed().as_secs_f64();
+    let mut row = observe(scene)?;
+    row.build = build;
     progress(0.3);
-
-    let finest = states(run, dt / FINEST)?.0;
+    let own = follow(scene, scene.dt)?;
+    let finest = follow(scene, scene.dt / FINEST)?;
     progress(0.6);
-    let mut points = Vec::new();
     for divisor in DIVISORS {
-        let with = with_step(run, dt / divisor);
-        let seconds = (0..RUNS).filter_map(|_| plain(&with).ok()).fold(f64::NAN, f64::min);
-        let error = states(run, dt / divisor).ok().and_then(|(states, _)| difference(&run.scene, &states, &finest));
-        points.push(Point { dt: dt / divisor, seconds, error });
+        let dt = scene.dt / divisor;
+        let runs: Vec<_> = (0..RUNS).filter_map(|_| follow(scene, dt).ok()).collect();
+        let error = runs.first().map_or(f64::INFINITY, |run| difference(scene, run, &finest));
+        let seconds = runs.iter().map(|run| run.seconds).fold(f64::NAN, f64::min);
+        row.points.push(Point { dt, seconds, steps: runs.first().map_or(0, |run| run.steps), error });
     }
     progress(0.8);
-    let (largest_step, is_unlimited) = largest_step(run, observed.displacement);
-    Ok(Row {
-        build,
-        step,
-        frame: observed.frame,
-        memory: observed.memory,
-        points,
-        largest_step,
-        is_unlimited,
-        volume_lost: observed.volume_lost,
-        events: observed.events,
-    })
+    row.largest_step = largest_step(scene, f64::max(STABLE_LIMIT, STABLE_MULTIPLE * own.displacement));
+    Ok(row)
 }
 
-fn with_step(run: &SceneRun, dt: f64) -> SceneRun {
-    SceneRun { scene: Scene { dt, ..run.scene.clone() }, options: run.options }
+/// Takes a step.
+fn step(simulation: &mut dyn Simulation, summary: &mut StepSummary) -> Result<(), String> {
+    simulation.step();
+    simulation.summary(summary);
+    summary.failure.as_ref().map_or(Ok(()), |failure| Err(failure.to_string()))
 }
 
-/// The run time of all steps of a scene [s].
-fn plain(run: &SceneRun) -> Result<f64, String> {
-    let (mut simulation, mut summary) = (run.start()?, StepSummary::default());
-    let start = Instant::now();
-    for _ in 0..run.scene.steps() {
-        simulation.step();
-        simulation.summary(&mut summary);
-        if let Some(failure) = &summary.failure {
-            return Err(failure.to_string());
-        }
-    }
-    Ok(start.elapsed().as_secs_f64())
-}
-
-/// Observations of a run.
-struct Observed {
-    frame: f64,
-    memory: Option<u64>,
-    volume_lost: f64,
-    displacement: f64,
-    events: Vec<(String, f64)>,
-}
-
-fn observe(run: &SceneRun) -> Result<Observed, String> {
-    let mut simulation = run.start()?;
+/// Runs a scene with everything that a recording shows.
+fn observe(scene: &Scene) -> Result<Row, String> {
+    let mut simulation = start(scene)?;
     let schema = simulation.schema();
     let mut merger = Merger::new(&schema, simulation.interrupt());
     let mut touches = Touches::new(&*simulation);
     let (mut frame, mut summary, mut found) = (Frame::default(), StepSummary::default(), Vec::new());
-    let (mut seconds, mut events, mut displacement) = (0.0, Vec::new(), 0.0f64);
-    let mut volumes: Vec<f64> = Vec::new();
-    let (mut local, steps) = (Vectors::default(), run.scene.steps());
-    for step in 0..=steps {
-        let start = Instant::now();
-        if step > 0 {
-            simulation.step();
-            simulation.summary(&mut summary);
-            if let Some(failure) = &summary.failure {
-                return Err(failure.to_string());
-            }
+    let (mut seconds, mut events, mut volumes) = (0.0, Vec::new(), Vec::new());
+    let (mut local, steps) = (Vectors::default(), scene.steps());
+    for at in 0..=steps {
+        let clock = Instant::now();
+        if at > 0 {
+            step(&mut *simulation, &mut summary)?;
         }
         simulation.observe(Want::ALL, &mut frame);
         let merged = merger.merge(&schema, &frame, &[]);
-        seconds += start.elapsed().as_secs_f64();
+        seconds += clock.elapsed().as_secs_f64();
 
-        displacement = frame
-            .bodies
-            .iter()
-            .zip(&schema.bodies)
-            .map(|(now, body)| now.max_displacement / body.radius)
-            .fold(displacement, f64::max);
         let of_groups: f64 = merged.groups.iter().map(|group| group.volume).sum();
         let alone = (0..frame.bodies.len()).filter(|&body| !merged.is_merged.get(body).copied().unwrap_or(false));
         volumes.push(of_groups + alone.map(|body| volume(&schema, &frame, body, &mut local)).sum::<f64>());
-        if step > 0 {
+        if at > 0 {
             touches.step(&*simulation, &frame, &summary.events, &mut found);
             let surfaces = found.iter().filter(|event| matches!(event.what, Finding::Touch | Finding::Part));
             let surfaces = surfaces.map(|event: &SurfaceEvent| (event.name(), event.a, event.b, event.time));
@@ -224,13 +165,15 @@ fn observe(run: &SceneRun) -> Result<Observed, String> {
         }
     }
     events.sort_by(|x, y| x.1.total_cmp(&y.1));
-    let first = volumes.first().copied().unwrap_or(0.0);
     let least = volumes.iter().copied().fold(f64::INFINITY, f64::min);
-    Ok(Observed {
+    let lost = volumes.first().map(|first| 1.0 - least / first).filter(|lost| lost.is_finite());
+    Ok(Row {
+        build: 0.0,
         frame: seconds / steps.max(1) as f64,
         memory: simulation.memory(),
-        volume_lost: if first > 0.0 { 1.0 - least / first } else { 0.0 },
-        displacement,
+        points: vec![],
+        largest_step: None,
+        volume_lost: lost.unwrap_or(0.0),
         events,
     })
 }
@@ -243,277 +186,210 @@ fn volume(schema: &Schema, frame: &Frame, body: usize, local: &mut Vectors) -> f
     now.mesh_of(of).triangles().iter().map(|&[a, b, c]| corner(a).dot(corner(b).cross(corner(c))) / 6.0).sum()
 }
 
-/// Time [s], and positions of all vertices relative to their centres [scene unit], at several instants.
-type States = Vec<(f64, Vec<Vec<DVec3>>)>;
+/// A run with some step.
+struct Run {
+    /// Positions of all vertices relative to their centres [scene unit], `[instant][body][vertex]`, at every second
+    /// instant of the scene's own steps.
+    states: Vec<Vec<Vec<DVec3>>>,
+    /// Time of all steps [s].
+    seconds: f64,
+    steps: u64,
+    /// The largest displacement at these instants, or at every step that is longer [radii].
+    displacement: f64,
+}
 
-/// The states of a run with another step, at every second instant of the scene's own steps; and the largest
-/// displacement [radii].
-fn states(run: &SceneRun, dt: f64) -> Result<(States, f64), String> {
-    let with = with_step(run, dt);
-    let (mut simulation, mut summary, mut frame) = (with.start()?, StepSummary::default(), Frame::default());
+fn follow(scene: &Scene, dt: f64) -> Result<Run, String> {
+    let every = (2.0 * scene.dt / dt).round().max(1.0) as u64; // all runs include every second instant
+    let scene = Scene { dt, ..scene.clone() };
+    let (mut simulation, mut summary, mut frame) = (start(&scene)?, StepSummary::default(), Frame::default());
     let schema = simulation.schema();
-    let every = (2.0 * run.scene.dt / dt).round().max(1.0) as u64; // all runs include every second instant
-    let (mut states, mut largest, mut local) = (Vec::new(), 0.0f64, Vectors::default());
-    for step in 1..=with.scene.steps() {
-        simulation.step();
-        simulation.summary(&mut summary);
-        if let Some(failure) = &summary.failure {
-            return Err(failure.to_string());
-        }
-        if !step.is_multiple_of(every) {
+    let mut run = Run { states: vec![], seconds: 0.0, steps: scene.steps(), displacement: 0.0 };
+    let mut local = Vectors::default();
+    for at in 1..=run.steps {
+        let clock = Instant::now();
+        step(&mut *simulation, &mut summary)?;
+        run.seconds += clock.elapsed().as_secs_f64();
+        if !at.is_multiple_of(every) {
             continue;
         }
         simulation.observe(Want::default(), &mut frame);
-        let of = |(now, body): (&crate::observe::BodyFrame, &crate::observe::schema::BodySchema)| {
-            largest = f64::max(largest, now.max_displacement / body.radius);
+        let mut state = Vec::with_capacity(frame.bodies.len());
+        for (now, body) in frame.bodies.iter().zip(&schema.bodies) {
+            let displacement = now.max_displacement / body.radius;
+            run.displacement = if displacement <= run.displacement { run.displacement } else { displacement };
             now.local_positions(now.rest_of(body), &mut local);
-            local.iter().take(body.vertex_count()).collect::<Vec<_>>()
-        };
-        states.push((frame.at.time, frame.bodies.iter().zip(&schema.bodies).map(of).collect()));
+            state.push(local.iter().take(body.vertex_count()).collect());
+        }
+        run.states.push(state);
     }
-    Ok((states, largest))
+    Ok(run)
 }
 
-/// The largest distance between a vertex's positions in two runs, at common instants [radii]; `None` if NaN.
-fn difference(scene: &Scene, run: &States, finest: &States) -> Option<f64> {
+/// The largest distance between a vertex's positions in two runs, at common instants [radii]; infinite if NaN.
+fn difference(scene: &Scene, run: &Run, finest: &Run) -> f64 {
     let mut largest = 0.0f64;
-    for ((_, one), (_, other)) in run.iter().zip(finest) {
+    for (one, other) in run.states.iter().zip(&finest.states) {
         for ((one, other), body) in one.iter().zip(other).zip(&scene.bodies) {
             for (one, other) in one.iter().zip(other) {
                 let distance = one.distance(*other) / body.radius;
-                if !distance.is_finite() {
-                    return None;
-                }
-                largest = largest.max(distance);
+                largest = if distance.is_finite() { largest.max(distance) } else { f64::INFINITY };
             }
         }
     }
-    Some(largest)
+    largest
 }
 
-/// The largest stable step [s] among doublings and halvings of the scene's step, and whether all longer ones that were
-/// tried are stable.
-fn largest_step(run: &SceneRun, displacement: f64) -> (Option<f64>, bool) {
-    let limit = f64::max(STABLE_LIMIT, STABLE_MULTIPLE * displacement);
-    let is_stable = |dt: f64| {
-        // the instants need not be those of the scene's own steps: only the largest displacement matters
-        let scene = Scene { dt, ..run.scene.clone() };
-        let with = SceneRun { scene, options: run.options };
-        let Ok(mut simulation) = with.start() else { return false };
-        let (mut summary, mut frame) = (StepSummary::default(), Frame::default());
-        (0..with.scene.steps()).all(|_| {
-            simulation.step();
-            simulation.summary(&mut summary);
-            simulation.observe(Want::default(), &mut frame);
-            let bodies = frame.bodies.iter().zip(&run.scene.bodies);
-            summary.failure.is_none()
-                && bodies.into_iter().all(|(now, body)| now.max_displacement <= limit * body.radius)
-        })
+/// The largest stable step [s] among doublings of the scene's step, or else the first stable one of its halves. A run is
+/// stable if no displacement exceeds `limit` [radii].
+fn largest_step(scene: &Scene, limit: f64) -> Option<f64> {
+    let is_stable = |dt: &f64| follow(scene, *dt).is_ok_and(|run| run.displacement <= limit);
+    let longest = f64::min(LONGEST * scene.dt, 0.5 * scene.duration);
+    let doubled = |dt: &f64| Some(2.0 * dt).filter(|dt| *dt <= longest);
+    let longer = std::iter::successors(Some(scene.dt), doubled).take_while(is_stable).last();
+    longer.or_else(|| (1..=6).map(|halvings| scene.dt * 0.5f64.powi(halvings)).find(is_stable))
+}
+
+// --- results --------------------------------------------------------------------------------------------------------
+
+/// The columns of the measurements: a row per model in the table, a row per point of the diagram in a file.
+pub fn columns() -> Vec<Column> {
+    let error = |error: f64| match error {
+        ..FLOOR => format!("< {FLOOR:.0e}"),
+        f64::INFINITY => "diverged".to_owned(),
+        error => format!("{error:.1e}"),
     };
-    let longest = f64::min(LONGEST * run.scene.dt, 0.5 * run.scene.duration);
-    let mut dt = run.scene.dt;
-    if is_stable(dt) {
-        while 2.0 * dt <= longest {
-            if !is_stable(2.0 * dt) {
-                return (Some(dt), false);
-            }
-            dt *= 2.0;
-        }
-        return (Some(dt), true);
-    }
-    for _ in 0..6 {
-        dt *= 0.5;
-        if is_stable(dt) {
-            return (Some(dt), false);
-        }
-    }
-    (None, false)
+    vec![
+        Column::text("", "scene"),
+        Column::text("model", "model"),
+        Column::number("", "dt_s", |dt| dt.to_string()),
+        Column::number("", "run_time_ms", significant),
+        Column::number("step [ms]", "step_ms", significant),
+        Column::number("frame [ms]", "frame_ms", significant),
+        Column::number("build [ms]", "build_ms", significant),
+        Column::number("memory", "memory_bytes", |size| bytes(size as u64)),
+        Column::number("error [R]", "error_radii", error),
+        Column::number("largest dt [s]", "largest_dt_s", |dt| format!("{dt:.4}")),
+        Column::number("volume lost", "volume_lost", |share| format!("{:.2} %", 100.0 * share + 0.0)),
+        Column::text("", "refused"),
+    ]
 }
 
-fn median(mut times: Vec<f64>, one: f64) -> f64 {
-    times.push(one);
-    times.sort_by(f64::total_cmp);
-    times[times.len() / 2]
-}
+impl Measured {
+    /// The models that can run the scene.
+    fn rows(&self) -> impl Iterator<Item = (Model, &Row)> {
+        self.rows.iter().filter_map(|(model, row)| Some((*model, row.as_ref().ok()?)))
+    }
 
-/// A table of the models on one scene, their events, and the reasons of models that cannot run it.
-pub fn table(report: &Report) -> String {
-    let heading = [
-        "model",
-        "step [ms]",
-        "frame [ms]",
-        "frames/s",
-        "build [ms]",
-        "memory",
-        "error [R]",
-        "largest dt [s]",
-        "volume lost",
-    ];
-    let cells = |row: &Row| {
-        [
-            significant(1e3 * row.step),
-            significant(1e3 * row.frame),
-            format!("{:.0}", 1.0 / row.frame),
-            significant(1e3 * row.build),
-            row.memory.map_or_else(missing, bytes),
-            match row.error(report.dt) {
-                None => "diverged".to_owned(),
-                Some(error) if error < FLOOR => format!("< {FLOOR:.0e}"),
-                Some(error) => format!("{error:.1e}"),
-            },
-            match (row.largest_step, row.is_unlimited) {
-                (None, _) => "none".to_owned(),
-                (Some(dt), true) => format!("≥ {dt:.4}"),
-                (Some(dt), false) => format!("{dt:.4}"),
-            },
-            format!("{:.2} %", 100.0 * row.volume_lost + 0.0),
+    fn cells(&self, model: Model, row: &Row, point: &Point) -> Vec<Cell> {
+        vec![
+            self.scene.as_str().into(),
+            model.name().into(),
+            point.dt.into(),
+            (1e3 * point.seconds).into(),
+            (1e3 * point.seconds / point.steps as f64).into(),
+            (1e3 * row.frame).into(),
+            (1e3 * row.build).into(),
+            row.memory.map(|memory| memory as f64).into(),
+            point.error.into(),
+            row.largest_step.into(),
+            row.volume_lost.into(),
+            Cell::Missing,
         ]
-    };
-    let measured = report.rows.iter().filter_map(|(model, row)| Some((model, row.as_ref().ok()?)));
-    let rows = measured
-        .clone()
-        .map(|(model, row)| std::iter::once(model.name().to_owned()).chain(cells(row)).collect::<Vec<_>>());
-    let mut text = format!(
-        "{}: {}, steps of {:.6} s\n\n{}\n",
-        report.scene,
-        counted(report.vertices, "vertex"),
-        report.dt,
-        tables::table(heading, rows)
-    );
-    for (model, row) in measured {
-        let events: Vec<String> = row.events.iter().take(12).map(|(name, time)| format!("{name} {time:.6}")).collect();
-        let events = if events.is_empty() { "no merges or splits".to_owned() } else { events.join(", ") };
-        text += &format!("\n{model} [s]: {events}");
     }
-    for (model, row) in &report.rows {
-        if let Err(why) = row {
-            text += &format!("\n{model}: {why}");
+
+    fn refused(&self, model: Model, why: &str) -> Vec<Cell> {
+        let mut cells = vec![Cell::Missing; columns().len()];
+        (cells[0], cells[1]) = (self.scene.as_str().into(), model.name().into());
+        if let Some(last) = cells.last_mut() {
+            *last = why.into();
+        }
+        cells
+    }
+
+    fn table(&self) -> Table {
+        let own = |row: &Row| row.points.iter().copied().find(|point| point.dt == self.dt);
+        let mut conclusions = Vec::new();
+        for (model, row) in self.rows() {
+            let events: Vec<String> =
+                row.events.iter().take(12).map(|(name, time)| format!("{name} {time:.6}")).collect();
+            let events = if events.is_empty() { "no merges or splits".to_owned() } else { events.join(", ") };
+            conclusions.push(format!("{model} [s]: {events}"));
+        }
+        let refused = self.rows.iter().filter_map(|(model, row)| Some(format!("{model}: {}", row.as_ref().err()?)));
+        conclusions.extend(refused);
+        Table {
+            title: format!("{}: {}, steps of {:.6} s", self.scene, counted(self.vertices, "vertex"), self.dt),
+            columns: columns(),
+            rows: self.rows().filter_map(|(model, row)| Some(self.cells(model, row, &own(row)?))).collect(),
+            conclusions,
         }
     }
-    text
-}
 
-/// Explains the columns.
-pub fn footer(machine: &Machine) -> String {
-    format!(
-        "step: median of {RUNS} runs; frame: a step, its state with forces, and the merged surface; error: the largest over time and\n\
-         vertices, against the model's own run with 1/{FINEST} of the step; largest dt: among doublings and halvings; volume lost:\n\
-         of all surfaces together, in the worst frame\n{machine}"
-    )
-}
-
-#[derive(Serialize)]
-struct CsvLine<'a> {
-    scene: &'a str,
-    model: &'a str,
-    dt_s: Option<f64>,
-    run_time_ms: Option<f64>,
-    error_radii: Option<f64>,
-    step_ms: Option<f64>,
-    frame_ms: Option<f64>,
-    build_ms: Option<f64>,
-    memory_bytes: Option<u64>,
-    largest_dt_s: Option<f64>,
-    volume_lost: Option<f64>,
-    refused: &'a str,
-    cpu: &'a str,
-    version: &'a str,
-}
-
-/// All measurements, one line per step of each model.
-///
-/// # Errors
-/// None is known to occur.
-pub fn csv(reports: &[Report], machine: &Machine) -> Result<String, String> {
-    let mut lines = Vec::new();
-    for report in reports {
-        for (model, row) in &report.rows {
-            let line = |row: Option<&Row>, point: Option<&Point>, refused| CsvLine {
-                scene: &report.scene,
-                model: model.name(),
-                dt_s: point.map(|point| point.dt),
-                run_time_ms: point.map(|point| 1e3 * point.seconds),
-                error_radii: point.map(|point| point.error.unwrap_or(f64::INFINITY)),
-                step_ms: row.map(|row| 1e3 * row.step),
-                frame_ms: row.map(|row| 1e3 * row.frame),
-                build_ms: row.map(|row| 1e3 * row.build),
-                memory_bytes: row.and_then(|row| row.memory),
-                largest_dt_s: row.and_then(|row| row.largest_step),
-                volume_lost: row.map(|row| row.volume_lost),
-                refused,
-                cpu: &machine.cpu,
-                version: machine.version,
+    fn panel(&self) -> Panel {
+        let line = |(model, row): (Model, &Row)| {
+            let (color, marker, width) = match model {
+                Model::Oscillators => (svg::GREEN, Marker::Disc, 3.0),
+                Model::Metaballs => (svg::PURPLE, SQUARE, 2.0),
+                Model::Lattice => (svg::ORANGE, TIP, 2.0),
+                Model::Fem => (svg::BLUE, TRIANGLE, 2.0),
             };
+            let points = row.points.iter().filter(|point| point.seconds > 0.0);
+            let points = points.map(|point| [1e3 * point.seconds, point.error.max(FLOOR)]);
+            Line {
+                name: model.name().to_owned(),
+                style: Style { color, marker, width },
+                points: points.collect(),
+                ringed: None,
+            }
+        };
+        let lines: Vec<Line> = self.rows().map(line).collect();
+        let of = |k: usize| lines.iter().flat_map(|line| &line.points).map(move |point| point[k]).collect::<Vec<_>>();
+        let errors = of(1).into_iter().chain([0.1]);
+        Panel {
+            title: format!("{} ({} vertices)", self.scene, self.vertices),
+            axes: [
+                Axis::spanning("run time [ms]", of(0).into_iter(), 1.5),
+                Axis::spanning("largest error [radii]", errors, 3.0),
+            ],
+            lines,
+        }
+    }
+}
+
+/// A table for each scene, and the work-precision diagram with a panel for each.
+pub fn report(scenes: &[Measured], machine: &Machine) -> Report {
+    let mut rows = Vec::new();
+    for measured in scenes {
+        for (model, row) in &measured.rows {
             match row {
-                Ok(row) => lines.extend(row.points.iter().map(|point| line(Some(row), Some(point), ""))),
-                Err(why) => lines.push(line(None, None, why.as_str())),
+                Ok(row) => rows.extend(row.points.iter().map(|point| measured.cells(*model, row, point))),
+                Err(why) => rows.push(measured.refused(*model, why)),
             }
         }
     }
-    tables::csv(lines)
-}
-
-/// Size of a panel with its labels [px].
-const PANEL: (u32, u32) = (900, 560);
-const TOP: u32 = 46;
-const RIGHT: u32 = 220;
-
-fn style(model: Model) -> Style {
-    let (color, marker, width) = match model {
-        Model::Oscillators => (RGBColor(0, 158, 115), Marker::Disc, 3),
-        Model::Metaballs => (RGBColor(204, 121, 167), Marker::Polygon(&[1.0, 3.0, 5.0, 7.0]), 2),
-        Model::Lattice => (RGBColor(230, 159, 0), Marker::Polygon(&[4.0, 1.33, 6.67]), 2),
-        Model::Fem => (RGBColor(0, 114, 178), Marker::Polygon(&[0.0, 2.67, 5.33]), 2),
-    };
-    Style { color, marker, width }
-}
-
-/// The work-precision diagram, one panel per scene.
-///
-/// # Errors
-/// Errors of the drawing library; none is known to occur.
-pub fn svg(reports: &[Report], machine: &Machine) -> Result<String, String> {
-    let columns = if reports.len() > 1 { 2 } else { 1 };
-    let rows = reports.len().div_ceil(columns).max(1);
-    let sheet = Sheet {
-        size: (PANEL.0 * columns as u32, PANEL.1 * rows as u32),
-        title: "Models: work and precision",
+    let chart = Chart {
+        title: "Models: work and precision".to_owned(),
         heading: [
-            "Down is more accurate, left is faster. The step is halved from point to point, starting at twice the scene’s own.",
+            "Down is more accurate, left is faster. Each point halves the step, from twice the scene’s own on.",
             "Each model is compared with its own converged solution, not with the other models.",
         ],
-        notes: &[
-            "Error: the largest over time and vertices. Metaballs have no dynamics: their error is rounding error.",
-            &machine.to_string(),
+        panels: scenes.iter().map(Measured::panel).collect(),
+        notes: vec![
+            "Error: the largest over time and vertices. Metaballs have no dynamics: their error is rounding error."
+                .to_owned(),
+            machine.to_string(),
         ],
     };
-    sheet.svg(|panels| {
-        let panels = panels.split_evenly((rows, columns));
-        panels.iter().zip(reports).try_for_each(|(panel, report)| draw(panel, report))
-    })
-}
-
-fn draw(panel: &Area<'_>, report: &Report) -> Result<(), Failure> {
-    let rows = || report.rows.iter().filter_map(|(model, row)| Some((*model, row.as_ref().ok()?)));
-    let points = || rows().flat_map(|(_, row)| &row.points).filter(|point| point.seconds > 0.0);
-    let times: Vec<f64> = points().map(|point| 1e3 * point.seconds).collect();
-    let errors: Vec<f64> = points().filter_map(|point| point.error).map(|error| error.max(FLOOR)).collect();
-    let (times, errors) = (Axis::of_run_times(times.into_iter()), error_range(errors.into_iter()));
-    let last = times.range.end;
-    let at = draw_axes(panel, TOP, RIGHT, [times, Axis::of_errors("largest error [radii]", errors.clone())])?;
-    let title = format!("{} ({} vertices)", report.scene, report.vertices);
-    write(panel, &title, (LEFT as i32, TOP as i32 / 2), 24.0, INK)?;
-    let right = at(last, errors.start).0;
-    let pixel = |point: &Point| {
-        at(1e3 * point.seconds, point.error.map_or(errors.end, |error| error.clamp(errors.start, errors.end)))
-    };
-    let lines = rows().map(|(model, row)| {
-        let is_drawn = |point: &&Point| point.seconds > 0.0;
-        Line {
-            name: model.name().to_owned(),
-            style: style(model),
-            points: row.points.iter().filter(is_drawn).map(pixel).collect(),
-        }
-    });
-    draw_lines(panel, TOP, right, lines.collect())
+    Report {
+        columns: columns(),
+        tables: scenes.iter().map(Measured::table).collect(),
+        notes: format!(
+            "step: the best of {RUNS} runs; frame: a step, its state with forces, and the merged surface; error: the largest over \
+             time and\nvertices, against the model's own run with 1/{FINEST} of the step; largest dt: among doublings and halvings, up to {LONGEST} times; \
+             volume lost:\nof all surfaces together, in the worst frame"
+        ),
+        rows,
+        chart: Some(chart),
+        failure: None,
+    }
 }

@@ -1,34 +1,6 @@
-//! Recording cost: frames per second and bytes per frame, by detail and destination, compared with the payload itself
-//! and with the same data recorded as a plain `log()` does, one entity at a time; the slow-down of steps, and the cost
-//! of verification.
-//!
-//! # What bounds the frame rate
-//! Instructions per simulated and saved frame of `two` with surfaces: the mean over its 300 frames, without the start
-//! and the layout (callgrind, one thread; each byte of a long copy counts as one). In 115 of them the bodies are merged,
-//! in 83 more they are within reach:
-//!
-//! | stage | instructions |
-//! | --- | --- |
-//! | unions | 0.77 M |
-//! | gaps, overlaps and necks from them | 0.28 M |
-//! | smooth seams | 0.22 M |
-//! | boxes, gaps of bodies apart, meshes and components of the unions | 0.28 M |
-//! | normals, colours and copies of the merged surface | 0.11 M |
-//! | the bodies' own surfaces | 0.08 M |
-//! | step, observation, search for touches | 0.18 M |
-//! | encoding and writing, of which LZ4 0.22 M | 0.52 M |
-//! | all | 2.5 M |
-//!
-//! A frame with a merged surface takes 3.5 M for that surface alone. Its triangles are the same as in the frame before
-//! in 7 of 115 frames, so logging them only when they change would save nothing.
-
-pub mod csv;
-pub mod goals;
-pub mod plain;
-pub mod saving;
-pub mod scenes;
-pub mod table;
-pub mod verifying;
+//! Recording cost: frames per second and bytes per frame by detail and destination, compared with the payload itself and
+//! with the same data recorded by the SDK's `log()`, one entity at a time; and the cost of verification: a checksum
+//! beside its step, and a replay beside its run.
 
 use std::{
     cell::RefCell,
@@ -39,32 +11,38 @@ use std::{
 
 use glam::DVec3;
 
-use plain::PlainLog;
-use saving::{Saving, Way};
-use verifying::Verifying;
-
+use super::report::{Cell, Column, Report, Table};
 use crate::{
     atomic,
     observe::{BodyFrame, Experiment as _, Frame, Schema},
-    recording::read::Reader,
+    recording::{
+        Recorded,
+        read::Reader,
+        replay::{self, Verdict},
+    },
     scene::Scene,
-    sdk::{Arrows3D, Mesh3D, Scalars, TimePoint, Transform3D},
+    sdk::{Arrows3D, Mesh3D, RecordingStream, RecordingStreamBuilder, RecordingStreamResult, Scalars, Transform3D},
     sim::World,
     stream::{
         Pipeline, Recorder, Settings,
+        contract::{BODY, BODY_SURFACE, DIAGNOSTIC, FORCE},
         extract::{Arrows, Extractor, Surface},
-        parts::forces,
         pipeline::send,
-        settings::Detail,
+        settings::{Detail, Frames},
         sinks::{Destinations, Serve, Sinks},
         step::{StepRecord, StepWatch},
     },
+    text::{number, significant},
 };
 
 /// A measurement lasts at least this long; the scene is repeated as often as necessary.
 const MIN_DURATION: Duration = Duration::from_millis(600);
 /// Memory limit for precomputed frames [bytes].
 const MAX_KEPT: usize = 256 << 20;
+/// The best of this many runs counts in a verification, because other load only ever slows them down.
+const RUNS: usize = 20;
+/// A verification ends with the run during which it has taken this long.
+const LONGEST_VERIFICATION: Duration = Duration::from_secs(10);
 
 /// Where frames are sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,14 +53,13 @@ pub enum Destination {
     File,
     /// A gRPC server on this machine.
     Server,
-    /// A file, written as by the SDK's `log()` for each entity.
-    PlainLog,
+    /// A file, by the SDK's `log()` for each entity.
+    Log,
 }
 
 impl Destination {
     /// All destinations.
-    pub const ALL: [Destination; 4] =
-        [Destination::None, Destination::File, Destination::Server, Destination::PlainLog];
+    pub const ALL: [Destination; 4] = [Destination::None, Destination::File, Destination::Server, Destination::Log];
 
     /// The name used in tables.
     pub fn name(self) -> &'static str {
@@ -90,7 +67,7 @@ impl Destination {
             Destination::None => "none",
             Destination::File => "file",
             Destination::Server => "gRPC server",
-            Destination::PlainLog => "file, plain log()",
+            Destination::Log => "file, by log()",
         }
     }
 }
@@ -108,9 +85,9 @@ pub struct Measurement {
     pub destination: Destination,
     /// Whether the scene was simulated during the measurement; otherwise its states were computed beforehand.
     pub is_simulated: bool,
-    /// Number of frames simulated or recorded …
+    /// Number of frames simulated or recorded.
     pub frames: u64,
-    /// … and the time that this took [s].
+    /// The time that this took [s].
     pub seconds: f64,
     /// Size of the file [bytes].
     pub bytes: Option<u64>,
@@ -120,60 +97,40 @@ pub struct Measurement {
     pub entities: Option<usize>,
 }
 
-impl Measurement {
-    /// Frames per second.
-    pub fn rate(&self) -> f64 {
-        self.frames as f64 / self.seconds
-    }
-}
-
-/// Costs other than frame rates and sizes.
+/// The cost of verifying a scene.
 #[derive(Clone, Debug)]
-pub struct Costs {
-    /// How much saving slows down steps.
-    pub saving: Vec<Saving>,
-    /// The cost of checksums and replays.
-    pub verifying: Verifying,
+pub struct Verification {
+    /// Name of the scene.
+    pub scene: String,
+    /// Mean time of a step [s].
+    pub step: f64,
+    /// Mean additional time of a step with its checksum [s].
+    pub checksum: f64,
+    /// Time to read the scene and simulate it [s].
+    pub run: f64,
+    /// Time to read a thin recording, simulate, and compare all checksums [s].
+    pub replay: f64,
 }
 
-/// All measurements.
-#[derive(Clone, Debug, Default)]
-pub struct Report {
-    /// One entry per scene and way of recording.
-    pub measurements: Vec<Measurement>,
-    /// The other costs, if measured.
-    pub costs: Option<Costs>,
-}
-
-/// Measures how much recording slows down steps, and the cost of verification. Temporary files go to `folder` and are
-/// removed.
-///
-/// # Errors
-/// A description of what failed.
-pub fn measure_costs(folder: &Path) -> Result<Costs, String> {
-    let file = file(folder)?;
-    let saving = Way::ALL.into_iter().map(|way| saving::measure(way, &file)).collect::<Result<_, _>>()?;
-    Ok(Costs { saving, verifying: verifying::measure(&file)? })
-}
-
-fn file(folder: &Path) -> Result<PathBuf, String> {
+/// A new name for a recording in the system's temporary folder; an interrupt removes it.
+fn temporary_file() -> Result<PathBuf, String> {
     let name = atomic::unique_name("meldscope-bench-", ".rrd").map_err(|error| error.to_string())?;
-    let file = folder.join(name);
+    let file = std::env::temp_dir().join(name);
     atomic::add(&file);
     Ok(file)
 }
 
-/// Measures a scene in every way. Temporary files go to `folder` and are removed.
+/// Measures a scene in every way.
 ///
 /// # Errors
 /// A description of what failed.
-pub fn measure(scene: &Scene, folder: &Path) -> Result<Vec<Measurement>, String> {
+pub fn measure(scene: &Scene) -> Result<Vec<Measurement>, String> {
     let mut all = Vec::new();
     for detail in [Detail::Surface, Detail::Forces] {
-        let bench = Bench::new(scene, detail, folder)?;
+        let bench = Bench::new(scene, detail)?;
         for is_simulated in [true, false] {
             for destination in Destination::ALL {
-                if destination == Destination::PlainLog && is_simulated {
+                if destination == Destination::Log && is_simulated {
                     continue;
                 }
                 all.push(bench.measure(destination, is_simulated)?);
@@ -195,11 +152,11 @@ struct Bench<'a> {
 }
 
 impl Bench<'_> {
-    fn new<'a>(scene: &'a Scene, detail: Detail, folder: &Path) -> Result<Bench<'a>, String> {
+    fn new(scene: &Scene, detail: Detail) -> Result<Bench<'_>, String> {
         let settings = Settings { detail, ..Settings::of(scene) };
         let schema = scene.schema();
-        let mut bench = Bench { scene, settings, schema, frames: Vec::new(), payload: 0, file: file(folder)? };
-        let (mut world, mut kept) = (bench.world()?, 0);
+        let mut bench = Bench { scene, settings, schema, frames: Vec::new(), payload: 0, file: temporary_file()? };
+        let (mut world, mut kept) = (world(scene)?, 0);
         for _ in 0..scene.steps() {
             if let Some(failure) = &world.step().failure {
                 return Err(failure.to_string());
@@ -217,10 +174,6 @@ impl Bench<'_> {
         Ok(bench)
     }
 
-    fn world(&self) -> Result<World, String> {
-        World::new(self.scene.clone()).map_err(|error| error.to_string())
-    }
-
     fn measure(&self, destination: Destination, is_simulated: bool) -> Result<Measurement, String> {
         let destinations = match destination {
             Destination::File => Destinations { save: Some(self.file.clone()), ..Destinations::default() },
@@ -228,18 +181,21 @@ impl Bench<'_> {
                 let serve = Serve { web_port: 0, grpc_port: 0, ..Serve::default() };
                 Destinations { serve: Some(serve), ..Destinations::default() }
             }
-            Destination::None | Destination::PlainLog => Destinations::default(),
+            Destination::None | Destination::Log => Destinations::default(),
         };
         let mut sinks = match destination {
-            Destination::None | Destination::PlainLog => None,
+            Destination::None | Destination::Log => None,
             _ => Some(Sinks::open(&destinations).map_err(|error| error.to_string())?),
         };
         let (mut frames, mut seconds, mut bytes, mut entities) = (0, 0.0, None, None);
         while seconds < MIN_DURATION.as_secs_f64() {
-            let mut world = self.world()?;
+            let mut world = world(self.scene)?;
             let start = Instant::now();
-            if destination == Destination::PlainLog {
-                bytes = Some(bytes.unwrap_or(0) + self.log_plainly()?);
+            if destination == Destination::Log {
+                let stream = self.log().map_err(|error| error.to_string())?;
+                stream.flush_blocking().map_err(|error| error.to_string())?;
+                let size = std::fs::metadata(&self.file).map_err(|error| error.to_string())?.len();
+                bytes = Some(bytes.unwrap_or(0) + size);
             } else if is_simulated {
                 match sinks.take() {
                     Some(open) => sinks = Some(self.simulate(&mut world, open)?),
@@ -286,10 +242,6 @@ impl Bench<'_> {
                 send(sinks, messages).map_or(Ok(()), Err)?;
             }
         }
-        self.end(&mut recorder, world, sinks)
-    }
-
-    fn end(&self, recorder: &mut Recorder, world: &World, sinks: Option<&mut Sinks>) -> Result<(), String> {
         recorder.finish(world);
         let messages = recorder.take();
         let Some(sinks) = sinks else { return Ok(()) };
@@ -297,28 +249,27 @@ impl Bench<'_> {
         sinks.flush().map_err(|error| error.to_string())
     }
 
-    /// Records the precomputed states as the SDK's `log()` does; returns the size of the file [bytes].
-    fn log_plainly(&self) -> Result<u64, String> {
+    /// Logs the precomputed states with the SDK: positions, normals and arrows, one entity at a time.
+    fn log(&self) -> RecordingStreamResult<RecordingStream> {
         let (mut extractor, mut surface, mut origins) = (Extractor::default(), Surface::default(), Vec::new());
-        let log = PlainLog::save(&self.file)?;
+        let stream: RecordingStream = RecordingStreamBuilder::new("meldscope_bench").enabled(true).save(&self.file)?;
         for body in &self.schema.bodies {
             let mesh = Mesh3D::update_fields().with_triangle_indices(body.mesh.triangles().iter().copied());
-            log.log(&format!("world/bodies/{}/surface", body.name), TimePoint::STATIC, &mesh);
+            stream.log_static(BODY_SURFACE.of(&[&body.name]), &mesh)?;
         }
         for (step, frame) in &self.frames {
-            let at = || step.summary.at.time_point();
+            stream.set_timepoint(step.summary.at.time_point());
             let mut arrows: Vec<Arrows> = self.schema.terms.iter().map(|_| Arrows::default()).collect();
             for (body, now) in self.schema.bodies.iter().zip(&frame.bodies) {
-                let entity = format!("world/bodies/{}", body.name);
                 let transform = Transform3D::from_translation_rotation(now.centre.as_vec3(), now.rotation.as_quat());
-                log.log(&entity, at(), &transform);
+                stream.log(BODY.of(&[&body.name]), &transform)?;
                 if !now.is_at_rest {
                     surface.clear();
                     surface.append_in_body(body, now, &mut extractor);
                     let mesh = Mesh3D::update_fields()
                         .with_vertex_positions(surface.positions.iter().copied())
                         .with_vertex_normals(surface.normals.iter().copied());
-                    log.log(&format!("{entity}/surface"), at(), &mesh);
+                    stream.log(BODY_SURFACE.of(&[&body.name]), &mesh)?;
                 }
                 if now.has_forces {
                     extractor.world_positions(body, now, &mut origins);
@@ -332,16 +283,19 @@ impl Bench<'_> {
                     let batch = Arrows3D::update_fields()
                         .with_origins(arrows.origins.iter().copied())
                         .with_vectors(arrows.vectors.iter().copied());
-                    log.log(&forces::entity(term.name), at(), &batch);
+                    stream.log(FORCE.of(&[term.name]), &batch)?;
                 }
             }
             for (name, value) in [("energy", frame.scalars[0]), ("time", step.summary.at.time)] {
-                log.log(&format!("diagnostics/{name}"), at(), &Scalars::single(value));
+                stream.log(DIAGNOSTIC.of(&[name]), &Scalars::single(value))?;
             }
         }
-        log.finish()?;
-        std::fs::metadata(&self.file).map(|file| file.len()).map_err(|error| error.to_string())
+        Ok(stream)
     }
+}
+
+fn world(scene: &Scene) -> Result<World, String> {
+    World::new(scene.clone()).map_err(|error| error.to_string())
 }
 
 /// Size of the f32 positions and normals of bodies not at rest, and of non-zero arrows [bytes].
@@ -363,4 +317,135 @@ fn entities_in(file: &Path) -> Result<usize, String> {
     let mut reader = Reader::open(file).map_err(|error| error.to_string())?;
     while reader.next(note).map_err(|error| error.to_string())?.is_some() {}
     Ok(entities.into_inner().len())
+}
+
+/// Measures the cost of verifying a scene. Takes the best time of each step with and without a checksum, because no whole
+/// run is ever undisturbed; both include reading the clock, which cancels out in their difference.
+///
+/// # Errors
+/// A description of what failed.
+pub fn verify(scene: &Scene) -> Result<Verification, String> {
+    let file = temporary_file()?;
+    record_thinly(scene, &file)?;
+    let mut best = vec![[f64::INFINITY; 2]; scene.steps() as usize];
+    let (mut run, mut replay) = (f64::INFINITY, f64::INFINITY);
+    let begin = Instant::now();
+    for _ in 0..RUNS {
+        if begin.elapsed() > LONGEST_VERIFICATION {
+            break;
+        }
+        for has_checksum in [false, true] {
+            let mut world = world(scene)?;
+            for best in &mut best {
+                let best = &mut best[usize::from(has_checksum)];
+                let start = Instant::now();
+                world.step();
+                if has_checksum {
+                    std::hint::black_box(world.checksum());
+                }
+                *best = best.min(start.elapsed().as_secs_f64());
+            }
+        }
+        let start = Instant::now();
+        let read = Scene::parse(&scene.source, &scene.name).map_err(|error| error.to_string())?;
+        let mut world = world(&read)?;
+        (0..scene.steps()).for_each(|_| _ = world.step());
+        run = run.min(start.elapsed().as_secs_f64());
+        let start = Instant::now();
+        let recorded = Recorded::open(&file).map_err(|error| error.to_string())?;
+        let verdict = replay::verify(&recorded, |_| true).map_err(|error| error.to_string())?;
+        replay = replay.min(start.elapsed().as_secs_f64());
+        if verdict != Verdict::Identical {
+            return Err(format!("a replay of {} differs; this is a bug, please report it", scene.name));
+        }
+    }
+    std::fs::remove_file(&file).ok();
+    let [step, both] = [0, 1].map(|which| best.iter().map(|best| best[which]).sum::<f64>() / best.len() as f64);
+    Ok(Verification { scene: scene.name.clone(), step, checksum: both - step, run, replay })
+}
+
+fn record_thinly(scene: &Scene, file: &Path) -> Result<(), String> {
+    let destinations = Destinations { save: Some(file.to_owned()), ..Destinations::default() };
+    let mut sinks = Sinks::open(&destinations).map_err(|error| error.to_string())?;
+    let mut world = world(scene)?;
+    let mut recorder = Recorder::new(&world, Settings { frames: Frames::Thin, ..Settings::of(scene) });
+    for _ in 0..scene.steps() {
+        world.step();
+        recorder.observe(&world);
+    }
+    recorder.finish(&world);
+    send(&mut sinks, recorder.take()).map_or(Ok(()), Err)?;
+    sinks.finish().map(drop).map_err(|error| error.to_string())
+}
+
+// --- results --------------------------------------------------------------------------------------------------------
+
+/// The columns of the measurements.
+pub fn columns() -> Vec<Column> {
+    vec![
+        Column::text("scene", "scene"),
+        Column::count("", "bodies"),
+        Column::text("detail", "detail"),
+        Column::text("destination", "destination"),
+        Column::text("simulated", "simulated"),
+        Column::number("frames/s", "frames_per_s", number),
+        Column::number("bytes/frame", "bytes_per_frame", number),
+        Column::number("payload/frame", "payload_per_frame", number),
+        Column::number("ratio", "bytes_per_payload", |ratio| format!("{ratio:.2}")),
+        Column::count("entities", "entities"),
+    ]
+}
+
+impl Measurement {
+    fn row(&self) -> Vec<Cell> {
+        let frames = self.frames as f64;
+        let (bytes, payload) = (self.bytes.map(|bytes| bytes as f64), self.payload as f64);
+        vec![
+            self.scene.as_str().into(),
+            self.bodies.into(),
+            self.detail.name().into(),
+            self.destination.name().into(),
+            if self.is_simulated { "yes" } else { "no" }.into(),
+            (frames / self.seconds).into(),
+            bytes.map(|bytes| bytes / frames).into(),
+            (payload / frames).into(),
+            bytes.map(|bytes| bytes / payload).into(),
+            self.entities.into(),
+        ]
+    }
+}
+
+/// The rates and sizes, and the cost of verification.
+pub fn report(measurements: &[Measurement], verifications: &[Verification]) -> Report {
+    let rates =
+        Table { columns: columns(), rows: measurements.iter().map(Measurement::row).collect(), ..Table::default() };
+    let verified = |it: &Verification| {
+        let ratio = it.replay / it.run;
+        let times = [1e6 * it.step, 1e6 * it.checksum, 1e3 * it.run, 1e3 * it.replay, ratio].map(Cell::Number);
+        std::iter::once(it.scene.as_str().into()).chain(times).collect()
+    };
+    let times = [
+        ("step [µs]", "step_us"),
+        ("checksum [µs]", "checksum_us"),
+        ("simulated in [ms]", "run_ms"),
+        ("verified in [ms]", "replay_ms"),
+        ("ratio", "ratio"),
+    ];
+    let times = times.map(|(heading, name)| Column::number(heading, name, significant));
+    let verification = Table {
+        title: "replays of thin recordings".to_owned(),
+        columns: std::iter::once(Column::text("scene", "scene")).chain(times).collect(),
+        rows: verifications.iter().map(verified).collect(),
+        ..Table::default()
+    };
+    Report {
+        columns: columns(),
+        rows: rates.rows.clone(),
+        tables: vec![rates, verification],
+        notes: "payload: positions, normals and arrows; simulated: steps and recording together, otherwise recording alone;\n\
+                log(): positions, normals and arrows without surfaces of groups, pairs and events"
+            .to_owned(),
+        chart: None,
+        failure: None,
+    }
 }

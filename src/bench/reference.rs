@@ -1,7 +1,7 @@
 //! An independent solution of a scene, against which the integrators are compared.
 //!
 //! It uses nothing from [`crate::sim`]. The equation of motion is implemented here a second time, from the model alone
-//! (`system`), and solved by [extrapolation](super::extrapolation) with a tolerance far below what is asked of a run (`solver`). Every
+//! (`system`), and solved by [`extrapolation`] with a tolerance far below what is asked of a run (`solver`). Every
 //! step ends where the right-hand side or one of its derivatives jumps: at pushes, keyframes and phase changes, where a
 //! vertex crosses a plane or the rim of an influence sphere, at the ends of the rim of a core, and at every requested
 //! instant.
@@ -10,6 +10,7 @@
 //! found beforehand by scanning the distances and bisecting (`histories`). In a scene with a free body all vertices are
 //! solved together, as particles; thresholds are then located on the way, like other kinks.
 
+pub mod extrapolation;
 mod histories;
 mod solver;
 mod system;

@@ -6,10 +6,8 @@
 //! | the energy bound | [`bound`] |
 //! | the closed form without influence | [`exact`] |
 //! | a million steps without damping | [`drift`] |
-//! | bodies of very different sizes | [`sizes`] |
 //! | free bodies | [`free`] |
 //! | the other models | [`models`] |
-//! | tables and CSV | [`table`] |
 //!
 //! A run passes if its state is finite after every step and within [`MARGIN`] of the energy bound. The exponential
 //! integrator has a tolerance, so it must also be as close to the exact solution as the tolerance promises, where there
@@ -21,25 +19,22 @@ pub mod drift;
 pub mod exact;
 pub mod free;
 pub mod models;
-pub mod sizes;
-pub mod table;
 
-use std::{
-    sync::atomic::{AtomicU64, Ordering},
-    time::Instant,
-};
+use std::time::Instant;
 
 use rayon::prelude::*;
 
 use super::{
     MeasureError, path,
     reference::{Accuracy, Reference},
+    report::{Cell, Column, Report, Table},
 };
 use crate::{
     Scene,
     model::phase::Phase,
     scene::{Body, Integrator, Path},
     sim::{Event, TooLarge, World},
+    text::{significant, thousands},
 };
 use bound::Allowance;
 use cases::{Axis, Case};
@@ -47,7 +42,7 @@ use cases::{Axis, Case};
 /// A state that exceeds the energy bound by more than this factor is not a solution, not even an inaccurate one.
 pub const MARGIN: f64 = 2.0;
 /// A reference is computed only if it takes at most this many evaluations of the equation of motion.
-const MAX_EVALUATIONS: f64 = 3e6;
+const MAX_EVALUATIONS: f64 = 6e6;
 /// Relative rounding error of a number after some operations.
 const ROUNDING: f64 = 16.0 * f64::EPSILON;
 /// Number of instants at which a run is compared with the exact solution.
@@ -69,12 +64,6 @@ pub struct Settings {
     pub most_steps: u64,
 }
 
-impl Default for Settings {
-    fn default() -> Settings {
-        Settings { cases: 4000, integrators: Integrator::ALL.to_vec(), most_steps: u64::MAX }
-    }
-}
-
 /// Why a run failed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Failure {
@@ -84,17 +73,6 @@ pub enum Failure {
     BeyondBound,
     /// It is farther from the exact solution than [`Outcome::allowed`].
     Error,
-}
-
-impl Failure {
-    /// The name used in tables.
-    pub fn name(self) -> &'static str {
-        match self {
-            Failure::NotFinite => "not finite",
-            Failure::BeyondBound => "beyond bound",
-            Failure::Error => "error",
-        }
-    }
 }
 
 /// The result of running a case with one integrator.
@@ -120,15 +98,6 @@ pub struct Outcome {
     pub most_substeps: u64,
     /// Run time of all steps [s].
     pub seconds: f64,
-    /// Run time of the slowest step [s].
-    pub slowest: f64,
-}
-
-impl Outcome {
-    /// Whether this is a failure of the exponential integrator, which must pass every case.
-    pub fn is_defect(&self) -> bool {
-        self.integrator == Integrator::Exponential && self.failure.is_some()
-    }
 }
 
 /// The results of a case for all integrators.
@@ -140,15 +109,14 @@ pub struct Row {
     pub outcomes: Vec<Outcome>,
 }
 
-/// Runs the cases on all cores. Reports the number of completed cases to `progress`.
+/// Runs the cases on all cores. Calls `progress` after each.
 ///
 /// # Errors
 /// [`MeasureError`]
-pub fn sweep(settings: &Settings, progress: &(dyn Fn(u64) + Sync)) -> Result<Vec<Row>, MeasureError> {
-    let done = AtomicU64::new(0);
+pub fn sweep(settings: &Settings, progress: &(dyn Fn() + Sync)) -> Result<Vec<Row>, MeasureError> {
     let row = |index: u64| {
         let row = Case::new(index).map_err(MeasureError::from).and_then(|case| run(case, settings));
-        progress(done.fetch_add(1, Ordering::Relaxed) + 1);
+        progress();
         row
     };
     (0..settings.cases).into_par_iter().map(row).collect()
@@ -178,7 +146,8 @@ impl Judge<'_> {
     fn new(case: &Case, steps: u64) -> Judge<'_> {
         let stride = steps.div_ceil(INSTANTS).max(1);
         let instants: Vec<f64> = (0..=steps / stride).map(|k| (k * stride) as f64 * case.scene.dt).collect();
-        let is_quick = case.axis != Axis::Free && evaluations(&case.scene, &instants) <= MAX_EVALUATIONS;
+        let is_quick = case.axis != Axis::Free
+            && Reference::evaluations(&case.scene, &instants, Accuracy::DEFAULT) <= MAX_EVALUATIONS;
         let reference = is_quick.then(|| Reference::solve(&case.scene, &instants, Accuracy::DEFAULT).ok()).flatten();
         Judge { case, steps, stride, reference }
     }
@@ -199,7 +168,6 @@ impl Judge<'_> {
             substeps: 0,
             most_substeps: 0,
             seconds: 0.0,
-            slowest: 0.0,
         };
         while outcome.steps < self.steps && outcome.failure.is_none() {
             if outcome.substeps >= self.case.axis.most_substeps() {
@@ -224,7 +192,6 @@ impl Judge<'_> {
             outcome.substeps += substeps;
             outcome.most_substeps = outcome.most_substeps.max(substeps);
             outcome.seconds += seconds;
-            outcome.slowest = outcome.slowest.max(seconds);
             for (index, (body, allowance)) in world.bodies().zip(&mut allowances).enumerate() {
                 allowance.advance(world.scene(), index, world.time());
                 let used = allowance.used(&body);
@@ -328,18 +295,200 @@ fn rounding(world: &World, index: usize) -> f64 {
     ROUNDING * (world.steps_taken() as f64 + (body.material.omega + rate) * t)
 }
 
-/// Estimated number of evaluations of the equation of motion by a reference.
-fn evaluations(scene: &Scene, instants: &[f64]) -> f64 {
-    let end = instants.last().copied().unwrap_or(0.0);
-    let rate = |index: usize| {
-        let body = &scene.bodies[index];
-        let path = match *path(body) {
-            Path::Sine { frequency, .. } => std::f64::consts::TAU * frequency,
-            _ => 0.0,
+// --- results --------------------------------------------------------------------------------------------------------
+
+/// How a run ended.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Verdict {
+    /// To the end, and well.
+    Passed,
+    /// Earlier, with this reason.
+    Stopped(String),
+    /// With a state that is wrong in this way.
+    Failed(String),
+}
+
+/// A case, and how it ended for each integrator or model.
+#[derive(Clone, Debug)]
+pub struct Judged {
+    /// The setting that it takes to its limits.
+    pub axis: &'static str,
+    /// What identifies it.
+    pub what: String,
+    /// The name of each integrator or model, with its verdict.
+    pub verdicts: Vec<(&'static str, Verdict)>,
+}
+
+impl Row {
+    /// The verdicts on this case.
+    pub fn judged(&self) -> Judged {
+        let verdict = |outcome: &Outcome| match outcome.failure {
+            None => Verdict::Passed,
+            Some(Failure::NotFinite) => Verdict::Failed("not finite".to_owned()),
+            Some(Failure::BeyondBound) => Verdict::Failed(format!("{:.1e} times the energy bound", outcome.used)),
+            Some(Failure::Error) => Verdict::Failed(format!("an error of {:.1e} R", outcome.error.unwrap_or(f64::NAN))),
         };
-        body.material.omega.max(body.material.damping).max(path).max(stiffness(scene, index).sqrt())
+        Judged {
+            axis: self.case.axis.name(),
+            what: format!("case {}: {}", self.case.index, self.case.what),
+            verdicts: self.outcomes.iter().map(|outcome| (outcome.integrator.name(), verdict(outcome))).collect(),
+        }
+    }
+
+    fn cells(&self) -> impl Iterator<Item = Vec<Cell>> + '_ {
+        self.outcomes.iter().map(|outcome| {
+            let failure = outcome.failure.map(|failure| match failure {
+                Failure::NotFinite => "not finite",
+                Failure::BeyondBound => "beyond bound",
+                Failure::Error => "error",
+            });
+            let allowed = outcome.allowed.filter(|_| outcome.integrator == Integrator::Exponential);
+            vec![
+                self.case.index.into(),
+                self.case.axis.name().into(),
+                self.case.what.as_str().into(),
+                outcome.integrator.name().into(),
+                outcome.steps.into(),
+                if outcome.is_cut { "yes" } else { "no" }.into(),
+                failure.into(),
+                outcome.used.into(),
+                outcome.error.into(),
+                allowed.into(),
+                outcome.substeps.into(),
+                outcome.most_substeps.into(),
+                outcome.seconds.into(),
+            ]
+        })
+    }
+}
+
+/// The columns of the outcomes.
+pub fn columns() -> Vec<Column> {
+    let size = |x: f64| format!("{x:.1e}");
+    vec![
+        Column::count("", "case"),
+        Column::text("", "axis"),
+        Column::text("", "what"),
+        Column::text("integrator", "integrator"),
+        Column::count("steps", "steps"),
+        Column::text("cut short", "cut"),
+        Column::text("failure", "failure"),
+        Column::number("of bound", "of_bound", size),
+        Column::number("error [R]", "error_radii", size),
+        Column::number("allowed [R]", "allowed_radii", size),
+        Column::count("sub-steps", "substeps"),
+        Column::count("", "most_substeps_in_a_step"),
+        Column::number("run time [s]", "run_time_s", significant),
+    ]
+}
+
+/// The outcomes of one case in detail.
+pub fn of_case(row: &Row) -> Report {
+    let table = Table { columns: columns(), rows: row.cells().collect(), ..Table::default() };
+    Report {
+        columns: columns(),
+        rows: table.rows.clone(),
+        tables: vec![table],
+        notes: String::new(),
+        chart: None,
+        failure: defects(&[row.judged()]),
+    }
+}
+
+/// The verdicts on a model.
+pub fn of_model(judged: &[Judged]) -> Report {
+    Report {
+        tables: vec![by_axis(judged)],
+        notes: "stopped: refused or ended with a reason, or after the time limit; failed: a state that is not finite, without a \
+                report"
+            .to_owned(),
+        columns: vec![],
+        rows: vec![],
+        chart: None,
+        failure: defects(judged),
+    }
+}
+
+/// The outcomes of the sweep, the energy drifts and the outcomes with free bodies.
+pub fn report(rows: &[Row], drifts: &[drift::Drift], free: &[Judged]) -> Report {
+    let judged: Vec<Judged> = rows.iter().map(Row::judged).collect();
+    let mut sweep = by_axis(&judged);
+    let exponential = || {
+        let outcomes = rows.iter().flat_map(|row| &row.outcomes);
+        outcomes.filter(|outcome| outcome.integrator == Integrator::Exponential)
     };
-    let fastest = (0..scene.bodies.len()).map(rate).fold(0.0, f64::max);
-    let sources = scene.bodies.len() as f64;
-    80.0 * scene.vertex_count() as f64 * sources * f64::max(instants.len() as f64, end * fastest)
+    let compared = exponential().filter(|outcome| outcome.error.is_some()).count() as u64;
+    sweep.conclusions.push(format!(
+        "{} of {} runs of exponential were compared with an exact solution",
+        thousands(compared),
+        thousands(exponential().count() as u64)
+    ));
+    let lost = drifts.iter().find(|drift| drift.integrator == Integrator::Exponential && !drift.is_small());
+    let lost = lost.map(|drift| format!("exponential lets energy drift by {:.1e} over a million steps", drift.largest));
+    Report {
+        columns: columns(),
+        rows: rows.iter().flat_map(Row::cells).collect(),
+        tables: vec![sweep, drift::table(drifts), by_axis(free)],
+        notes: format!(
+            "passed: finite after every step, and within {MARGIN} times the energy bound; exponential also as close to the exact \
+             solution, where there is one, as its tolerance promises\n--case N shows one case and its scene"
+        ),
+        chart: None,
+        failure: defects(&judged).or(lost).or_else(|| defects(free)),
+    }
+}
+
+/// How many cases of each axis each integrator or model passed, and the first that it did not.
+pub fn by_axis(judged: &[Judged]) -> Table {
+    let names: Vec<&str> = judged.first().map_or(vec![], |it| it.verdicts.iter().map(|verdict| verdict.0).collect());
+    let mut axes: Vec<&str> = judged.iter().map(|it| it.axis).collect();
+    axes.dedup();
+    let mut seen = vec![];
+    axes.retain(|axis| {
+        !seen.contains(axis) && {
+            seen.push(*axis);
+            true
+        }
+    });
+    let line = |axis: Option<&str>| {
+        let of_axis = || judged.iter().filter(move |it| axis.is_none_or(|axis| axis == it.axis));
+        let cell = |k: usize| {
+            let count = |is: fn(&Verdict) -> bool| of_axis().filter(|it| is(&it.verdicts[k].1)).count() as u64;
+            let stopped = count(|verdict| matches!(verdict, Verdict::Stopped(_)));
+            let failed = count(|verdict| matches!(verdict, Verdict::Failed(_)));
+            let passed = thousands(count(|verdict| *verdict == Verdict::Passed));
+            let rest = [(stopped, "stopped"), (failed, "failed")];
+            let rest = rest.into_iter().filter(|(count, _)| *count > 0);
+            Cell::Text(rest.fold(passed, |text, (count, what)| format!("{text}, {} {what}", thousands(count))))
+        };
+        let first = [axis.unwrap_or("all").into(), of_axis().count().into()];
+        first.into_iter().chain((0..names.len()).map(cell)).collect()
+    };
+    let conclusion = |(k, name): (usize, &&str)| {
+        let other = judged.iter().find_map(|it| match &it.verdicts[k].1 {
+            Verdict::Passed => None,
+            Verdict::Stopped(why) | Verdict::Failed(why) => Some((it, why)),
+        });
+        other.map(|(it, why)| format!("{name}, first not passed: {}: {why}", it.what))
+    };
+    let columns = names.iter().map(|name| Column::text(name, ""));
+    Table {
+        title: String::new(),
+        columns: [Column::text("axis", ""), Column::count("cases", "")].into_iter().chain(columns).collect(),
+        rows: axes.iter().copied().map(Some).chain([None]).map(line).collect(),
+        conclusions: names.iter().enumerate().filter_map(conclusion).collect(),
+    }
+}
+
+/// What the exponential integrator, or a model, has failed; `None` if nothing. Explicit schemes fail stiff cases.
+pub fn defects(judged: &[Judged]) -> Option<String> {
+    let is_explicit = |name: &str| Integrator::ALL.iter().any(|it| it.name() == name && *it != Integrator::Exponential);
+    let failed = judged.iter().flat_map(|it| {
+        let failed =
+            it.verdicts.iter().filter(|(name, verdict)| !is_explicit(name) && matches!(verdict, Verdict::Failed(_)));
+        failed.map(move |(name, _)| (*name, &it.what))
+    });
+    let failed: Vec<_> = failed.collect();
+    let (name, first) = failed.first()?;
+    Some(format!("{name} fails {} of {} cases, the first: {first}", failed.len(), judged.len()))
 }

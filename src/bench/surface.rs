@@ -1,12 +1,11 @@
-//! Speed of merged surfaces: unions of two to hundreds of spheres, and a scene with the surface of every frame.
+//! Speed of merged surfaces: unions of two to hundreds of spheres.
 
 use std::{sync::Arc, time::Instant};
 
 use glam::DVec3;
 
-use super::tables;
+use super::report::{Cell, Column, Report, Table};
 use crate::{
-    Scene, World,
     analysis::surface::Merger,
     geometry::{
         Mesh, Sphere,
@@ -14,10 +13,9 @@ use crate::{
         union::{Body, Budget, Hint, Topology, UnionError, measures_of, union},
     },
     observe::{
-        BodyFrame, Frame, PairFrame, Schema, Simulation as _, Want,
+        BodyFrame, Frame, PairFrame, Schema,
         schema::{BodySchema, PhaseSchema},
     },
-    text::thousands,
 };
 
 /// Each arrangement is computed for at least this total time [s], and at least [`MIN_RUNS`] times.
@@ -34,27 +32,13 @@ pub struct Row {
     /// Number of vertices of all bodies.
     pub vertices: usize,
     /// Time of the union alone [s].
-    pub union: f64,
+    pub union: Option<f64>,
     /// Time of the drawn surface: union, mesh, components, fairing [s].
-    pub drawn: f64,
+    pub drawn: Option<f64>,
     /// Time of gap, overlap and neck, in addition to the union [s]; only for two bodies.
     pub measures: Option<f64>,
-    /// Euler characteristic of the union and number of further attempts, or why it failed.
-    pub result: Result<(i64, u32), UnionError>,
-}
-
-/// Frames per second of a scene that is stepped, observed and united.
-#[derive(Clone, Copy, Debug)]
-pub struct Run {
-    /// Frames per second with the surface of every frame, and the measures of every pair.
-    pub merged: f64,
-    /// Frames per second without surfaces and measures.
-    pub plain: f64,
-    /// Fraction of the frames that have a group.
-    pub share: f64,
-    /// Mean time of surface and measures in a frame without a group, and in one with a group [s]; NaN without such
-    /// frames.
-    pub costs: [f64; 2],
+    /// Euler characteristic of the union, or why it failed.
+    pub result: Result<i64, UnionError>,
 }
 
 /// Measures all arrangements.
@@ -84,7 +68,7 @@ pub fn measure() -> Vec<Row> {
 
 fn row(name: &'static str, mesh: &Arc<Mesh>, centres: &[DVec3]) -> Row {
     let (bodies, vertices) = (centres.len(), centres.len() * mesh.vertex_count());
-    let failed = |error| Row { name, bodies, vertices, union: 0.0, drawn: 0.0, measures: None, result: Err(error) };
+    let failed = |error| Row { name, bodies, vertices, union: None, drawn: None, measures: None, result: Err(error) };
     let Ok(topology) = Topology::new(mesh.vertex_count(), mesh.triangles()) else {
         return failed(UnionError::TooLarge);
     };
@@ -121,10 +105,10 @@ fn row(name: &'static str, mesh: &Arc<Mesh>, centres: &[DVec3]) -> Row {
         name,
         bodies,
         vertices,
-        union: best(|| drop(union(&placed(), &budget))),
-        drawn: best(&mut draw),
+        union: Some(best(|| drop(union(&placed(), &budget)))),
+        drawn: Some(best(&mut draw)),
         measures,
-        result: Ok((united.euler(), united.statistics.retries)),
+        result: Ok(united.euler()),
     }
 }
 
@@ -140,61 +124,39 @@ fn best(mut work: impl FnMut()) -> f64 {
     best
 }
 
-/// Measures a scene.
-///
-/// # Errors
-/// The scene cannot be run, for the returned reason.
-pub fn run(scene: &Scene) -> Result<Run, String> {
-    let mut fastest = [f64::INFINITY; 2];
-    let (mut share, mut costs) = (0.0, [f64::INFINITY; 2]);
-    for (has_surface, fastest) in [false, true].into_iter().zip(&mut fastest) {
-        for _ in 0..MIN_RUNS {
-            let mut world = World::new(scene.clone()).map_err(|error| error.to_string())?;
-            let schema = world.schema();
-            let (mut merger, mut frame) = (Merger::new(&schema, None), Frame::default());
-            let (mut times, mut counts) = ([0.0; 2], [0u32; 2]);
-            let start = Instant::now();
-            for _ in 0..scene.steps() {
-                world.step();
-                world.observe(Want { forces: true, scalars: true }, &mut frame);
-                if has_surface {
-                    let pairs: Vec<[usize; 2]> = frame.pairs.iter().map(|pair| [pair.a, pair.b]).collect();
-                    let start = Instant::now();
-                    let has_group = usize::from(!merger.merge(&schema, &frame, &pairs).groups.is_empty());
-                    times[has_group] += start.elapsed().as_secs_f64();
-                    counts[has_group] += 1;
-                }
-            }
-            *fastest = fastest.min(start.elapsed().as_secs_f64() / scene.steps() as f64);
-            if has_surface {
-                share = f64::from(counts[1]) / f64::from(counts[0] + counts[1]);
-                costs = [0, 1].map(|k| costs[k].min(times[k] / f64::from(counts[k])));
-            }
-        }
-    }
-    let [plain, merged] = fastest.map(|seconds| 1.0 / seconds);
-    Ok(Run { merged, plain, share, costs })
-}
-
-/// Formats the measurements.
-pub fn table(rows: &[Row]) -> String {
-    let heading = ["spheres", "bodies", "vertices", "union, ms", "drawn, ms", "measures, ms", "χ", "retries"];
+/// The measured arrangements.
+pub fn report(rows: &[Row]) -> Report {
     let milliseconds = |seconds: f64| format!("{:.3}", 1e3 * seconds);
-    let cells = rows.iter().map(|row| {
-        let (bodies, vertices) = (thousands(row.bodies as u64), thousands(row.vertices as u64));
-        match &row.result {
-            Ok((euler, retries)) => vec![
-                row.name.to_owned(),
-                bodies,
-                vertices,
-                milliseconds(row.union),
-                milliseconds(row.drawn),
-                row.measures.map_or_else(tables::missing, milliseconds),
-                euler.to_string(),
-                retries.to_string(),
-            ],
-            Err(error) => vec![row.name.to_owned(), bodies, vertices, error.to_string()],
-        }
-    });
-    tables::table(heading, cells)
+    let time = |heading| Column::number(heading, "", milliseconds);
+    let unions = Table {
+        columns: vec![
+            Column::text("spheres", ""),
+            Column::count("bodies", ""),
+            Column::count("vertices", ""),
+            time("union [ms]"),
+            time("drawn [ms]"),
+            time("measures [ms]"),
+            Column::text("χ", ""),
+        ],
+        rows: rows
+            .iter()
+            .map(|row| {
+                let result = row.result.as_ref().map_or_else(ToString::to_string, ToString::to_string);
+                let of = [row.name.into(), row.bodies.into(), row.vertices.into()];
+                of.into_iter().chain([row.union, row.drawn, row.measures].map(Cell::from)).chain([Cell::Text(result)])
+            })
+            .map(Iterator::collect)
+            .collect(),
+        ..Table::default()
+    };
+    Report {
+        columns: vec![],
+        tables: vec![unions],
+        notes: "union: the closed surface alone; drawn: with its mesh, components and smooth seams; measures: gap, overlap and \
+                neck;\nbest of several runs"
+            .to_owned(),
+        rows: vec![],
+        chart: None,
+        failure: None,
+    }
 }

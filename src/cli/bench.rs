@@ -1,35 +1,37 @@
 //! `meldscope bench`: performance and accuracy benchmarks.
 
-mod models;
-mod record;
-mod scale;
-
 use std::{
     fs::File,
-    io::Read as _,
+    io::{Read as _, Write as _},
     path::{Path, PathBuf},
+    time::Duration,
 };
 
 use rayon::prelude::*;
 
 use super::{
-    Failure, print_lines as print,
+    Failure, announce, may_save, print, print_lines,
     progress::{Progress, Work},
     run::scene,
+    say,
 };
 use crate::{
+    atomic::{self, AtomicFile},
     bench::{
-        MeasureError,
-        error::{self, Settings, csv::csv, diagram, random, table},
-        machine::Machine,
-        output::Output,
-        stability::{self, cases::Case, drift, free, models as of_models, sizes, table as of_stability},
+        MeasureError, error, models, random, record,
+        report::{self, Column, Machine, Report},
+        scale,
+        stability::{self, cases::Case, drift, free},
         surface,
     },
-    models::need_oscillators,
+    models::{need_oscillators, side_by_side::SideBySide},
+    observe::Experiment as _,
+    recording::existing::{Existing, Kind},
     scene::{Integrator, Model, Scene},
-    sim::memory,
-    text::thousands,
+    sim::{Options, memory},
+    stream::{self, Settings, settings::application, sinks::Destinations},
+    table::{self, TableError},
+    text::counted,
 };
 
 #[derive(clap::Args)]
@@ -44,15 +46,26 @@ enum What {
     /// Error against run time: every integrator, over a range of step sizes, against an independent solution.
     Error(ErrorArguments),
     /// Step cost against scene size: 2 to 100,000 bodies, of which all, one in a hundred, or two are in contact.
-    Scale(scale::Arguments),
-    /// Recording cost: frames per second, bytes per frame, slow-down of the simulation, cost of verification.
-    Record(record::Arguments),
+    Scale(ScaleArguments),
+    /// Recording cost: frames per second, bytes per frame, cost of verification.
+    Record(RecordArguments),
     /// Models of a soft body side by side: cost, error, stability, volume, and when two bodies merged.
-    Models(models::Arguments),
-    /// Merged surfaces: time per frame of unions of 2 to 300 bodies, and frames per second of a scene.
+    Models(ModelsArguments),
+    /// Merged surfaces: time of unions of 2 to 300 bodies.
     Surface,
     /// Stress sweep: thousands of small scenes at the limits of every setting, with every integrator.
     Stability(StabilityArguments),
+}
+
+/// Where measurements are written besides standard output.
+#[derive(clap::Args, Default)]
+struct Files {
+    /// Write the measurements to a table: .csv, .json or .parquet.
+    #[arg(long, value_name = "F.csv")]
+    csv: Option<PathBuf>,
+    /// Draw the measurements as an SVG diagram.
+    #[arg(long, value_name = "F.svg")]
+    svg: Option<PathBuf>,
 }
 
 #[derive(clap::Args)]
@@ -78,108 +91,130 @@ struct ErrorArguments {
     files: Files,
 }
 
-/// Where measurements are written besides standard output.
 #[derive(clap::Args)]
-struct Files {
-    /// Write the measurements to a CSV file.
-    #[arg(long, value_name = "F.csv")]
-    csv: Option<PathBuf>,
-    /// Draw the measurements as an SVG diagram.
-    #[arg(long, value_name = "F.svg")]
-    svg: Option<PathBuf>,
+struct ScaleArguments {
+    /// Numbers of bodies, each from 2 to a million.
+    #[arg(long, value_name = "N", num_args = 1.., default_values = ["2", "10", "100", "1000", "10000", "100000"],
+          value_parser = clap::value_parser!(u32).range(2..=1_000_000))]
+    bodies: Vec<u32>,
+    /// Seconds of timed steps per combination of body count, scene family, and one core or all.
+    #[arg(long, value_name = "S", default_value = "0.5", value_parser = seconds)]
+    seconds: f64,
+    #[command(flatten)]
+    files: Files,
 }
 
-impl Files {
-    /// Claims the requested files.
-    fn claim(&self, csv_mark: &str, svg_mark: &str) -> Result<[Option<Output>; 2], Failure> {
-        let [csv, svg] = [claim(self.csv.as_deref(), csv_mark)?, claim(self.svg.as_deref(), svg_mark)?];
-        if csv.is_some() && csv == svg {
-            return Err(Failure::Input("--csv and --svg name the same file: give each its own".to_owned()));
-        }
-        Ok([csv, svg])
-    }
+#[derive(clap::Args)]
+struct RecordArguments {
+    /// Scene files, or names of built-in scenes (see `meldscope scenes`).
+    #[arg(default_values = ["two", "crowd"])]
+    scene: Vec<String>,
+    /// Write the rates and sizes to a table: .csv, .json or .parquet.
+    #[arg(long, value_name = "F.csv")]
+    csv: Option<PathBuf>,
+}
+
+#[derive(clap::Args)]
+struct ModelsArguments {
+    /// Scene files, or names of built-in scenes (see `meldscope scenes`).
+    #[arg(default_values = ["two"])]
+    scene: Vec<String>,
+    /// Record all models of the first scene side by side, aligned in time.
+    #[arg(long, value_name = "F.rrd")]
+    save: Option<PathBuf>,
+    #[command(flatten)]
+    files: Files,
 }
 
 #[derive(clap::Args)]
 struct StabilityArguments {
     /// Number of cases to run.
-    #[arg(long, value_name = "N", default_value_t = stability::Settings::default().cases,
-          value_parser = clap::value_parser!(u64).range(1..=stability::MOST_CASES))]
+    #[arg(long, value_name = "N", default_value_t = 4000, value_parser = clap::value_parser!(u64).range(1..=MAX_CASES))]
     cases: u64,
     /// Run this integrator only.
     #[arg(long, value_parser = super::run::parse_integrator, value_name = "thesis|mps|euler|verlet|rk4|exponential")]
     integrator: Option<Integrator>,
-    /// Run the cases with this model, and show which of them are stable.
-    #[arg(long, value_parser = crate::models::parse, value_name = "metaballs|lattice|fem",
+    /// Run the cases with this model instead of the integrators.
+    #[arg(long, value_parser = other_model, value_name = "metaballs|lattice|fem",
           conflicts_with_all = ["integrator", "case", "csv"])]
     model: Option<Model>,
-    /// Run a single case and show its details.
+    /// Run a single case, and show its scene and its details.
     #[arg(long, value_name = "N", conflicts_with_all = ["cases", "csv"],
-          value_parser = clap::value_parser!(u64).range(0..stability::MOST_CASES))]
+          value_parser = clap::value_parser!(u64).range(0..MAX_CASES))]
     case: Option<u64>,
-    /// Write the scene of that case to a file, for `meldscope run`.
-    #[arg(long, value_name = "F.toml", requires = "case")]
-    write: Option<PathBuf>,
-    /// Write the outcome of every case to a CSV file.
+    /// Write the outcome of every case to a table: .csv, .json or .parquet.
     #[arg(long, value_name = "F.csv")]
     csv: Option<PathBuf>,
 }
 
-/// Runs a benchmark.
-pub fn bench(arguments: Arguments) -> Result<(), Failure> {
-    match arguments.what {
-        What::Error(arguments) => error(arguments),
-        What::Scale(arguments) => scale::scale(arguments),
-        What::Record(arguments) => record::record(arguments),
-        What::Models(arguments) => models::models(arguments),
-        What::Surface => surface(),
-        What::Stability(arguments) => stability(arguments),
-    }
-}
+/// Maximum number of cases of the stress sweep.
+const MAX_CASES: u64 = 1_000_000;
 
-fn surface() -> Result<(), Failure> {
-    print(&surface::table(&surface::measure()));
-    print("");
-    for name in ["two", "crowd"] {
-        let surface::Run { merged, plain, share, costs } = surface::run(&scene(name)?).map_err(Failure::Run)?;
-        print(&format!(
-            "{name}, stepped and observed: {} frames/s with surfaces and measures, {} without; {:.0} % of the frames have a \
-             group and cost {:.3} ms, the others {:.3} ms",
-            thousands(merged as u64),
-            thousands(plain as u64),
-            100.0 * share,
-            1e3 * costs[1],
-            1e3 * costs[0]
-        ));
-    }
-    print(&Machine::detect().to_string());
-    Ok(())
-}
-
-/// A tolerance that asks for error control.
 fn tolerance(text: &str) -> Result<f64, String> {
     let number = text.parse::<f64>().ok().filter(|number| (1e-12..=1e-2).contains(number));
     number.ok_or_else(|| "expected radii per second, from 1e-12 to 1e-2".to_owned())
 }
 
-fn random_errors(count: u64, arguments: &ErrorArguments) -> Result<(), Failure> {
-    let settings = random::Settings { count, seed: arguments.seed, tolerance: arguments.tolerance };
-    if let Some(folder) = &arguments.out {
+fn seconds(text: &str) -> Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|number| (0.001..=60.0).contains(number));
+    number.ok_or_else(|| "expected 0.001 to 60 seconds".to_owned())
+}
+
+fn other_model(text: &str) -> Result<Model, String> {
+    match crate::models::parse(text)? {
+        Model::Oscillators => {
+            Err("the oscillators are what the integrators solve: leave --model out, or name an --integrator".to_owned())
+        }
+        model => Ok(model),
+    }
+}
+
+/// Runs a benchmark.
+pub fn bench(arguments: Arguments) -> Result<(), Failure> {
+    match arguments.what {
+        What::Error(ErrorArguments { random: Some(count), seed, tolerance, out, .. }) => {
+            random(&random::Settings { count, seed, tolerance }, out.as_deref())
+        }
+        What::Error(arguments) => error(arguments),
+        What::Scale(arguments) => scale(arguments),
+        What::Record(arguments) => record(arguments),
+        What::Models(arguments) => models(arguments),
+        What::Surface => Claimed::default().finish(&surface::report(&surface::measure()), &Machine::detect()),
+        What::Stability(arguments) => stability(arguments),
+    }
+}
+
+fn error(arguments: ErrorArguments) -> Result<(), Failure> {
+    let scenes = oscillators(&arguments.scene, "bench error")?;
+    let claimed = arguments.files.claim(&error::columns())?;
+    let mut measured = vec![];
+    for scene in &scenes {
+        let progress = Progress::new(format!("measuring {}", scene.name), Work::Share);
+        let of_scene = error::measure(scene, &error::Settings::of(scene), &mut |share| progress.set_share(share));
+        measured.push(of_scene.map_err(|error| match error {
+            MeasureError::Failed(_) | MeasureError::Threads(_) => Failure::Run(error.to_string()),
+            error => Failure::Input(format!("scene {}: {error}", scene.name)),
+        })?);
+    }
+    let machine = Machine::detect();
+    claimed.finish(&error::report(&measured, &machine), &machine)
+}
+
+fn random(settings: &random::Settings, folder: Option<&Path>) -> Result<(), Failure> {
+    if let Some(folder) = folder {
         std::fs::create_dir_all(folder).map_err(|error| unwritable(folder, &error))?;
     }
-    let progress = Progress::new("random scenes", Work::Units("scene", Some(count)));
-    let outcomes = random::measure(&settings, &|| progress.add(1));
+    let progress = Progress::new("random scenes", Work::Units("scene", Some(settings.count)));
+    let outcomes = random::measure(settings, &|| progress.add(1)).map_err(|error| Failure::Run(error.to_string()))?;
     drop(progress);
-    let outcomes = outcomes.map_err(|error| Failure::Run(error.to_string()))?;
-    for outcome in &outcomes {
-        if outcome.factor <= 1.0 && !outcome.is_underestimated && outcome.failure.is_none() {
-            continue;
-        }
+    for outcome in outcomes.iter().filter(|outcome| outcome.is_listed()) {
         print(&outcome.to_string());
-        if let Some(folder) = &arguments.out {
+        if let Some(folder) = folder {
             let path = folder.join(format!("{}.toml", outcome.scene.name));
+            let mut file = claim(&path, WRITTEN)?;
             let text = format!("{WRITTEN} error`.\n{}", outcome.scene.source);
-            write(claim(Some(&path), WRITTEN)?, || Ok(text))?;
+            let written = file.write_all(text.as_bytes()).and_then(|()| file.commit());
+            written.map_err(|error| unwritable(&path, &error))?;
         }
     }
     let counts = random::Counts::of(&outcomes);
@@ -193,130 +228,163 @@ fn random_errors(count: u64, arguments: &ErrorArguments) -> Result<(), Failure> 
     ))
 }
 
-fn error(arguments: ErrorArguments) -> Result<(), Failure> {
-    if let Some(count) = arguments.random {
-        return random_errors(count, &arguments);
-    }
-    let scenes = arguments.scene.iter().map(|name| scene(name)).collect::<Result<Vec<_>, _>>()?;
-    for scene in &scenes {
-        memory::check(scene).map_err(Failure::input)?;
-        need_oscillators(scene, "bench error").map_err(Failure::input)?;
-    }
-    let [csv_file, svg_file] = arguments.files.claim("scene,vertices,integrator,", "Work and precision")?;
-
+fn scale(arguments: ScaleArguments) -> Result<(), Failure> {
+    let claimed = arguments.files.claim(&scale::columns())?;
+    let mut bodies: Vec<usize> = arguments.bodies.iter().map(|&n| n as usize).collect();
+    bodies.sort_unstable();
+    bodies.dedup();
+    let settings = scale::Settings { bodies, time: Duration::from_secs_f64(arguments.seconds) };
+    let progress = Progress::new("measuring scenes of all sizes", Work::Share);
+    let measured = scale::measure(&settings, &mut |share| progress.set_share(share));
+    drop(progress);
     let machine = Machine::detect();
-    let mut reports = vec![];
+    claimed.finish(&measured.map_err(|error| Failure::Run(error.to_string()))?.report(&machine), &machine)
+}
+
+fn record(arguments: RecordArguments) -> Result<(), Failure> {
+    let scenes = oscillators(&arguments.scene, "bench record")?;
+    let claimed = Files { csv: arguments.csv, svg: None }.claim(&record::columns())?;
+    let (mut measurements, mut verifications) = (vec![], vec![]);
+    for scene in &scenes {
+        let _progress = Progress::new(format!("measuring {}", scene.name), Work::Uncounted);
+        measurements.extend(record::measure(scene).map_err(Failure::Run)?);
+        verifications.push(record::verify(scene).map_err(Failure::Run)?);
+    }
+    claimed.finish(&record::report(&measurements, &verifications), &Machine::detect())
+}
+
+fn models(arguments: ModelsArguments) -> Result<(), Failure> {
+    let scenes = arguments.scene.iter().map(|name| scene(name)).collect::<Result<Vec<_>, _>>()?;
+    let claimed = arguments.files.claim(&models::columns())?;
+    if let (Some(path), [first, ..]) = (&arguments.save, scenes.as_slice()) {
+        record_models(first, path)?;
+    }
+    let mut measured = Vec::new();
     for scene in &scenes {
         let progress = Progress::new(format!("measuring {}", scene.name), Work::Share);
-        let measured = error::measure(scene, &Settings::of(scene), &mut |share| progress.set_share(share));
-        drop(progress);
-        let report = measured.map_err(|error| match error {
-            MeasureError::Failed(_) | MeasureError::Threads(_) => Failure::Run(error.to_string()),
-            error => Failure::Input(format!("scene {}: {error}", scene.name)),
-        })?;
-        print(&table::table(&report));
-        print("");
-        reports.push(report);
+        measured.push(models::measure(scene, &Model::ALL, &mut |share| progress.set_share(share)));
     }
-    print(&table::footer(&machine));
+    let machine = Machine::detect();
+    claimed.finish(&models::report(&measured, &machine), &machine)
+}
 
-    write(csv_file, || csv(&reports, &machine))?;
-    write(svg_file, || diagram::svg(&reports, &machine))
+/// Records all models that can run a scene.
+fn record_models(scene: &Scene, path: &Path) -> Result<(), Failure> {
+    let all = SideBySide::all(scene, Options::default());
+    let schema = all.schema();
+    let new = Existing { application: application(&schema.name), kind: Some(Kind::Run) };
+    may_save(path, &[], &new)?;
+    announce(path, &new)?;
+    let destinations = Destinations { save: Some(path.to_owned()), ..Destinations::default() };
+    let settings = Settings::for_bodies(schema.bodies.len(), schema.steps);
+    let _progress = Progress::new("recording all models", Work::Uncounted).with_file(path);
+    let frames = stream::record(&all, settings, &destinations).map_err(|error| Failure::Run(error.to_string()))?;
+    let names = schema.model.replace('+', ", ");
+    print(&format!("saved {}: {}, {}\n", path.display(), counted(frames, "frame"), names));
+    Ok(())
 }
 
 fn stability(arguments: StabilityArguments) -> Result<(), Failure> {
-    if let Some(model) = arguments.model.filter(|model| *model != Model::Oscillators) {
-        return stability_of(model, arguments.cases);
+    let failed = |error: MeasureError| Failure::Run(error.to_string());
+    let machine = Machine::detect();
+    let progress = || Progress::new("stability", Work::Units("case", Some(arguments.cases)));
+    if let Some(model) = arguments.model {
+        let progress = progress();
+        let judged = stability::models::measure(model, arguments.cases, &|| progress.add(1)).map_err(failed)?;
+        drop(progress);
+        return Claimed::default().finish(&stability::of_model(&judged), &machine);
     }
     let integrators = arguments.integrator.map_or(Integrator::ALL.to_vec(), |integrator| vec![integrator]);
-    let settings = stability::Settings { cases: arguments.cases, integrators, ..stability::Settings::default() };
+    let settings = stability::Settings { cases: arguments.cases, integrators, most_steps: u64::MAX };
     if let Some(index) = arguments.case {
-        return one_case(index, arguments.write.as_deref(), &settings);
+        let case = Case::new(index).map_err(|error| Failure::Run(error.to_string()))?;
+        print_lines(&case.scene.source);
+        let row = stability::run(case, &settings).map_err(failed)?;
+        return Claimed::default().finish(&stability::of_case(&row), &machine);
     }
-    let csv_file = claim(arguments.csv.as_deref(), "case,axis,what,")?;
-    let failed = |error: MeasureError| Failure::Run(error.to_string());
-    let clock = std::time::Instant::now();
-
-    let progress = Progress::new("stability", Work::Units("case", Some(settings.cases)));
-    let rows = stability::sweep(&settings, &|done| progress.set(done));
-    drop(progress);
-    let rows = rows.map_err(failed)?;
-    let swept = clock.elapsed().as_secs_f64();
-    for part in [of_stability::by_integrator, of_stability::by_axis, of_stability::worst_cases, of_stability::extremes]
-    {
-        print(&format!("{}\n", part(&rows)));
-    }
-    print(&of_stability::footer());
-
-    let progress = Progress::new("energy over a million steps, sizes, free bodies", Work::Uncounted);
+    let claimed = Files { csv: arguments.csv, svg: None }.claim(&stability::columns())?;
+    let swept = progress();
+    let rows = stability::sweep(&settings, &|| swept.add(1)).map_err(failed)?;
+    drop(swept);
+    let progress = Progress::new("energy over a million steps, free bodies", Work::Uncounted);
     let drift = |&integrator: &Integrator| drift::measure(integrator, drift::STEPS);
     let drifts = settings.integrators.par_iter().map(drift).collect::<Result<Vec<_>, _>>().map_err(failed)?;
-    print(&format!("\n{}", of_stability::energy(&drifts)));
-    print(&format!("\n{}", of_stability::sizes(&sizes::measure().map_err(failed)?)));
-    let free_rows = free::measure(&settings.integrators).map_err(failed)?;
+    let free = free::measure(&settings.integrators).map_err(failed)?;
     drop(progress);
-    print(&format!("\n{}", free::table(&free_rows)));
-    for failure in settings.integrators.iter().flat_map(|&of| free::failures(&free_rows, of)) {
-        print(&failure);
-    }
-    let whole = clock.elapsed().as_secs_f64();
-    print(&format!("\n{}; {whole:.0} s, of which the cases took {swept:.0} s", Machine::detect().at_full_load()));
-    write(csv_file, || of_stability::csv(&rows))?;
-
-    if drifts.iter().any(|drift| drift.integrator == Integrator::Exponential && !drift.is_small()) {
-        return Err(Failure::Run("exponential does not conserve energy over a million steps".to_owned()));
-    }
-    if let Some(row) = free_rows.iter().find(|row| row.is_defect()) {
-        let (axis, what) = (row.case.axis.name(), &row.case.what);
-        return Err(Failure::Run(format!("exponential fails with free bodies: {axis}, {what}")));
-    }
-    verdict(&rows)
+    claimed.finish(&stability::report(&rows, &drifts, &free), &machine)
 }
 
-fn stability_of(model: Model, cases: u64) -> Result<(), Failure> {
-    let progress = Progress::new(model.name(), Work::Units("case", Some(cases)));
-    let ends = of_models::measure(model, cases, &|| progress.add(1));
-    drop(progress);
-    let ends = ends.map_err(|error| Failure::Run(error.to_string()))?;
-    print(&format!("{model}\n\n{}\n{}", of_models::table(&ends), Machine::detect().at_full_load()));
-    let defects: Vec<_> = (0..).zip(&ends).filter(|(_, (_, end))| *end == of_models::End::Defect).collect();
-    match defects.first() {
-        Some((first, _)) => Err(Failure::Run(format!("{model} fails {} cases, first case {first}", defects.len()))),
-        None => Ok(()),
+/// Scenes that the benchmark `what` can run: of the default model, within the memory that there is.
+fn oscillators(names: &[String], what: &str) -> Result<Vec<Scene>, Failure> {
+    let scenes = names.iter().map(|name| scene(name)).collect::<Result<Vec<_>, _>>()?;
+    for scene in &scenes {
+        memory::check(scene).map_err(Failure::input)?;
+        need_oscillators(scene, what).map_err(Failure::input)?;
     }
-}
-
-/// The default integrator must pass every case; failures of the others are only reported.
-fn verdict(rows: &[stability::Row]) -> Result<(), Failure> {
-    let is_defective = |row: &&stability::Row| row.outcomes.iter().any(stability::Outcome::is_defect);
-    let failed: Vec<_> = rows.iter().filter(is_defective).map(|row| row.case.index.to_string()).collect();
-    match failed.len() {
-        0 => Ok(()),
-        1 => Err(Failure::Run(format!("exponential fails case {}", failed.concat()))),
-        n => Err(Failure::Run(format!("exponential fails {n} cases: {}", failed.join(", ")))),
-    }
-}
-
-fn one_case(index: u64, file: Option<&Path>, settings: &stability::Settings) -> Result<(), Failure> {
-    let file = claim(file, WRITTEN)?;
-    let case = Case::new(index).map_err(|error| Failure::Run(error.to_string()))?;
-    print(&case.scene.source);
-    write(file, || Ok(format!("{WRITTEN} stability`, case {index}.\n{}", case.scene.source)))?;
-    let row = stability::run(case, settings).map_err(|error| Failure::Run(error.to_string()))?;
-    print(&of_stability::one_case(&row));
-    verdict(&[row])
+    Ok(scenes)
 }
 
 /// First words of the scene files that benchmarks write.
 const WRITTEN: &str = "# Written by `meldscope bench";
-/// Number of bytes within which a file written by a benchmark has its mark.
+/// What an SVG file of this program has near its beginning.
+const DRAWN: &str = "<desc>meldscope</desc>";
+/// Number of bytes within which a file has its mark.
 const HEAD: u64 = 4096;
 
-/// Checks the output path before anything is measured. Rejects a path that cannot be written, and an existing file that
-/// this benchmark did not write: one without `mark` near its beginning.
-fn claim(path: Option<&Path>, mark: &str) -> Result<Option<Output>, Failure> {
-    let Some(path) = path else { return Ok(None) };
-    let output = Output::claim(path).map_err(|error| unwritable(path, &error))?;
+/// The files of a benchmark: begun before anything is measured, so that "permission denied" is reported at once instead
+/// of after minutes, and put in place at the end.
+#[derive(Default)]
+struct Claimed {
+    csv: Option<(PathBuf, table::Table)>,
+    svg: Option<(PathBuf, AtomicFile)>,
+}
+
+impl Files {
+    fn claim(self, columns: &[Column]) -> Result<Claimed, Failure> {
+        if let (Some(csv), Some(svg)) = (&self.csv, &self.svg)
+            && atomic::is_same_destination(csv, svg)
+        {
+            return Err(Failure::Input("--csv and --svg name the same file: give each its own".to_owned()));
+        }
+        let table = |path: PathBuf| match table::Table::create(&path, report::file_columns(columns)) {
+            Ok(table) => Ok((path, table)),
+            Err(TableError::Refused(why)) => Err(Failure::Input(why)),
+            Err(TableError::Failed(why)) => Err(Failure::Run(why)),
+        };
+        let csv = self.csv.map(table).transpose()?;
+        let svg = self.svg.map(|path| claim(&path, DRAWN).map(|file| (path, file))).transpose()?;
+        Ok(Claimed { csv, svg })
+    }
+}
+
+impl Claimed {
+    /// Prints the results and writes them to the files. A benchmark that fails has printed and written them all.
+    fn finish(self, report: &Report, machine: &Machine) -> Result<(), Failure> {
+        for table in &report.tables {
+            print_lines(&table.to_string());
+        }
+        if !report.notes.is_empty() {
+            print_lines(&report.notes);
+        }
+        print(&machine.to_string());
+        if let Some((path, table)) = self.csv {
+            report::write(table, report, machine).map_err(|error| Failure::Run(error.to_string()))?;
+            say(&format!("wrote {}", path.display()));
+        }
+        if let (Some((path, mut file)), Some(chart)) = (self.svg, &report.chart) {
+            let written = file.write_all(chart.svg().as_bytes()).and_then(|()| file.commit());
+            written.map_err(|error| unwritable(&path, &error))?;
+            say(&format!("wrote {}", path.display()));
+        }
+        report.failure.as_ref().map_or(Ok(()), |failure| Err(Failure::Run(failure.clone())))
+    }
+}
+
+/// Begins a file. Rejects a path that cannot be written, and an existing file without `mark` near its beginning.
+fn claim(path: &Path, mark: &str) -> Result<AtomicFile, Failure> {
+    if path.is_dir() {
+        return Err(unwritable(path, &std::io::ErrorKind::IsADirectory.into()));
+    }
     if path.is_file() {
         let mut head = Vec::new();
         let read = File::open(path).and_then(|file| file.take(HEAD).read_to_end(&mut head));
@@ -328,15 +396,7 @@ fn claim(path: Option<&Path>, mark: &str) -> Result<Option<Output>, Failure> {
             )));
         }
     }
-    Ok(Some(output))
-}
-
-fn write(file: Option<Output>, text: impl FnOnce() -> Result<String, String>) -> Result<(), Failure> {
-    let Some(file) = file else { return Ok(()) };
-    let text = text().map_err(|error| Failure::Run(format!("cannot draw {}: {error}", file.path().display())))?;
-    file.write(&text).map_err(|error| unwritable(file.path(), &error))?;
-    super::say(&format!("wrote {}", file.path().display()));
-    Ok(())
+    AtomicFile::create(path).map_err(|error| unwritable(path, &error))
 }
 
 fn unwritable(path: &Path, error: &std::io::Error) -> Failure {

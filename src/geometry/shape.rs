@@ -12,8 +12,8 @@ use super::{Mesh, Shape, Sphere};
 pub trait Solid: Clone + Ord + Hash {
     /// The parameters, in the order of [`Solid::new`].
     const PARAMETERS: &'static [Parameter];
-    /// The keys of the parameters.
-    const KEYS: &'static [&'static str];
+    /// What the shape is.
+    const ABOUT: &'static str;
     /// The form of the shape's entry in a scene, for messages.
     const FORM: &'static str;
 
@@ -36,6 +36,10 @@ pub trait Solid: Clone + Ord + Hash {
 /// An integer parameter of a shape.
 #[derive(Clone, Copy, Debug)]
 pub struct Parameter {
+    /// Its key in scene files.
+    pub name: &'static str,
+    /// What it is.
+    pub about: &'static str,
     /// The smallest allowed value.
     pub least: u32,
     /// The largest allowed value.
@@ -52,9 +56,9 @@ pub struct Kind {
     pub home: &'static str,
     /// The form of its entry in a scene, for messages.
     pub form: &'static str,
-    /// The keys of its parameters.
-    pub keys: &'static [&'static str],
-    /// The ranges and defaults of its parameters.
+    /// What the shape is.
+    pub about: &'static str,
+    /// Its parameters.
     pub parameters: &'static [Parameter],
     /// Creates a shape of this kind.
     pub make: fn(&[u32]) -> Shape,
@@ -79,12 +83,10 @@ macro_rules! shapes {
                 name: $name,
                 home: concat!("in shape = { ", $name, " = { … } }"),
                 form: <$Kind as $crate::geometry::shape::Solid>::FORM,
-                keys: <$Kind as $crate::geometry::shape::Solid>::KEYS,
+                about: <$Kind as $crate::geometry::shape::Solid>::ABOUT,
                 parameters: <$Kind as $crate::geometry::shape::Solid>::PARAMETERS,
                 make: |parameters| Shape::$Kind(<$Kind as $crate::geometry::shape::Solid>::new(parameters)),
             }),*];
-            /// The keys of all kinds, and the key of mesh files.
-            pub const NAMES: &'static [&'static str] = &[$($name,)* "mesh"];
 
             /// Number of vertices, computed without creating them.
             pub fn vertex_count(&self) -> u64 {

@@ -28,9 +28,11 @@ impl Default for Sphere {
 }
 
 impl Solid for Sphere {
-    const KEYS: &'static [&'static str] = &["stacks", "slices"];
-    const PARAMETERS: &'static [Parameter] =
-        &[Parameter { least: 2, most: 65_535, default: 12 }, Parameter { least: 3, most: 65_535, default: 24 }];
+    const PARAMETERS: &'static [Parameter] = &[
+        Parameter { name: "stacks", about: "Bands from pole to pole.", least: 2, most: 65_535, default: 12 },
+        Parameter { name: "slices", about: "Vertices per ring.", least: 3, most: 65_535, default: 24 },
+    ];
+    const ABOUT: &'static str = "A sphere of rings.";
     const FORM: &'static str = "a table such as { stacks = 12, slices = 24 }";
 
     fn new(parameters: &[u32]) -> Sphere {

@@ -10,7 +10,12 @@ use super::{
     row::Cell,
     store::{Store, StoreError},
 };
-use crate::{scene::template::Setting, table::Kind};
+use crate::{
+    scene::template::Setting,
+    stream::palette,
+    svg::{self, GREEN, ORANGE, PURPLE, SKY_BLUE},
+    table::Kind,
+};
 
 /// Maximum number of points of a map along an axis.
 const MAX_POINTS: u64 = 1200;
@@ -20,8 +25,7 @@ pub const MOST_SLICES: usize = 64;
 const MAX_DOTS: usize = 20_000;
 
 /// Colours of the outcomes, distinguishable with any colour vision (Okabe & Ito 2008), and of failed runs.
-pub const COLORS: [[u8; 3]; FAILED as usize + 1] =
-    [[222, 222, 222], [86, 180, 233], [230, 159, 0], [0, 158, 115], [204, 121, 167], [60, 60, 60]];
+pub const COLORS: [[u8; 3]; FAILED as usize + 1] = [[222, 222, 222], SKY_BLUE, ORANGE, GREEN, PURPLE, [60, 60, 60]];
 /// Colour of unknown points.
 pub const UNKNOWN: [u8; 3] = [255, 255, 255];
 
@@ -233,14 +237,9 @@ fn edges(axis: &Axis, count: usize) -> Vec<f64> {
     (0..=count).map(|k| ((k as f64 - 0.5) / cells).clamp(0.0, 1.0)).collect()
 }
 
-/// Dark blue to yellow, perceptually uniform (viridis, van der Walt and Smith 2015, interpolated between its quarters).
+/// The colour of a share of a measure's range, in 32 steps, so that equal neighbours are drawn as one.
 pub fn ramp(share: f64) -> [u8; 3] {
-    const STOPS: [[f64; 3]; 5] =
-        [[68.0, 1.0, 84.0], [59.0, 82.0, 139.0], [33.0, 145.0, 140.0], [94.0, 201.0, 98.0], [253.0, 231.0, 37.0]];
-    let stop = (share.clamp(0.0, 1.0) * 31.0).round() / 31.0 * 4.0;
-    let (from, rest) = (stop.floor().min(3.0), stop - stop.floor().min(3.0));
-    let [low, high] = [STOPS[from as usize], STOPS[from as usize + 1]];
-    std::array::from_fn(|k| (low[k] + (high[k] - low[k]) * rest).round() as u8)
+    palette::heat((share.clamp(0.0, 1.0) * 31.0).round() / 31.0)
 }
 
 /// The boundary between points of different outcomes, as line segments in fractions of the axes.
@@ -292,30 +291,14 @@ pub fn ticks(axis: &Axis) -> Vec<(f64, String)> {
             return numbers.map(|(k, value)| ((k as f64 + 0.5) / values.len() as f64, value.to_string())).collect();
         }
     };
-    let (low, high) = (from.min(to), from.max(to));
     let written = |x: f64| {
-        let text = format!("{:.6}", x);
+        let text = format!("{x:.6}");
         if x != 0.0 && !(1e-3..1e6).contains(&x.abs()) {
             format!("{x:e}")
         } else {
             text.trim_end_matches('0').trim_end_matches('.').to_owned()
         }
     };
-    let values: Vec<f64> = match scale {
-        Scale::Log => {
-            let decades = low.log10().floor() as i32..=high.log10().ceil() as i32;
-            let multiples: &[f64] = if high / low < 1e3 { &[1.0, 2.0, 5.0] } else { &[1.0] };
-            decades.flat_map(|decade| multiples.iter().map(move |m| m * 10f64.powi(decade))).collect()
-        }
-        Scale::Linear => {
-            let rough = (high - low) / 6.0;
-            let power = 10f64.powf(rough.log10().floor());
-            let step =
-                [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|step| *step >= rough).unwrap_or(rough);
-            let first = (low / step).ceil() as i64;
-            (0..16).map(|k| (first + k) as f64 * step).collect()
-        }
-    };
-    let inside = values.into_iter().filter(|x| *x >= low - 1e-9 * (high - low) && *x <= high + 1e-9 * (high - low));
-    inside.map(|x| (axis.share(x), written(x))).collect()
+    let values = svg::ticks([from.min(to), from.max(to)], scale == Scale::Log);
+    values.into_iter().map(|x| (axis.share(x), written(x))).collect()
 }

@@ -1,15 +1,4 @@
 //! The map as a recording for the Rerun viewer.
-//!
-//! | entity | contents |
-//! | --- | --- |
-//! | `/map/regions` | the map as an image |
-//! | `/map/boundary` | the boundaries between outcomes |
-//! | `/map/runs` | every run as a point, with its row and values on selection |
-//! | `/map/ticks` | tick values on the axes |
-//! | `/along/MEASURE/…` | measures along the first axis, for the first, middle and last value of the second |
-//!
-//! Maps for different values of further axes are on the timeline `slice`; measures are on the timeline `along`, the
-//! index on the first axis.
 
 use std::path::Path;
 
@@ -28,6 +17,7 @@ use crate::{
     stream::{
         blueprint,
         chunks::Chunks,
+        contract::{ABOUT, ALONG, MAP, MEASURE, RECORDING_INFO, SLICE},
         palette::{self, color},
         series::{Interpolation, Series},
         settings::{application, file_stem},
@@ -68,7 +58,7 @@ pub fn save(map: &Map, sweep: &Sweep, store: &Store, title: &str, path: &Path) -
         sinks.send(message)?;
     }
     let mut chunks = Chunks::new(recording);
-    chunks.log_static("/__properties", &sdk::RecordingInfo::new().with_name(title));
+    chunks.log_static(RECORDING_INFO.path, &sdk::RecordingInfo::new().with_name(title));
     let classes: Vec<String> = (0..=FAILED)
         .filter(|class| map.slices.iter().any(|slice| slice.dots.iter().any(|dot| dot.class == *class)))
         .map(|class| format!("{} **{}**", COLOR_NAMES[class as usize], bisect::name(class)))
@@ -88,12 +78,12 @@ pub fn save(map: &Map, sweep: &Sweep, store: &Store, title: &str, path: &Path) -
         axes.join(", "),
         classes.join(", "),
     );
-    chunks.log_static("/about", &TextDocument::new(about).with_media_type(MediaType::MARKDOWN));
+    chunks.log_static(ABOUT.path, &TextDocument::new(about).with_media_type(MediaType::MARKDOWN));
     log_ticks(&mut chunks, map);
     for (number, slice) in map.slices.iter().enumerate() {
         let at = match map.slices.len() {
             1 => TimePoint::STATIC,
-            _ => TimePoint::from_iter([(Timeline::new_sequence("slice"), number as i64)]),
+            _ => TimePoint::from_iter([(Timeline::new_sequence(SLICE), number as i64)]),
         };
         log_slice(&mut chunks, map, slice, &at);
     }
@@ -125,12 +115,12 @@ fn log_slice(chunks: &mut Chunks, map: &Map, slice: &Slice, at: &TimePoint) {
                 pixels.extend(map.color(slice, row * slice.size[0] + column));
             }
         }
-        chunks.row("/map/regions", at.clone(), &Image::from_rgb24(pixels, [WIDTH as u32, HEIGHT as u32]));
+        chunks.row(&MAP.of(&["regions"]), at.clone(), &Image::from_rgb24(pixels, [WIDTH as u32, HEIGHT as u32]));
         let lines: Vec<[[f32; 2]; 2]> =
             boundary(slice).into_iter().map(|[from, to]| [pixel(from), pixel(to)]).collect();
         let lines =
             LineStrips2D::new(lines).with_colors([color([30, 30, 30])]).with_radii([Radius::new_ui_points(0.9)]);
-        chunks.row("/map/boundary", at.clone(), &lines.with_draw_order(10.0));
+        chunks.row(&MAP.of(&["boundary"]), at.clone(), &lines.with_draw_order(10.0));
     }
     let points = Points2D::new(slice.dots.iter().map(|dot| pixel(dot.at)))
         .with_colors(
@@ -143,7 +133,7 @@ fn log_slice(chunks: &mut Chunks, map: &Map, slice: &Slice, at: &TimePoint) {
         .with_show_labels(false)
         .with_radii([Radius::new_ui_points(if slice.dots.len() > 2000 { 0.8 } else { 2.0 })])
         .with_draw_order(20.0);
-    chunks.row("/map/runs", at.clone(), &points);
+    chunks.row(&MAP.of(&["runs"]), at.clone(), &points);
     if slice.title.is_empty() {
         return;
     }
@@ -151,7 +141,7 @@ fn log_slice(chunks: &mut Chunks, map: &Map, slice: &Slice, at: &TimePoint) {
         .with_labels([slice.title.as_str()])
         .with_show_labels(true)
         .with_radii([Radius::new_ui_points(0.1)]);
-    chunks.row("/map/title", at.clone(), &title);
+    chunks.row(&MAP.of(&["title"]), at.clone(), &title);
 }
 
 fn log_ticks(chunks: &mut Chunks, map: &Map) {
@@ -171,7 +161,7 @@ fn log_ticks(chunks: &mut Chunks, map: &Map) {
         .with_show_labels(true)
         .with_colors([color([120, 120, 120])])
         .with_radii([Radius::new_ui_points(0.1)]);
-    chunks.log_static("/map/ticks", &ticks);
+    chunks.log_static(&MAP.of(&["ticks"]), &ticks);
 }
 
 /// Logs measures along the first axis, for three values of the second and the first value of all others.
@@ -203,7 +193,7 @@ fn log_along(
     values.sort_by_key(|(index, line, _)| (*line, *index));
     for (k, measure) in measures.iter().enumerate() {
         for (line, index) in lines.iter().enumerate() {
-            let entity = format!("/along/{measure}/{line}");
+            let entity = MEASURE.of(&[measure, &line.to_string()]);
             let name = match second {
                 Some(axis) => format!("{} = {}", design.axes[axis].label(), design.axes[axis].value(0, *index)),
                 None => (*measure).to_owned(),
@@ -211,7 +201,7 @@ fn log_along(
             Series::style(chunks, &entity, &name, palette::line(line), 1.5, Interpolation::Linear);
             for (at, _, cells) in values.iter().filter(|(_, known, _)| *known == line) {
                 if let Some(Cell::F64(value)) = cells.get(k) {
-                    let at = TimePoint::from_iter([(Timeline::new_sequence("along"), *at as i64)]);
+                    let at = TimePoint::from_iter([(Timeline::new_sequence(ALONG), *at as i64)]);
                     chunks.row(&entity, at, &Scalars::single(*value));
                 }
             }

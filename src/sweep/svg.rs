@@ -8,6 +8,7 @@ use super::{
     map::{COLORS, Map, Slice, boundary, ramp, ticks},
     refine::FAILED,
 };
+use crate::svg::{Anchor, GREY, INK, Paint, Rgb, Svg, through};
 
 /// Size of a panel's map, and the margins around it [px].
 const MAP: [f64; 2] = [560.0, 400.0];
@@ -27,100 +28,65 @@ pub fn svg(map: &Map, title: &str, about: &str) -> String {
     let rows = panels.len().div_ceil(columns);
     let height_of_map = if map.axes.len() > 1 { MAP[1] } else { 60.0 };
     let panel = [LEFT + MAP[0] + RIGHT, ABOVE + height_of_map + BELOW];
-    let (width, height) = (panel[0] * columns as f64 + LEGEND, HEADER + panel[1] * rows as f64);
-    let mut text = format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} {height}\" \
-         font-family=\"sans-serif\" fill=\"#222\">\n<rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>\n"
-    );
-    write(&mut text, [20.0, 32.0], 24.0, "start", title);
-    let _ = writeln!(text, "<g fill=\"#6e6e6e\">");
-    write(&mut text, [20.0, 56.0], 15.0, "start", about);
-    let _ = writeln!(text, "</g>");
+    let mut svg = Svg::new([panel[0] * columns as f64 + LEGEND, HEADER + panel[1] * rows as f64]);
+    svg.write([20.0, 32.0], 24.0, INK, Anchor::Start, title);
+    svg.write([20.0, 56.0], 15.0, GREY, Anchor::Start, about);
     for (number, slice) in panels.iter().enumerate() {
         let x = LEFT + panel[0] * (number % columns) as f64;
         let y = HEADER + ABOVE + panel[1] * (number / columns) as f64;
-        let _ = writeln!(text, "<g transform=\"translate({x} {y})\">");
-        draw(&mut text, map, slice, height_of_map);
-        let _ = writeln!(text, "</g>");
+        svg.group([x, y], 0.0, |svg| draw(svg, map, slice, height_of_map));
     }
-    legend(&mut text, map, panels, [panel[0] * columns as f64 + 4.0, HEADER + ABOVE]);
-    text.push_str("</svg>\n");
-    text
+    legend(&mut svg, map, panels, [panel[0] * columns as f64 + 4.0, HEADER + ABOVE]);
+    svg.finish()
 }
 
-fn write(text: &mut String, [x, y]: [f64; 2], size: f64, anchor: &str, what: &str) {
-    let mut escaped = String::new();
-    for c in what.chars() {
-        match c {
-            '<' => escaped.push_str("&lt;"),
-            '&' => escaped.push_str("&amp;"),
-            c if c.is_control() => escaped.push('\u{fffd}'),
-            c => escaped.push(c),
-        }
-    }
-    let _ = writeln!(
-        text,
-        "<text x=\"{x:.1}\" y=\"{y:.1}\" font-size=\"{size}\" text-anchor=\"{anchor}\">{escaped}</text>"
-    );
-}
-
-fn hex([r, g, b]: [u8; 3]) -> String {
-    format!("#{r:02x}{g:02x}{b:02x}")
-}
-
-fn draw(text: &mut String, map: &Map, slice: &Slice, height: f64) {
+fn draw(svg: &mut Svg, map: &Map, slice: &Slice, height: f64) {
     let width = MAP[0];
     let pixel = |[x, y]: [f64; 2]| [x * width, (1.0 - y) * height];
     if map.is_grid {
-        fill(text, map, slice, height);
-        let lines = boundary(slice);
+        fill(svg, map, slice, height);
+        let lines: String = boundary(slice).into_iter().map(|line| through(&line.map(pixel))).collect();
         if !lines.is_empty() {
-            text.push_str("<path fill=\"none\" stroke=\"#222\" stroke-width=\"1.2\" stroke-linecap=\"round\" d=\"");
-            for [from, to] in lines {
-                let ([x, y], [to_x, to_y]) = (pixel(from), pixel(to));
-                let _ = write!(text, "M{x:.1} {y:.1}L{to_x:.1} {to_y:.1}");
-            }
-            text.push_str("\"/>\n");
+            svg.path(&lines, Paint::Stroke(INK, 1.2));
         }
     } else {
         for dot in &slice.dots {
-            let [x, y] = pixel(dot.at);
-            let color = hex(COLORS.get(dot.class as usize).copied().unwrap_or_default());
-            let _ = writeln!(text, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3\" fill=\"{color}\"/>");
+            let color = COLORS.get(dot.class as usize).copied().unwrap_or_default();
+            svg.circle(pixel(dot.at), 3.0, Paint::Fill(color));
         }
     }
-    let _ = writeln!(text, "<rect width=\"{width}\" height=\"{height}\" fill=\"none\" stroke=\"#6e6e6e\"/>");
+    svg.rectangle([0.0; 2], [width, height], Paint::Stroke(GREY, 1.0));
     if let Some(axis) = map.axes.first() {
         for (share, number) in ticks(axis) {
             let x = share * width;
-            let _ = writeln!(text, "<path d=\"M{x:.1} {height}v6\" stroke=\"#6e6e6e\"/>");
-            write(text, [x, height + 22.0], 14.0, "middle", &number);
+            svg.line(&[[x, height], [x, height + 6.0]], GREY, 1.0);
+            svg.write([x, height + 22.0], 14.0, INK, Anchor::Middle, &number);
         }
-        write(text, [0.5 * width, height + 48.0], 17.0, "middle", &axis.label());
+        svg.write([0.5 * width, height + 48.0], 17.0, INK, Anchor::Middle, &axis.label());
     }
     if let Some(axis) = map.axes.get(1) {
         for (share, number) in ticks(axis) {
             let y = (1.0 - share) * height;
-            let _ = writeln!(text, "<path d=\"M0 {y:.1}h-6\" stroke=\"#6e6e6e\"/>");
-            write(text, [-10.0, y + 5.0], 14.0, "end", &number);
+            svg.line(&[[0.0, y], [-6.0, y]], GREY, 1.0);
+            svg.write([-10.0, y + 5.0], 14.0, INK, Anchor::End, &number);
         }
-        let _ = writeln!(text, "<g transform=\"translate(-60 {:.1}) rotate(-90)\">", 0.5 * height);
-        write(text, [0.0, 0.0], 17.0, "middle", &axis.label());
-        text.push_str("</g>\n");
+        svg.group([-60.0, 0.5 * height], -90.0, |svg| {
+            svg.write([0.0; 2], 17.0, INK, Anchor::Middle, &axis.label());
+        });
     }
-    write(text, [0.0, -12.0], 16.0, "start", &slice.title);
+    svg.write([0.0, -12.0], 16.0, INK, Anchor::Start, &slice.title);
 }
 
 /// Fills the cells of the points with one path per colour. A rectangle is a run of equal points, extended over equal
 /// runs above it.
-fn fill(text: &mut String, map: &Map, slice: &Slice, height: f64) {
+fn fill(svg: &mut Svg, map: &Map, slice: &Slice, height: f64) {
     let [columns, rows] = slice.size;
     let x = |k: usize| slice.edges[0][k] * MAP[0];
     let y = |k: usize| (1.0 - slice.edges[1][k]) * height;
     // open rectangles are (first column, column past the last, first row, colour)
-    let mut paths: Vec<([u8; 3], String)> = Vec::new();
-    let mut open: Vec<(usize, usize, usize, [u8; 3])> = Vec::new();
-    let mut close = |(from, to, row, color): (usize, usize, usize, [u8; 3]), end: usize| {
+    let mut paths: Vec<(Rgb, String)> = Vec::new();
+    let mut open: Vec<(usize, usize, usize, Rgb)> = Vec::new();
+    let mut close = |(from, to, row, color): (usize, usize, usize, Rgb), end: usize| {
         let index = paths.iter().position(|(known, _)| *known == color).unwrap_or_else(|| {
             paths.push((color, String::new()));
             paths.len() - 1
@@ -148,45 +114,32 @@ fn fill(text: &mut String, map: &Map, slice: &Slice, height: f64) {
     }
     open.into_iter().for_each(|old| close(old, rows));
     for (color, path) in paths {
-        let color = hex(color);
-        // the stroke covers the seams between rectangles
-        let _ = writeln!(text, "<path fill=\"{color}\" stroke=\"{color}\" stroke-width=\"0.4\" d=\"{path}\"/>");
+        // the outline covers the seams between rectangles
+        svg.path(&path, Paint::Both { fill: color, stroke: color, width: 0.4 });
     }
 }
 
-fn legend(text: &mut String, map: &Map, panels: &[Slice], [x, y]: [f64; 2]) {
-    let mut y = y;
-    match map.range {
-        Some([low, high]) => {
-            write(text, [x, y + 4.0], 15.0, "start", &map.color);
-            for k in 0..32 {
-                let color = hex(ramp(k as f64 / 31.0));
-                let at = y + 16.0 + (31 - k) as f64 * 6.0;
-                let _ =
-                    writeln!(text, "<rect x=\"{x:.1}\" y=\"{at:.1}\" width=\"22\" height=\"6.4\" fill=\"{color}\"/>");
-            }
-            for (value, at) in [(high, 22.0), (low, 208.0)] {
-                write(text, [x + 30.0, y + at + 4.0], 14.0, "start", &format!("{value:.3}"));
-            }
-            write(text, [x, y + 244.0], 14.0, "start", "line: where the");
-            write(text, [x, y + 262.0], 14.0, "start", "outcome changes");
+fn legend(svg: &mut Svg, map: &Map, panels: &[Slice], [x, y]: [f64; 2]) {
+    if let Some([low, high]) = map.range {
+        svg.write([x, y + 4.0], 15.0, INK, Anchor::Start, &map.color);
+        for k in 0..32 {
+            let at = y + 16.0 + f64::from(31 - k) * 6.0;
+            svg.rectangle([x, at], [22.0, 6.4], Paint::Fill(ramp(f64::from(k) / 31.0)));
         }
-        None => {
-            for class in 0..=FAILED {
-                if panels
-                    .iter()
-                    .any(|slice| slice.classes.contains(&class) || slice.dots.iter().any(|dot| dot.class == class))
-                {
-                    let color = hex(COLORS[class as usize]);
-                    let _ = writeln!(
-                        text,
-                        "<rect x=\"{x:.1}\" y=\"{:.1}\" width=\"20\" height=\"20\" fill=\"{color}\" stroke=\"#6e6e6e\"/>",
-                        y - 4.0
-                    );
-                    write(text, [x + 30.0, y + 11.0], 16.0, "start", bisect::name(class));
-                    y += 32.0;
-                }
-            }
+        for (value, at) in [(high, 26.0), (low, 212.0)] {
+            svg.write([x + 30.0, y + at], 14.0, INK, Anchor::Start, &format!("{value:.3}"));
         }
+        svg.write([x, y + 244.0], 14.0, INK, Anchor::Start, "line: where the");
+        svg.write([x, y + 262.0], 14.0, INK, Anchor::Start, "outcome changes");
+        return;
+    }
+    let is_shown = |class: &u8| {
+        panels.iter().any(|slice| slice.classes.contains(class) || slice.dots.iter().any(|dot| dot.class == *class))
+    };
+    for (class, row) in (0..=FAILED).filter(is_shown).zip(0..) {
+        let y = y + 32.0 * f64::from(row);
+        let paint = Paint::Both { fill: COLORS[class as usize], stroke: GREY, width: 1.0 };
+        svg.rectangle([x, y - 4.0], [20.0, 20.0], paint);
+        svg.write([x + 30.0, y + 11.0], 16.0, INK, Anchor::Start, bisect::name(class));
     }
 }

@@ -10,15 +10,12 @@ use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_m
 use glam::DVec3;
 use meldscope::{
     Scene, World,
-    bench::scale::{
-        free_oscillation,
-        scenes::{Family, Layout},
-    },
+    bench::scale::scenes::{Family, Layout},
     model::{
         oscillator::Oscillator,
         phase::{Phase, Thresholds},
     },
-    scene::{Path, path::Spline},
+    scene::{Path, Push, path::Spline},
     sim::{
         Options, States,
         events::PairPaths,
@@ -139,17 +136,25 @@ fn step(c: &mut Criterion) {
     group.finish();
 }
 
-/// The states of all vertices of a body that oscillate freely, separately and all equally.
+/// The states of all vertices of a body that oscillate freely: each by itself, after another body has left its inside; and
+/// all equally, after a push.
 fn states(c: &mut Criterion) {
     let mut group = c.benchmark_group("states");
     group.throughput(Throughput::Elements(266));
-    for cause in [free_oscillation::Cause::Sphere, free_oscillation::Cause::Push] {
-        for (name, arch) in instruction_sets() {
-            let scene = free_oscillation::scene(cause, &two(), 1);
-            let mut world = World::with_options(scene, Options { arch, ..Options::default() }).expect("enough memory");
+    let away = DVec3::X * 4.0;
+    for (name, is_pushed) in [("each vertex by itself", false), ("all equally", true)] {
+        let mut scene = two();
+        let leaving = Path::Keyframes(Spline::new(&[(0.0, DVec3::X * 0.3), (0.5, away)]));
+        scene.bodies[0].motion = Path::Fixed(DVec3::ZERO).into();
+        scene.bodies[1].motion = if is_pushed { Path::Fixed(away) } else { leaving }.into();
+        let push = Push { body: 0, direction: DVec3::X, strength: 60.0, start: 0.1, duration: 0.1 };
+        scene.pushes = if is_pushed { vec![push] } else { vec![] };
+        for (arch_name, arch) in instruction_sets() {
+            let options = Options { arch, ..Options::default() };
+            let mut world = World::with_options(scene.clone(), options).expect("enough memory");
             (0..90).for_each(|_| _ = world.step());
             let mut states = States::default();
-            group.bench_function(BenchmarkId::new(cause.name(), name), |b| {
+            group.bench_function(BenchmarkId::new(name, arch_name), |b| {
                 b.iter(|| {
                     world.body(0).states_into(&mut states);
                     states.displacement.x[0]

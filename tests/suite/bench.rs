@@ -11,17 +11,13 @@ use glam::DVec3;
 use meldscope::{
     Scene,
     bench::{
-        error::{self, Report, Scheme, Settings, csv, diagram, random, table},
-        extrapolation::{Extrapolation, Start},
-        goals,
-        machine::Machine,
-        output::Output,
-        record::{
-            self,
-            saving::{RATE, Way},
-            scenes,
+        error::{self, Measured, Scheme, Settings},
+        random, record,
+        reference::{
+            Accuracy, NoReference, Reference,
+            extrapolation::{Extrapolation, Start},
         },
-        reference::{Accuracy, NoReference, Reference},
+        report::{Machine, Report},
     },
     scene::Integrator,
 };
@@ -275,13 +271,11 @@ fn errors_that_the_reference_resolves_are_misses() {
     let mut report = measured("tiny");
     assert_eq!(report.missed().count(), 0, "{report:?}");
     for it in report.measurements.iter_mut().filter(|it| it.scheme == (Scheme::Controlled { tolerance: 1e-6 })) {
-        (it.error, it.share) = (Some(1e-3), Some(1e3));
+        (it.error, it.share) = (1e-3, Some(1e3));
     }
     assert_eq!(report.missed().collect::<Vec<_>>(), [(1e-6, 1e3)]);
-    assert!(
-        report.verdict().iter().any(|line| line.contains("missed at some instant: 1e-6 (1000.0 times)")),
-        "{report:?}"
-    );
+    let text = printed(&error::report(&[report], &Machine::detect()));
+    assert!(text.contains("missed at some instant: 1e-6 (1000.0 times)"), "{text}");
 }
 
 /// Laws, paths, responses and positions that the files do not cover: two programs that share no equation agree.
@@ -344,7 +338,7 @@ fn the_reference_agrees_with_the_simulation_without_files() {
             ..quick(&scene)
         };
         let report = error::measure(&scene, &settings, &mut |_| ()).expect("quick");
-        assert!(report.measurements[0].error.is_some_and(|error| error <= bound), "{influence}: {report:?}");
+        assert!(report.measurements[0].error <= bound, "{influence}: {report:?}");
     }
 }
 
@@ -387,12 +381,17 @@ fn quick(scene: &Scene) -> Settings {
     Settings { tolerances: vec![1e-3, 1e-6], runs: 1, shortest: Duration::ZERO, ..Settings::of(scene) }
 }
 
-fn measured(name: &str) -> Report {
+fn measured(name: &str) -> Measured {
     let scene = tiny(name);
     let mut shares = vec![];
     let report = error::measure(&scene, &quick(&scene), &mut |share| shares.push(share)).expect("quick");
     assert!(shares.is_sorted() && (shares.last().expect("not empty") - 1.0).abs() < 1e-9, "{shares:?}");
     report
+}
+
+/// What the terminal shows.
+fn printed(report: &Report) -> String {
+    report.tables.iter().map(ToString::to_string).collect::<String>() + &report.notes
 }
 
 #[test]
@@ -406,7 +405,7 @@ fn every_integrator_is_measured_with_every_step() {
         assert_eq!(steps, [12, 24, 48, 96, 192, 384, 768], "{integrator}");
         for row in rows {
             assert!((row.dt * row.steps as f64 - 0.96).abs() < 1e-12, "{row:?}");
-            assert!(row.error.is_some_and(|error| error < 10.0) && row.seconds > 0.0 && row.runs == 1, "{row:?}");
+            assert!(row.error < 10.0 && row.seconds > 0.0 && row.runs == 1, "{row:?}");
         }
     }
     let controlled = report.measurements.iter().filter(|it| matches!(it.scheme, Scheme::Controlled { .. }));
@@ -414,7 +413,7 @@ fn every_integrator_is_measured_with_every_step() {
 
     let error = |integrator, steps| {
         let found = report.measurements.iter().find(|it| it.scheme == Scheme::Fixed(integrator) && it.steps == steps);
-        found.and_then(|it| it.error).expect("measured")
+        found.expect("measured").error
     };
     assert!(error(Integrator::Thesis, 768) >= 0.5 * error(Integrator::Thesis, 12));
     for integrator in [Integrator::Mps, Integrator::Euler, Integrator::Rk4, Integrator::Exponential] {
@@ -439,80 +438,40 @@ fn diverged_runs_are_reported() {
     }
     let settings = Settings { integrators: vec![Integrator::Euler], ..quick(&scene) };
     let report = error::measure(&scene, &settings, &mut |_| ()).expect("quick");
-    assert_eq!(report.measurements[0].error, None);
-    assert!(report.measurements[6].error.is_some_and(|error| error < 0.1), "{:?}", report.measurements[6]);
-    assert!(table::table(&report).contains("diverged"));
-    assert!(csv::csv(std::slice::from_ref(&report), &Machine::detect()).expect("made").contains(",inf,"));
-    let svg = diagram::svg(&[report], &Machine::detect()).expect("drawn");
-    assert!(svg.contains("euler (out of bounds)"));
+    assert_eq!(report.measurements[0].error, f64::INFINITY);
+    assert!(report.measurements[6].error < 0.1, "{:?}", report.measurements[6]);
+    let report = error::report(&[report], &Machine::detect());
+    assert!(printed(&report).contains("diverged"));
+    assert!(report.chart.expect("drawn").svg().contains("euler (out of bounds)"));
 }
 
 #[test]
-fn the_lowest_cost_is_interpolated_between_measurements() {
+fn the_fastest_is_the_one_that_reaches_an_error_soonest() {
     let mut report = measured("tiny");
     report.measurements.retain(|it| it.scheme == Scheme::Fixed(Integrator::Mps));
     for (measurement, (seconds, error)) in report.measurements.iter_mut().zip([(1.0, 1e-1), (2.0, 3e-1), (4.0, 1e-3)]) {
-        (measurement.seconds, measurement.error) = (seconds, Some(error));
+        (measurement.seconds, measurement.error) = (seconds, error);
     }
     report.measurements.truncate(3);
-    let seconds = |target| report.cheapest(target).first().map(|cost| cost.seconds);
-    assert_eq!(seconds(1.0), Some(1.0));
-    assert!((seconds(1e-2).expect("reached") - 2.0).abs() < 1e-12); // halfway from 1 to 4: the one at 2 is dominated
-    assert_eq!(seconds(1e-4), None);
+    let seconds = |target| report.fastest(target).first().map(|it| it.seconds);
+    assert_eq!([1.0, 1e-2, 1e-4].map(seconds), [Some(1.0), Some(4.0), None]);
 }
 
 #[test]
 fn tables_name_every_integrator() {
-    let text = table::table(&measured("tiny"));
+    let text = printed(&error::report(&[measured("tiny")], &Machine::detect()));
     for name in Integrator::ALL.map(Integrator::name) {
         assert_eq!(text.lines().filter(|line| line.split("  ").next() == Some(name)).count(), 7, "{name}\n{text}");
     }
     assert!(text.contains("thesis, as printed, does not converge"), "{text}");
-    assert!(table::footer(&Machine::detect()).contains(env!("CARGO_PKG_VERSION")));
-}
-
-#[test]
-fn csv_has_a_row_for_each_measurement() {
-    let reports = [measured("one, \"two\""), measured("tiny")];
-    let machine = Machine { cpu: "a, b".to_owned(), ..Machine::detect() };
-    let text = csv::csv(&reports, &machine).expect("made");
-    let rows: Vec<Vec<String>> = text.lines().map(fields).collect();
-    assert_eq!(rows.len(), 1 + reports[0].measurements.len() + reports[1].measurements.len());
-    let columns = "scene,vertices,integrator,tolerance_per_s,dt_s,steps,error_radii,order,run_time_ms,runs,\
-                   vertex_steps_per_s,cpu,version";
-    assert_eq!(rows[0], fields(columns));
-    for (row, measurement) in rows[1..].iter().zip(reports.iter().flat_map(|report| &report.measurements)) {
-        assert_eq!(row.len(), rows[0].len(), "{row:?}");
-        let number = |column: usize| row[column].parse::<f64>().expect("a number");
-        assert_eq!(row[2], measurement.scheme.integrator().name());
-        assert_eq!((number(4), number(5) as u64), (measurement.dt, measurement.steps));
-        assert!((number(6) / measurement.error.expect("finite") - 1.0).abs() < 1e-3);
-        assert_eq!(row[11], "a, b");
-    }
-    assert_eq!((rows[1][0].as_str(), rows[rows.len() - 1][0].as_str()), ("one, \"two\"", "tiny"));
-}
-
-/// The fields of a CSV line.
-fn fields(line: &str) -> Vec<String> {
-    let (mut fields, mut is_quoted) = (vec![String::new()], false);
-    let mut letters = line.chars().peekable();
-    while let Some(letter) = letters.next() {
-        let field = fields.last_mut().expect("not empty");
-        match letter {
-            '"' if is_quoted && letters.next_if_eq(&'"').is_some() => field.push('"'),
-            '"' => is_quoted = !is_quoted,
-            ',' if !is_quoted => fields.push(String::new()),
-            letter => field.push(letter),
-        }
-    }
-    fields
+    assert!(text.lines().all(|line| line == line.trim_end()), "{text}");
 }
 
 #[test]
 fn the_diagram_is_well_formed_and_names_every_integrator() {
     let reports = [measured("a < b & \"c\""), measured("tiny"), measured("third")];
     for reports in [&reports[..1], &reports[..]] {
-        let svg = diagram::svg(reports, &Machine::detect()).expect("drawn");
+        let svg = error::report(reports, &Machine::detect()).chart.expect("drawn").svg();
         let texts = texts_of_well_formed(&svg);
         let count = |wanted: &str| texts.iter().filter(|text| text.starts_with(wanted)).count();
         for name in Integrator::ALL.map(Integrator::name) {
@@ -521,7 +480,7 @@ fn the_diagram_is_well_formed_and_names_every_integrator() {
         }
         assert_eq!(count("run time [ms]"), reports.len());
         assert_eq!(count("largest error [radii]"), reports.len());
-        assert!(texts.iter().any(|text| text.contains("a &lt; b &amp; &quot;c&quot;")), "{texts:?}");
+        assert!(texts.iter().any(|text| text.contains("a &lt; b &amp; \"c\"")), "{texts:?}");
         assert!(texts.iter().any(|text| text.contains("meldscope")), "{texts:?}");
     }
 }
@@ -561,26 +520,6 @@ fn directory(name: &str) -> PathBuf {
     path
 }
 
-#[test]
-fn files_are_checked_first_and_replaced_last() {
-    let directory = directory("output");
-    let path = directory.join("a.csv");
-    std::fs::write(&path, "before").expect("written");
-    let output = Output::claim(&path).expect("writable");
-    assert_eq!(std::fs::read_to_string(&path).expect("it exists"), "before");
-    output.write("after").expect("written");
-    assert_eq!(std::fs::read_to_string(&path).expect("it exists"), "after");
-
-    let new = Output::claim(&directory.join("b.svg")).expect("writable");
-    assert_eq!(std::fs::read_dir(&directory).expect("a directory").count(), 1);
-    new.write("new").expect("written");
-    assert_eq!(std::fs::read_dir(&directory).expect("a directory").count(), 2);
-
-    assert!(Output::claim(&directory).is_err());
-    assert!(Output::claim(&directory.join("missing/a.csv")).is_err());
-    std::fs::remove_dir_all(&directory).ok();
-}
-
 /// Runs `meldscope bench error` in `directory`; returns exit status, standard output, standard error.
 fn bench_error(directory: &Path, arguments: &[&str]) -> (i32, String, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_meldscope"));
@@ -598,9 +537,11 @@ fn the_command_rejects_bad_input_first_and_writes_last() {
     for (arguments, status, what) in [
         (&["nowhere"][..], 2, "no scene"),
         (&["small.toml", "twoo"], 2, "did you mean"),
-        (&["small.toml", "--csv", "missing/o.csv"], 1, "cannot write missing/o.csv"),
+        (&["small.toml", "--csv", "missing/o.csv"], 2, "cannot write missing/o.csv"),
+        (&["small.toml", "--csv", "o.txt"], 2, "use .csv, .json or .parquet"),
         (&["small.toml", "--svg", "."], 1, "cannot write ."),
-        (&["small.toml", "--svg", "o", "--csv", "o"], 2, "the same file"),
+        (&["small.toml", "--svg", "small.toml"], 2, "is not replaced"),
+        (&["small.toml", "--svg", "o.csv", "--csv", "o.csv"], 2, "the same file"),
         (&["small.toml", "--random", "3"], 2, "cannot be used with"),
         (&["--seed", "3"], 2, "--random"),
         (&["--random", "3", "--tolerance", "0.1"], 2, "from 1e-12 to 1e-2"),
@@ -615,7 +556,18 @@ fn the_command_rejects_bad_input_first_and_writes_last() {
     assert_eq!(code, 0, "{err}");
     assert!(out.starts_with("small: 2 bodies, 27 vertices"), "{out}");
     let csv = std::fs::read_to_string(directory.join("o.csv")).expect("written");
-    assert_eq!(csv.lines().count(), 1 + 6 * 7 + 9);
+    let rows: Vec<Vec<&str>> = csv.lines().map(|line| line.split(',').collect()).collect();
+    assert_eq!(rows.len(), 1 + 6 * 7 + 9);
+    let columns = "scene,vertices,integrator,tolerance_per_s,dt_s,steps,error_radii,order,run_time_ms,runs,\
+                   vertex_steps_per_s,processor,version";
+    assert_eq!(rows[0].join(","), columns);
+    assert!(rows[1].starts_with(&["small", "27", "thesis", ""]), "{csv}");
+    for row in &rows[1..] {
+        let number = |column: usize| row[column].parse::<f64>().expect("a number");
+        assert!((number(4) * number(5) - 0.96).abs() < 1e-12 && number(6) > 0.0, "{row:?}");
+    }
+    // its own files are replaced
+    assert_eq!(bench_error(&directory, &["small.toml", "--csv", "o.csv", "--svg", "o.svg"]).0, 0);
     texts_of_well_formed(&std::fs::read_to_string(directory.join("o.svg")).expect("written"));
     assert_eq!(std::fs::read_dir(&directory).expect("a directory").count(), 3);
 
@@ -626,66 +578,23 @@ fn the_command_rejects_bad_input_first_and_writes_last() {
 }
 
 #[test]
-fn a_crowd_has_the_requested_number_of_bodies() {
-    for (bodies, expected) in [(1, 0), (2, 0), (47, 1), (1000, 20)] {
-        let scene = Scene::parse(&scenes::crowd(bodies), "crowd").expect("a scene");
-        assert_eq!(scene.bodies.len(), bodies);
-        let moving = scene.bodies.iter().filter(|body| !body.path().unwrap().is_fixed()).count();
-        assert_eq!(moving, expected, "{bodies}");
-    }
-}
-
-#[test]
-fn recording_costs_are_measured_and_compared_with_the_goals() {
-    let directory = directory("record");
+fn recording_costs_are_measured() {
     let mut scene = Scene::builtin("two").expect("a built-in scene");
     scene.duration = 2.0;
-    let mut report =
-        record::Report { measurements: record::measure(&scene, &directory).expect("disk space"), costs: None };
-    assert_eq!(report.measurements.len(), 14);
-    for measured in &report.measurements {
-        assert!(measured.frames >= 120 && measured.rate().is_finite(), "{measured:?}");
+    let measurements = record::measure(&scene).expect("disk space");
+    assert_eq!(measurements.len(), 14);
+    for measured in &measurements {
+        assert!(measured.frames >= 120 && measured.seconds > 0.0, "{measured:?}");
         assert_eq!(measured.entities.is_some(), measured.destination == record::Destination::File, "{measured:?}");
         assert!(measured.entities.is_none_or(|entities| (20..=75).contains(&entities)), "{measured:?}");
+        // log() has neither the surface of the group nor the measures of the pair, but all positions and normals
+        if measured.destination == record::Destination::Log {
+            let ratio = measured.bytes.expect("a file") as f64 / measured.payload as f64;
+            assert!((0.1..1.0).contains(&ratio), "{measured:?}");
+        }
     }
-    let costs = record::measure_costs(&directory).expect("disk space");
-    for saving in &costs.saving {
-        assert!(saving.plain > 0.0 && saving.saving > 0.0 && saving.slow_down.is_sorted(), "{saving:?}");
-    }
-    let frames = costs.saving[0];
-    assert!(frames.way == Way::Frames && (0.5..=1.01).contains(&(frames.frames / RATE)), "{frames:?}");
-    assert!(costs.verifying.hashing.iter().all(|hashing| hashing.step > 0.0 && hashing.checksum.is_finite()));
-    assert!(costs.verifying.among_many().is_finite() && costs.verifying.replaying.len() == 2, "{costs:?}");
-    report.costs = Some(costs);
-
-    let goals = record::goals::goals(&report);
-    for goal in ["50,000", "25,000", "1.05", "≤ 2 %", "≤ 5 %", "≤ 1.1 ×"] {
-        let stated = goals.iter().find(|stated| stated.goal.contains(goal)).unwrap_or_else(|| panic!("{goal}"));
-        assert!(!stated.measured.contains("NaN") && !stated.measured.contains("inf"), "{stated:?}");
-    }
-    let csv = record::csv::csv(&report.measurements, &Machine::detect()).expect("made");
-    assert_eq!(csv.lines().count(), 15);
-    let columns = fields(csv.lines().next().expect("a heading")).len();
-    assert!(csv.lines().all(|line| fields(line).len() == columns), "{csv}");
-    let text = format!("{}{}", record::table::table(&report.measurements), goals::table(&goals));
-    assert!(text.contains("gRPC server") && text.contains("slow-down of stepping"), "{text}");
-    assert_eq!(std::fs::read_dir(&directory).expect("a directory").count(), 0, "files are removed again");
-    std::fs::remove_dir_all(&directory).ok();
-}
-
-#[test]
-fn the_measured_crowd_can_be_written_to_a_file() {
-    let directory = directory("crowd");
-    let run = |arguments: &[&str]| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_meldscope"));
-        let output = command.args(["bench", "record"]).args(arguments).current_dir(&directory).output();
-        output.expect("starts").status.code()
-    };
-    assert_eq!(run(&["--crowd", "70", "--write", "crowd.toml"]), Some(0));
-    assert_eq!(Scene::load(&directory.join("crowd.toml")).expect("a scene").bodies.len(), 70);
-    for wrong in [&["--write", "o.toml"] as &[&str], &["--crowd", "0"], &["--crowd", "9", "--write", "o", "two"]] {
-        assert_eq!(run(wrong), Some(2), "{wrong:?}");
-    }
-    assert_eq!(run(&["nowhere"]), Some(2));
-    std::fs::remove_dir_all(&directory).ok();
+    let verification = record::verify(&scene).expect("disk space");
+    assert!(verification.step > 0.0 && verification.run > 0.0 && verification.replay > 0.0, "{verification:?}");
+    let text = printed(&record::report(&measurements, &[verification]));
+    assert!(text.contains("gRPC server") && text.contains("replays of thin recordings"), "{text}");
 }

@@ -156,7 +156,7 @@ fn settings(random: &mut Random, own: Settings) -> Settings {
     let kept = |on| Frames::Last { most: 5, on, after: 3 };
     let frames = match random.below(6) {
         0 => Frames::Thin,
-        1 => kept(vec![Trigger::Merge, Trigger::Diverge]),
+        1 => kept(vec![Trigger::Event("merge".to_owned()), Trigger::Diverge]),
         2 => kept(vec![]),
         _ => Frames::All,
     };

@@ -15,7 +15,7 @@ fn settings(cases: u64, integrator: Integrator) -> Settings {
 }
 
 fn sweep(cases: u64, integrator: Integrator) -> Vec<stability::Row> {
-    stability::sweep(&settings(cases, integrator), &|_| ()).expect("every case is a valid scene that fits")
+    stability::sweep(&settings(cases, integrator), &|| ()).expect("every case is a valid scene that fits")
 }
 
 /// The first 40 cases cover every axis of the sweep.
@@ -61,7 +61,7 @@ fn exponential_passes_previously_failed_cases() {
 #[test]
 fn explicit_schemes_fail_the_stiff_cases() {
     let integrators = vec![Integrator::Thesis, Integrator::Rk4];
-    let rows = stability::sweep(&Settings { integrators, most_steps: 20, ..settings(40, Integrator::Rk4) }, &|_| ());
+    let rows = stability::sweep(&Settings { integrators, most_steps: 20, ..settings(40, Integrator::Rk4) }, &|| ());
     let rows = rows.expect("every case is a valid scene that fits");
     for k in 0..2 {
         let failed = rows.iter().filter(|row| row.outcomes[k].failure.is_some()).count();

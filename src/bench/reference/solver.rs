@@ -7,12 +7,10 @@ use glam::DVec3;
 
 use super::{
     NoReference, PhaseChange,
+    extrapolation::{Extrapolation, Start, Step},
     system::{Chunk, Kink, Link, Mode, Places, System, World, vector},
 };
-use crate::{
-    bench::extrapolation::{Extrapolation, Start},
-    scene::Path,
-};
+use crate::scene::Path;
 
 /// A step no longer than this, relative to t or 1 s, is always accepted: only rounding errors remain.
 const SHORTEST_STEP: f64 = 1e-12;
@@ -170,7 +168,7 @@ impl Solver<'_, '_> {
     }
 
     /// Takes a trial step over `h` [s]; returns how well it went.
-    fn trial(&mut self, chunk: &Chunk<'_>, t: f64, h: f64) -> crate::bench::extrapolation::Step {
+    fn trial(&mut self, chunk: &Chunk<'_>, t: f64, h: f64) -> Step {
         let Solver { system, mode, scratch, .. } = self;
         let mut slope = |t: f64, state: &[f64], slope: &mut [f64]| system.slope(chunk, mode, t, state, scratch, slope);
         let start = Start { t, y: &self.state, slope: &self.slope };

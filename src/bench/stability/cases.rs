@@ -2,7 +2,7 @@
 
 use std::{f64::consts::PI, fmt, fmt::Write as _};
 
-use crate::{Scene, SceneError, hash::mix};
+use crate::{Scene, SceneError, random::Random};
 
 /// Seed of all cases.
 pub const SEED: u64 = 2006;
@@ -37,28 +37,28 @@ pub enum Axis {
 }
 
 impl Axis {
-    /// Number of cases of each axis in one [`Axis::CYCLE`].
-    pub const SHARES: [(Axis, u64); 12] = [
-        (Axis::Step, 4),
-        (Axis::Omega, 4),
-        (Axis::Damping, 5),
-        (Axis::Influence, 4),
-        (Axis::Sizes, 4),
-        (Axis::Coincident, 3),
-        (Axis::Crowd, 1),
-        (Axis::Far, 3),
-        (Axis::Resonance, 1),
-        (Axis::Free, 5),
-        (Axis::Events, 2),
-        (Axis::Mixed, 4),
+    /// Each axis, its name in tables, and its number of cases in one [`Axis::CYCLE`].
+    const SHARES: [(Axis, &'static str, u64); 12] = [
+        (Axis::Step, "step", 4),
+        (Axis::Omega, "omega", 4),
+        (Axis::Damping, "damping", 5),
+        (Axis::Influence, "influence", 4),
+        (Axis::Sizes, "sizes", 4),
+        (Axis::Coincident, "coincident", 3),
+        (Axis::Crowd, "crowd", 1),
+        (Axis::Far, "far", 3),
+        (Axis::Resonance, "resonance", 1),
+        (Axis::Free, "free", 5),
+        (Axis::Events, "events", 2),
+        (Axis::Mixed, "mixed", 4),
     ];
     /// The axes repeat after this many cases.
-    pub const CYCLE: u64 = 40;
+    const CYCLE: u64 = 40;
 
     /// The axis of a case, and its number on that axis.
     pub fn of(index: u64) -> (Axis, u64) {
         let (cycle, mut rest) = (index / Axis::CYCLE, index % Axis::CYCLE);
-        for (axis, share) in Axis::SHARES {
+        for (axis, _, share) in Axis::SHARES {
             if rest < share {
                 return (axis, cycle * share + rest);
             }
@@ -74,26 +74,7 @@ impl Axis {
 
     /// The name used in tables.
     pub fn name(self) -> &'static str {
-        match self {
-            Axis::Step => "step",
-            Axis::Omega => "omega",
-            Axis::Damping => "damping",
-            Axis::Influence => "influence",
-            Axis::Sizes => "sizes",
-            Axis::Coincident => "coincident",
-            Axis::Crowd => "crowd",
-            Axis::Far => "far",
-            Axis::Resonance => "resonance",
-            Axis::Free => "free",
-            Axis::Events => "events",
-            Axis::Mixed => "mixed",
-        }
-    }
-}
-
-impl fmt::Display for Axis {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(self.name())
+        Axis::SHARES.iter().find(|(axis, ..)| *axis == self).map_or("", |(_, name, _)| name)
     }
 }
 
@@ -117,51 +98,28 @@ impl Case {
     /// The generated scene is invalid, which happens for no case.
     pub fn new(index: u64) -> Result<Case, SceneError> {
         let (axis, number) = Axis::of(index);
-        let mut dice = Dice::new(index);
+        let mut dice = Random::new(SEED ^ index.wrapping_mul(0xd134_2543_de82_ef95));
+        dice.bits(); // small seeds begin alike
         let draft = draft(axis, number, &mut dice);
         let scene = Scene::parse(&draft.text(index), &format!("case-{index}.toml"))?;
         Ok(Case { index, axis, what: draft.what, scene })
-    }
-
-    /// Wraps a scene that is not part of the sweep.
-    pub fn of(scene: Scene) -> Case {
-        Case { index: u64::MAX, axis: Axis::Mixed, what: scene.name.clone(), scene }
     }
 }
 
 // --- random numbers -------------------------------------------------------------------------------------------------
 
-/// SplitMix64 (Steele, Lea & Flood 2014): the same numbers on every machine.
-struct Dice(u64);
+/// Random settings.
+trait Draw {
+    fn between(&mut self, low: f64, high: f64) -> f64;
+    fn chance(&mut self, one_in: u64) -> bool;
+    fn scale(&mut self, low: f64, high: f64) -> f64;
+    fn scale_or_zero(&mut self, low: f64, high: f64) -> f64;
+    fn vector(&mut self, size: f64) -> Position;
+}
 
-impl Dice {
-    fn new(index: u64) -> Dice {
-        let mut dice = Dice(SEED ^ index.wrapping_mul(0xd134_2543_de82_ef95));
-        dice.next();
-        dice
-    }
-
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        mix(self.0)
-    }
-
-    /// Uniform in [0, 1).
-    fn unit(&mut self) -> f64 {
-        (self.next() >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    fn below(&mut self, n: u64) -> u64 {
-        self.next() % n
-    }
-
+impl Draw for Random {
     fn between(&mut self, low: f64, high: f64) -> f64 {
         rounded(low + (high - low) * self.unit())
-    }
-
-    /// One of the choices.
-    fn of<T: Copy>(&mut self, choices: &[T]) -> T {
-        choices[self.below(choices.len() as u64) as usize]
     }
 
     fn chance(&mut self, one_in: u64) -> bool {
@@ -177,7 +135,6 @@ impl Dice {
         }
     }
 
-    /// Like [`Dice::scale`], and sometimes 0.
     fn scale_or_zero(&mut self, low: f64, high: f64) -> f64 {
         if self.chance(8) { 0.0 } else { self.scale(low, high) }
     }
@@ -258,7 +215,7 @@ impl fmt::Display for Motion {
 
 impl Draft {
     /// A scene without bodies, with the defaults of a scene file or random choices.
-    fn new(dice: &mut Dice) -> Draft {
+    fn new(dice: &mut Random) -> Draft {
         Draft {
             what: String::new(),
             dt: dice.of(&[1.0 / 240.0, 1.0 / 60.0, 1.0 / 15.0]),
@@ -284,13 +241,13 @@ impl Draft {
         self.dt * self.steps as f64
     }
 
-    fn body(&mut self, dice: &mut Dice, radius: f64, motion: Motion) {
+    fn body(&mut self, dice: &mut Random, radius: f64, motion: Motion) {
         let (stacks, slices) = (2 + dice.below(3), 3 + dice.below(4));
         self.bodies.push(BodyDraft { radius, stacks, slices, motion });
     }
 
     /// Adds a body at the origin, one or two bodies that pass it, and sometimes a push.
-    fn neighbours(&mut self, dice: &mut Dice) {
+    fn neighbours(&mut self, dice: &mut Random) {
         self.body(dice, 1.0, Motion::Fixed([0.0; 3]));
         for _ in 0..dice.of(&[1, 1, 2]) {
             let radius = dice.between(0.4, 1.0);
@@ -303,7 +260,7 @@ impl Draft {
     }
 
     /// A path near the origin, in units of `reach`.
-    fn passing(&self, dice: &mut Dice, reach: f64) -> Motion {
+    fn passing(&self, dice: &mut Random, reach: f64) -> Motion {
         // over the whole run, or on a scale of seconds
         let time = if dice.chance(2) { self.duration() } else { f64::max(self.duration(), 2.0) };
         let side = [0.0, dice.between(-0.5, 0.5) * reach, dice.between(-0.5, 0.5) * reach];
@@ -323,13 +280,13 @@ impl Draft {
             _ => {
                 let keys = 2 + dice.below(4);
                 let key =
-                    |k: u64, dice: &mut Dice| (k as f64 * rounded(time / keys as f64), at(dice.between(0.3, 1.4)));
+                    |k: u64, dice: &mut Random| (k as f64 * rounded(time / keys as f64), at(dice.between(0.3, 1.4)));
                 Motion::Keyframes((0..=keys).map(|k| key(k, dice)).collect())
             }
         }
     }
 
-    fn push(&mut self, dice: &mut Dice) {
+    fn push(&mut self, dice: &mut Random) {
         let duration = self.duration();
         self.pushes.push(PushDraft {
             body: dice.below(self.bodies.len() as u64) as usize,
@@ -393,7 +350,7 @@ impl Draft {
     }
 }
 
-fn draft(axis: Axis, number: u64, dice: &mut Dice) -> Draft {
+fn draft(axis: Axis, number: u64, dice: &mut Random) -> Draft {
     let mut draft = Draft::new(dice);
     match axis {
         Axis::Step => {
@@ -425,7 +382,7 @@ fn draft(axis: Axis, number: u64, dice: &mut Dice) -> Draft {
             draft.omega = dice.scale(1.0, 1e3);
             draft.damping = draft.omega * dice.of(&[0.0, 0.1, 1.0]);
             draft.dt = rounded(dice.scale(1e-2, 10.0) / draft.omega);
-            let strength = |dice: &mut Dice| rounded(draft.omega * draft.omega * dice.scale_or_zero(1e-3, 1e3));
+            let strength = |dice: &mut Random| rounded(draft.omega * draft.omega * dice.scale_or_zero(1e-3, 1e3));
             (draft.alpha, draft.beta) = (strength(dice), strength(dice));
             draft.neighbours(dice);
             let per = draft.omega * draft.omega;

@@ -3,7 +3,15 @@
 use std::time::Instant;
 
 use super::bound::Allowance;
-use crate::{Scene, World, bench::MeasureError, scene::Integrator};
+use crate::{
+    Scene, World,
+    bench::{
+        MeasureError,
+        report::{Column, Table},
+    },
+    scene::Integrator,
+    text::significant,
+};
 
 /// Number of steps.
 pub const STEPS: u64 = 1_000_000;
@@ -27,6 +35,26 @@ pub struct Drift {
     pub seconds: f64,
 }
 
+/// The drifts of some integrators.
+pub fn table(drifts: &[Drift]) -> Table {
+    let drift = |share: f64| if share.is_finite() { format!("{share:.1e}") } else { "not finite".to_owned() };
+    let row = |it: &Drift| vec![it.integrator.name().into(), it.steps.into(), it.largest.into(), it.seconds.into()];
+    Table {
+        title: format!(
+            "two merged bodies without damping: energy drift, relative to the energy above its minimum (exponential: at most \
+             {MOST:.0e})"
+        ),
+        columns: vec![
+            Column::text("integrator", ""),
+            Column::count("steps", ""),
+            Column::number("energy drift", "", drift),
+            Column::number("run time [s]", "", significant),
+        ],
+        rows: drifts.iter().map(row).collect(),
+        conclusions: vec![],
+    }
+}
+
 impl Drift {
     /// Whether the energy was conserved.
     pub fn is_small(&self) -> bool {
@@ -35,7 +63,7 @@ impl Drift {
 }
 
 /// Two bodies with few vertices, as a scene file.
-pub const SCENE: &str = r#"# Energy is constant: nothing moves but the vertices, and nothing damps them.
+const SCENE: &str = r#"# Energy is constant: nothing moves but the vertices, and nothing damps them.
 name = "million"
 duration = 16666.666666666668
 

@@ -1,6 +1,4 @@
-//! Stability of the other models, on the cases of the sweep.
-//!
-//! A case that ends with a reported reason is not a defect; an unreported non-finite state is.
+//! Stability of the other models, on the cases of the sweep: a state that is not finite without a report is a failure.
 
 use std::{
     sync::{
@@ -12,11 +10,11 @@ use std::{
 
 use rayon::prelude::*;
 
-use super::cases::{Axis, Case};
+use super::{Judged, Verdict, cases::Case};
 use crate::{
-    bench::{MeasureError, tables},
+    bench::MeasureError,
     models::SceneRun,
-    observe::{Experiment as _, Frame, StepFailure, StepSummary, Want},
+    observe::{Experiment as _, Frame, StepSummary, Want},
     scene::{Integrator, Model},
     sim::Options,
 };
@@ -28,51 +26,31 @@ const TIME_LIMIT: Duration = Duration::from_millis(300);
 /// Cells along a diameter. Their number affects the cost, but hardly the stability.
 const CELLS: u32 = 3;
 
-/// How a case ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum End {
-    /// All steps were taken.
-    Completed,
-    /// It was interrupted at the time limit.
-    Cut,
-    /// The model rejected the scene at the start.
-    Rejected,
-    /// It diverged, and reported it.
-    Diverged,
-    /// It did not complete a step, and reported why.
-    NotTaken,
-    /// A state is not finite, without a report.
-    Defect,
-}
-
-impl End {
-    const ALL: [End; 6] = [End::Completed, End::Cut, End::Rejected, End::Diverged, End::NotTaken, End::Defect];
-}
-
-/// Axis and end of each case, in order of case number.
-pub type Ends = Vec<(Axis, End)>;
-
 /// Runs the first cases with a model.
 ///
 /// # Errors
 /// A case is not a valid scene.
-pub fn measure(model: Model, cases: u64, progress: &(dyn Fn() + Sync)) -> Result<Ends, MeasureError> {
+pub fn measure(model: Model, cases: u64, progress: &(dyn Fn() + Sync)) -> Result<Vec<Judged>, MeasureError> {
     let run = |index: u64| {
         let mut case = Case::new(index)?;
         case.scene.model = model;
         case.scene.integrator = Integrator::Exponential;
         (case.scene.lattice.cells, case.scene.fem.cells) = (CELLS, CELLS);
-        let end = timed(|interrupt| {
-            end(&SceneRun { scene: case.scene, options: Options { interrupt: Some(interrupt), ..Options::default() } })
+        let verdict = timed(|interrupt| {
+            verdict(&SceneRun {
+                scene: case.scene,
+                options: Options { interrupt: Some(interrupt), ..Options::default() },
+            })
         });
         progress();
-        Ok((case.axis, end))
+        let what = format!("case {index}: {}", case.what);
+        Ok(Judged { axis: case.axis.name(), what, verdicts: vec![(model.name(), verdict)] })
     };
     (0..cases).into_par_iter().map(run).collect()
 }
 
 /// Runs a case, and interrupts it at the time limit.
-fn timed(case: impl FnOnce(&'static AtomicBool) -> End) -> End {
+fn timed(case: impl FnOnce(&'static AtomicBool) -> Verdict) -> Verdict {
     thread_local! {
         // interrupt flags are leaked: one per thread
         static INTERRUPT: &'static AtomicBool = Box::leak(Box::new(AtomicBool::new(false)));
@@ -86,39 +64,32 @@ fn timed(case: impl FnOnce(&'static AtomicBool) -> End) -> End {
                 interrupt.store(true, Ordering::Relaxed);
             }
         });
-        let end = case(interrupt);
+        let verdict = case(interrupt);
         drop(done);
-        if interrupt.load(Ordering::Relaxed) && end != End::Defect { End::Cut } else { end }
+        match verdict {
+            Verdict::Failed(_) => verdict,
+            _ if interrupt.load(Ordering::Relaxed) => Verdict::Stopped("the time limit".to_owned()),
+            _ => verdict,
+        }
     })
 }
 
-fn end(run: &SceneRun) -> End {
-    let Ok(mut simulation) = run.start() else { return End::Rejected };
+fn verdict(run: &SceneRun) -> Verdict {
+    let mut simulation = match run.start() {
+        Ok(simulation) => simulation,
+        Err(why) => return Verdict::Stopped(why),
+    };
     let (mut summary, mut frame) = (StepSummary::default(), Frame::default());
     for _ in 0..run.scene.steps().min(MAX_STEPS) {
         simulation.step();
         simulation.summary(&mut summary);
-        match &summary.failure {
-            Some(StepFailure::Diverged(_)) => return End::Diverged,
-            Some(_) => return End::NotTaken,
-            None => {}
+        if let Some(failure) = &summary.failure {
+            return Verdict::Stopped(failure.to_string());
         }
         simulation.observe(Want::default(), &mut frame);
         if !frame.bodies.iter().all(|body| body.centre.is_finite() && body.max_displacement.is_finite()) {
-            return End::Defect;
+            return Verdict::Failed("not finite, and not reported".to_owned());
         }
     }
-    End::Completed
-}
-
-/// Table of the ends by axis.
-pub fn table(ends: &Ends) -> String {
-    let heading = ["axis", "cases", "completed", "cut short", "rejected", "diverged", "step not taken", "defects"];
-    let line = |name: &str, axis: Option<Axis>| {
-        let of_axis = || ends.iter().filter(|(of, _)| axis.is_none_or(|axis| axis == *of));
-        let counts = End::ALL.map(|end| of_axis().filter(|(_, of)| *of == end).count().to_string());
-        [name.to_owned(), of_axis().count().to_string()].into_iter().chain(counts).collect::<Vec<_>>()
-    };
-    let axes = Axis::SHARES.iter().map(|(axis, _)| line(axis.name(), Some(*axis)));
-    tables::table(heading, axes.chain([line("all", None)]))
+    Verdict::Passed
 }

@@ -13,6 +13,7 @@ use super::{
     candidates::Meeting,
     sweep::body_pairs,
 };
+use crate::random::Random;
 
 /// Largest random displacement, relative to a body's scale.
 const JITTER: f64 = 1.0 / (1u64 << 36) as f64;
@@ -337,18 +338,11 @@ fn power_of_two_above(x: f64) -> f64 {
     2.0 * f64::from_bits(x.to_bits() & 0x7ff0_0000_0000_0000)
 }
 
-/// Uniform in (−1, 1)³ (SplitMix64).
+/// Uniform in [−1, 1)³.
 fn random(index: u32, seed: u64) -> DVec3 {
-    let mut state = u64::from(index).wrapping_mul(0x9E37_79B9_7F4A_7C15) ^ seed.wrapping_mul(0xD1B5_4A32_D192_ED03);
-    let mut next = || {
-        state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = state;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^= z >> 31;
-        (z >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-    };
-    DVec3::new(next(), next(), next())
+    let index = u64::from(index).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    let mut random = Random::new(index ^ seed.wrapping_mul(0xD1B5_4A32_D192_ED03));
+    DVec3::new(random.signed(), random.signed(), random.signed())
 }
 
 /// A greedy colouring with few colours in which the bodies of each pair differ.

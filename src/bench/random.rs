@@ -9,11 +9,12 @@ use std::fmt;
 
 use rayon::prelude::*;
 
-use super::{LEAST_ALLOWED, MeasureError};
-use crate::{
-    Scene, World,
-    bench::reference::{Accuracy, Reference},
+use super::{
+    MeasureError,
+    error::LEAST_ALLOWED,
+    reference::{Accuracy, NoReference, Reference},
 };
+use crate::{Scene, World, random::Random};
 
 /// What to measure.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,6 +49,11 @@ pub struct Outcome {
 }
 
 impl Outcome {
+    /// Whether it is not as it should be, whatever the reason.
+    pub fn is_listed(&self) -> bool {
+        self.factor > 1.0 || self.is_underestimated || self.failure.is_some()
+    }
+
     /// Whether the error is above what was asked, and the motion is not to blame.
     pub fn is_miss(&self) -> bool {
         self.factor > 1.0 && !self.amplifies
@@ -189,11 +195,7 @@ pub fn judge(scene: Scene) -> Result<Outcome, MeasureError> {
 ///
 /// # Errors
 /// The changed scene has no reference.
-pub fn amplifies(
-    scene: &Scene,
-    reference: &Reference,
-    instants: &[f64],
-) -> Result<bool, crate::bench::reference::NoReference> {
+pub fn amplifies(scene: &Scene, reference: &Reference, instants: &[f64]) -> Result<bool, NoReference> {
     const CHANGE: f64 = 1e-6;
     const ORDINARY: f64 = 30.0;
     let mut changed = scene.clone();
@@ -204,31 +206,14 @@ pub fn amplifies(
     Ok(instants.iter().enumerate().skip(1).any(is_far))
 }
 
-/// Random numbers (SplitMix64).
-struct Random(u64);
+/// Between two numbers, to three places.
+fn between(random: &mut Random, low: f64, high: f64) -> f64 {
+    (1e3 * (low + random.unit() * (high - low))).round() / 1e3
+}
 
-impl Random {
-    fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ z >> 31
-    }
-
-    /// Between two numbers, to three places.
-    fn between(&mut self, low: f64, high: f64) -> f64 {
-        let share = (self.bits() >> 11) as f64 / (1u64 << 53) as f64;
-        (1e3 * (low + share * (high - low))).round() / 1e3
-    }
-
-    fn of<T: Copy>(&mut self, values: &[T]) -> T {
-        values[(self.bits() % values.len() as u64) as usize]
-    }
-
-    fn is(&mut self, share: f64) -> bool {
-        self.between(0.0, 1.0) < share
-    }
+/// Whether something of a given probability happens.
+fn happens(random: &mut Random, share: f64) -> bool {
+    between(random, 0.0, 1.0) < share
 }
 
 /// What a random scene is about.
@@ -253,10 +238,10 @@ enum Kind {
 pub fn scene(settings: &Settings, index: u64) -> Result<Scene, crate::SceneError> {
     use Kind::{Both, Drop, Pair, Passing, Paths};
     let mut random =
-        Random(settings.seed.wrapping_mul(0xd1b5_4a32_d192_ed03) ^ index.wrapping_mul(0x2545_f491_4f6c_dd1d));
+        Random::new(settings.seed.wrapping_mul(0xd1b5_4a32_d192_ed03) ^ index.wrapping_mul(0x2545_f491_4f6c_dd1d));
     let r = &mut random;
     let kind = r.of(&[Drop, Drop, Pair, Pair, Both, Both, Paths, Passing]);
-    let has_plane = matches!(kind, Drop | Both) || r.is(0.25);
+    let has_plane = matches!(kind, Drop | Both) || happens(r, 0.25);
     let Settings { seed, tolerance, .. } = *settings;
     let mut text = format!("name = \"random-{seed}-{index}\"\nduration = 0.5\ntolerance = {tolerance:e}\n");
     if matches!(kind, Drop | Both) {
@@ -268,8 +253,8 @@ pub fn scene(settings: &Settings, index: u64) -> Result<Scene, crate::SceneError
     if has_plane {
         text += &format!(
             "[[plane]]\nnormal = [{:?}, 0, 1]\noffset = {:?}\nstiffness = {}\nfriction = {}\n",
-            if r.is(0.5) { 0.0 } else { r.between(-0.2, 0.2) },
-            if matches!(kind, Drop | Both) { 0.0 } else { r.between(-1.1, -0.7) },
+            if happens(r, 0.5) { 0.0 } else { between(r, -0.2, 0.2) },
+            if matches!(kind, Drop | Both) { 0.0 } else { between(r, -1.1, -0.7) },
             r.of(&["1e3", "4e3", "2e4", "1e5"]),
             r.of(&["0.0", "0.3"])
         );
@@ -282,11 +267,11 @@ pub fn scene(settings: &Settings, index: u64) -> Result<Scene, crate::SceneError
              {slices} }} }}\nmotion = {{ {motion} }}\n"
         );
     };
-    let height = if matches!(kind, Drop | Both) { 1.0 + r.between(0.02, 0.9) } else { 0.0 };
-    let falling = if matches!(kind, Drop | Both) { r.between(-3.0, 0.0) } else { 0.0 };
+    let height = if matches!(kind, Drop | Both) { 1.0 + between(r, 0.02, 0.9) } else { 0.0 };
+    let falling = if matches!(kind, Drop | Both) { between(r, -3.0, 0.0) } else { 0.0 };
     let free = |r: &mut Random, from: [f64; 3], velocity: [f64; 3]| {
-        let spin: [f64; 3] = [r.between(-2.0, 2.0), 0.0, r.between(-2.0, 2.0)];
-        let spin = spin.map(|spin| if r.is(0.5) { 0.0 } else { spin });
+        let spin: [f64; 3] = [between(r, -2.0, 2.0), 0.0, between(r, -2.0, 2.0)];
+        let spin = spin.map(|spin| if happens(r, 0.5) { 0.0 } else { spin });
         format!("free = {{ from = {from:?}, velocity = {velocity:?}, spin = {spin:?} }}")
     };
     let first = match kind {
@@ -297,21 +282,21 @@ pub fn scene(settings: &Settings, index: u64) -> Result<Scene, crate::SceneError
     if kind != Drop {
         let radius = (1e4 / r.of(&[1.0f64, 1.0, 2.0, 5.0, 10.0, 30.0, 50.0])).round() / 1e4;
         let mass = r.of(&[radius * radius * radius, 1.0, 0.01, 0.001]);
-        let (gap, side, speed) = (r.between(1.02, 1.4) * (1.0 + radius), r.between(-0.3, 0.3), r.between(0.5, 4.0));
+        let (gap, side, speed) = (between(r, 1.02, 1.4) * (1.0 + radius), between(r, -0.3, 0.3), between(r, 0.5, 4.0));
         let motion = match kind {
             Paths | Passing => match r.bits() % 4 {
                 0 => format!("line = {{ from = [{gap:?}, {side:?}, 0], velocity = [{:?}, 0, 0.1] }}", -speed),
                 1 => format!(
                     "sine = {{ center = [{gap:?}, {side:?}, 0], amplitude = [{:?}, 0.1, 0], frequency = {:?} }}",
                     0.5 * gap,
-                    r.between(0.3, 3.0)
+                    between(r, 0.3, 3.0)
                 ),
                 n => format!(
                     "keyframes = {{ keys = [[0, {gap:?}, {side:?}, 0], [{:?}, {:?}, 0, 0], [{:?}, {gap:?}, 0.2, 0.1]], interpolation = \
                      \"{}\" }}",
-                    r.between(0.05, 0.2),
+                    between(r, 0.05, 0.2),
                     gap - 0.3 * speed,
-                    r.between(0.25, 0.6),
+                    between(r, 0.25, 0.6),
                     if n == 2 { "spline" } else { r.of(&["linear", "hold"]) }
                 ),
             },
@@ -319,12 +304,12 @@ pub fn scene(settings: &Settings, index: u64) -> Result<Scene, crate::SceneError
         };
         body("b", radius, mass, &motion);
     }
-    if r.is(0.2) {
+    if happens(r, 0.2) {
         text += &format!(
             "[[push]]\nbody = \"a\"\ndirection = [1, 0, 0.3]\nstrength = {:?}\nstart = {:?}\nduration = {:?}\n",
-            r.between(1.0, 60.0),
-            r.between(0.0, 0.3),
-            r.between(0.01, 0.2)
+            between(r, 1.0, 60.0),
+            between(r, 0.0, 0.3),
+            between(r, 0.01, 0.2)
         );
     }
     Scene::parse(&text, "random.toml")
