@@ -5,6 +5,7 @@
 //! no infinity; they become `null`.
 
 use std::{
+    borrow::Cow,
     collections::HashMap,
     fs::File,
     io::{self, BufWriter, Read as _, Seek as _, SeekFrom, Write},
@@ -66,28 +67,33 @@ impl Kind {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Column {
     /// Its name.
-    pub name: String,
+    pub name: Cow<'static, str>,
     /// Its type.
     pub kind: Kind,
     /// Description with unit: stored as `about` in the metadata of a Parquet field, so that tables are
     /// self-explanatory. Not stored if empty.
-    pub about: &'static str,
+    pub about: Cow<'static, str>,
     /// Whether values can be missing.
     pub is_nullable: bool,
 }
 
 impl Column {
-    /// A nullable column of this name and type.
-    pub fn new(name: &str, kind: Kind) -> Column {
-        Column { name: name.to_owned(), kind, about: "", is_nullable: true }
+    /// A column whose values can be missing.
+    pub const fn new(name: &'static str, kind: Kind, about: &'static str) -> Column {
+        Column { name: Cow::Borrowed(name), kind, about: Cow::Borrowed(about), is_nullable: true }
+    }
+
+    /// A column with a value in every row.
+    pub const fn required(name: &'static str, kind: Kind, about: &'static str) -> Column {
+        Column { name: Cow::Borrowed(name), kind, about: Cow::Borrowed(about), is_nullable: false }
     }
 
     fn field(&self) -> Field {
-        let field = Field::new(&self.name, self.kind.data_type(), self.is_nullable);
+        let field = Field::new(&*self.name, self.kind.data_type(), self.is_nullable);
         if self.about.is_empty() {
             return field;
         }
-        field.with_metadata(HashMap::from([("about".to_owned(), self.about.to_owned())]))
+        field.with_metadata(HashMap::from([("about".to_owned(), self.about.to_string())]))
     }
 }
 
@@ -213,7 +219,7 @@ impl Writer {
         Ok(match format {
             Format::Csv => {
                 let mut writer = csv::Writer::from_writer(file);
-                writer.write_record(columns.iter().map(|column| &column.name))?;
+                writer.write_record(columns.iter().map(|column| &*column.name))?;
                 Writer::Csv(Box::new(writer))
             }
             Format::Json => {
@@ -397,7 +403,7 @@ fn is_table(path: &Path, format: Format, columns: &[Column]) -> io::Result<bool>
     Ok(match format {
         Format::Csv => {
             let mut header = csv::Writer::from_writer(Vec::new());
-            header.write_record(columns.iter().map(|column| &column.name))?;
+            header.write_record(columns.iter().map(|column| &*column.name))?;
             let header = header.into_inner().map_err(|error| io::Error::other(error.to_string()))?;
             let line = head.split(|&byte| byte == b'\n').next().unwrap_or_default();
             line.trim_ascii_end() == header.trim_ascii_end()
@@ -438,7 +444,7 @@ mod tests {
 
     fn columns() -> Vec<Column> {
         [("count", Kind::Count), ("number", Kind::Float), ("integer", Kind::Integer), ("text", Kind::Text)]
-            .map(|(name, kind)| Column::new(name, kind))
+            .map(|(name, kind)| Column::new(name, kind, ""))
             .into()
     }
 
@@ -510,7 +516,7 @@ mod tests {
         assert_eq!(values.len(), rows().len());
         for path in [csv, json] {
             Table::create(&path, columns()).unwrap(); // dropped unfinished: the table stays
-            let others = Table::create(&path, vec![Column::new("else", Kind::Float)]);
+            let others = Table::create(&path, vec![Column::new("else", Kind::Float, "")]);
             assert!(matches!(others, Err(TableError::Refused(_))));
             fs::remove_file(path).unwrap();
         }

@@ -2,7 +2,7 @@
 
 mod formats;
 mod parts;
-mod tables;
+pub mod tables;
 
 use std::{
     fs,

@@ -10,6 +10,7 @@ mod expense;
 mod export;
 mod interrupt;
 mod progress;
+mod reference;
 mod replay;
 mod run;
 mod scenes;
@@ -64,8 +65,10 @@ enum Command {
     Export(export::Arguments),
     /// Run a scene at every point of a grid over its parameters: rows in Parquet, and a map of their outcomes.
     Sweep(sweep::Arguments),
-    /// List the built-in scenes and what to look for in each.
-    Scenes,
+    /// List the built-in scenes and sweeps, or show one.
+    Scenes(scenes::Arguments),
+    /// List every key of a scene or a sweep, every entity of a recording, every column of a table, every event.
+    Reference(reference::Arguments),
     /// Run benchmarks: accuracy against run time, cost against scene size, recording cost, integrator stability.
     Bench(bench::Arguments),
 }
@@ -164,8 +167,9 @@ fn escaped(mut error: clap::Error) -> clap::Error {
 fn run(command: Command) -> Result<(), Failure> {
     match command {
         Command::Run(arguments) => run::run(*arguments),
-        Command::Scenes => {
-            scenes::list();
+        Command::Scenes(arguments) => scenes::scenes(&arguments),
+        Command::Reference(arguments) => {
+            reference::reference(&arguments);
             Ok(())
         }
         Command::Replay(arguments) => interrupt::end().and_then(|()| replay::replay(arguments)),

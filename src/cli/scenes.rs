@@ -1,13 +1,24 @@
-//! `meldscope scenes`: lists the built-in scenes.
+//! `meldscope scenes`: lists the built-in scenes and sweeps, or shows one.
 
-use super::print;
+use super::{Failure, print, print_lines};
 use crate::{
     scene::{Scene, builtin},
-    text::counted,
+    sweep,
+    text::{counted, did_you_mean},
 };
 
-/// Lists the built-in scenes: name, number of bodies and vertices, what to look for.
-pub fn list() {
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Print the text of this scene or sweep: a file to start from.
+    #[arg(long, value_name = "NAME")]
+    show: Option<String>,
+}
+
+/// Lists the built-in scenes with the number of their bodies and vertices and what to look for, and the sweeps.
+pub fn scenes(arguments: &Arguments) -> Result<(), Failure> {
+    if let Some(name) = &arguments.show {
+        return show(name);
+    }
     for builtin in builtin::ALL {
         let Some(scene) = Scene::builtin(builtin.name) else { continue };
         let (bodies, vertices) = (scene.bodies.len() as u64, scene.vertex_count());
@@ -16,6 +27,28 @@ pub fn list() {
             print(&format!("    {sentence}"));
         }
     }
+    print("\nSweeps:");
+    for builtin in sweep::builtin::ALL {
+        let about = builtin.text.lines().next().unwrap_or_default();
+        print(&format!("{}: {}", builtin.name, about.trim_start_matches(['#', ' '])));
+    }
     print("");
-    print("Run one with `meldscope run NAME`, or any scene file with `meldscope run SCENE.toml`.");
+    print("`meldscope run NAME` runs a scene, `meldscope sweep NAME --out DIR` a sweep.");
+    print("`meldscope scenes --show NAME` prints its text, and `meldscope reference scene` explains every key.");
+    Ok(())
+}
+
+fn show(name: &str) -> Result<(), Failure> {
+    // with the meshes that it names, so that its text alone is a scene
+    let scene = Scene::builtin(name).map(|scene| scene.source);
+    let sweep = || sweep::builtin::ALL.iter().find(|builtin| builtin.name == name);
+    let Some(text) = scene.or_else(|| Some(sweep()?.text.to_owned())) else {
+        let scenes = builtin::ALL.iter().map(|builtin| builtin.name);
+        let hint = did_you_mean(name, scenes.chain(sweep::builtin::ALL.iter().map(|builtin| builtin.name)));
+        return Err(Failure::Input(format!(
+            "there is no built-in scene or sweep {name:?}{hint} (`meldscope scenes` lists them)"
+        )));
+    };
+    print_lines(text.trim_end());
+    Ok(())
 }

@@ -137,12 +137,20 @@ pub enum Finding {
     },
 }
 
+impl Finding {
+    /// The findings that are events of their own, each with when it happens.
+    pub const KINDS: [(&str, &str); 2] = [
+        ("touch", "The surfaces of a pair begin to touch; no phase changes."),
+        ("part", "The surfaces of a pair part; no phase changes."),
+    ];
+}
+
 impl SurfaceEvent {
     /// Kind of event in one word.
     pub fn name(&self) -> &'static str {
         match self.what {
-            Finding::Touch => "touch",
-            Finding::Part => "part",
+            Finding::Touch => Finding::KINDS[0].0,
+            Finding::Part => Finding::KINDS[1].0,
             Finding::Phase { name, .. } => name,
         }
     }

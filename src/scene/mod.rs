@@ -11,13 +11,13 @@
 //! dt = 0.0166666666             # step, s [1/60]
 //! duration = 4.0                # s
 //! integrator = "exponential"    # thesis | mps | euler | verlet | rk4 | exponential [exponential]
-//! tolerance = 1e-6              # for exponential: error in radii per unit of scene time; it sets the integrator's steps,
-//!                               # which may be longer than dt; above 1e-2: steps of dt [1e-6]
+//! tolerance = 1e-6              # acceptable error of exponential, radii/s: it sets the integrator's steps, which may be
+//!                               # longer than dt; above 1e-2: steps of dt [1e-6]
 //! gravity = [0, 0, 0]           # acceleration of free bodies, scene unit/s² [0]
 //! model = "oscillators"         # of a soft body: oscillators | metaballs | lattice | fem [oscillators]
 //!
 //! [material]                    # for all bodies; a body may override each key
-//! omega = 12.0                  # restoring force: natural angular frequency, rad/s [12.0]
+//! omega = 12.0                  # restoring force: natural angular frequency, rad/s [12]
 //! damping = 1.5                 # 1/s [1.5]
 //! response = "inertial"         # to its own motion: rigid | inertial | world [inertial]
 //!
@@ -27,9 +27,9 @@
 //! reach = 1.41421356            # radius of the influence sphere, in radii of the body [√2]
 //! weight = "linear"             # linear | wendland [linear]
 //! scaling = "relative"          # relative | absolute [relative]
-//! merge_at = 1.05               # centre distance over the sum of the radii [1.05]
-//! split_at = 1.15               # [1.15]
-//! core_at = 0.0                 # 0 = none [0.76 merge_at for pairs with a free body, otherwise 0]
+//! merge_at = 1.05               # q, the centre distance over the sum of the radii [1.05]
+//! split_at = 1.15               # q [1.15]
+//! core_at = 0.0                 # q; 0 = none [0.76 merge_at for pairs with a free body, otherwise 0]
 //! core_width = 0.0              # in q: width over which the strength changes around core_at; 0 = it jumps
 //!                               # [core_at / 2 for pairs with a free body, otherwise 0]
 //! apart = "repel"               # repel | none [repel]
@@ -42,16 +42,16 @@
 //! [fem]                         # for model = "fem"; see crate::models::fem
 //! cells = 6                     # along the diameter of a body [6]
 //! young = 58.4                  # Young's modulus, mass/(scene unit·s²) [a bar one radius long has frequency omega]
-//! poisson = 0.25                # Poisson's ratio, from -0.9 to 0.49 [0.25]
+//! poisson = 0.25                # Poisson's ratio [0.25]
 //! tear_stress = 20.0            # tension above which tearing is reported, mass/(scene unit·s²) [none]
 //!
 //! [surface]
 //! blend = 0.25                  # distance from a seam within which merged surfaces are smoothed, in radii; 0 = sharp [0.25]
 //!
 //! [[body]]
-//! name = "still"
-//! radius = 1.0
-//! shape = { sphere = { stacks = 12, slices = 24 } }     # [this: 266 vertices]
+//! name = "still"                # unique
+//! radius = 1.0                  # scene unit
+//! shape = { sphere = { stacks = 12, slices = 24 } }     # 266 vertices [{ sphere = { stacks = 12, slices = 24 } }]
 //! # or:   { mesh = "FILE" }                             # OBJ, STL, PLY, glTF or GLB, relative to this file
 //! motion = { fixed = [0, 0, 0] }
 //!
@@ -91,10 +91,10 @@
 //! [[point]]                     # a force point: an influence sphere without a body (3.1.2); nothing acts on it
 //! name = "hand"
 //! motion = { line = { from = [0, 3, 0], velocity = [0, -1, 0] } }   # any but free
-//! radius = 0.5                  # its sphere is as large as that of a body of this radius
+//! radius = 0.5                  # scene unit; its sphere is as large as that of a body of this radius
 //! act = "attract"               # attract (3.4) | repel (3.5)
 //! alpha = 100.0                 # of one that attracts; beta of one that repels, 1/s² [as in [influence]]
-//! bodies = ["still", "left"]    # names of bodies or groups that it acts on [all bodies]
+//! bodies = ["still", "left"]    # names of bodies or groups that it acts on [all]
 //! start = 0.0                   # s [0]
 //! duration = 2.0                # s [for ever]
 //!
@@ -105,6 +105,8 @@
 //! start = 0.2                   # s
 //! duration = 0.1                # s
 //! ```
+//!
+//! The table of all keys, from which they are parsed, is [`keys`]; `meldscope reference scene` prints it.
 //!
 //! # Shapes from files
 //! A mesh must be the surface of a body: closed, consistently oriented, manifold, its triangles counter-clockwise seen
@@ -136,6 +138,7 @@
 pub mod builtin;
 pub mod cells;
 mod force;
+pub mod keys;
 pub mod pairs;
 pub mod parse;
 pub mod path;

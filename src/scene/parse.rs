@@ -16,191 +16,41 @@ mod pairs;
 mod point;
 pub(crate) mod reader;
 
-use std::ops::RangeInclusive;
-use std::{collections::HashMap, fs::File, io, io::Read as _};
+use std::{collections::HashMap, fs::File, io, io::Read as _, ops::RangeInclusive};
 
 use glam::DVec3;
 use toml::de::DeTable;
 
 use super::{
-    Body, FreeMotion, Integrator, Material, Model, Motion, Path, Plane, Push, Response, Rotation, Scene, TearMode,
-    cells, path::Spline,
+    Body, FreeMotion, Integrator, Material, Model, Motion, Path, Plane, Push, Response, Scene, TearMode, cells,
+    keys::{self, ANY, LARGEST, SMALLEST, Section, color},
+    path::Spline,
 };
 use crate::{
-    geometry::{Shape, fairing, shape::Parameter},
-    model::{
-        ForFree, PairLaw,
-        influence::{Influence, Scaling, Weight},
-        phase::Thresholds,
-    },
+    geometry::Shape,
+    model::{ForFree, PairLaw, influence::Influence, phase::Thresholds},
     text::did_you_mean,
 };
 use error::one_line;
 pub use error::{Place, SceneError};
 pub use meshes::Watch;
 pub(super) use meshes::{Files, Meshes};
-use reader::{Choice, Integer, Keys, Kind, Number, Source, Table, Text, Value, Vector, is_body_name};
+use reader::{Source, Table, Value};
 
 /// See the [limits](self#limits).
-const LARGEST: f64 = 1e15;
-const SMALLEST: f64 = 1e-12;
 const MAX_STEPS: f64 = 1e12;
 const LARGEST_FILE: u64 = 32 << 20;
 
 /// Limit on the planes of a scene.
 const MAX_PLANES: usize = 1000;
-const POSITIVE: Number = Number { min: SMALLEST, max: LARGEST };
-const NON_NEGATIVE: Number = Number { min: 0.0, max: LARGEST };
-const ANY: Number = Number { min: -LARGEST, max: LARGEST };
-/// Blending by more than half a radius would also change the surface away from the seam.
-const BLEND: Number = Number { min: 0.0, max: 0.5 };
-/// Fewer than two cells have no free nodes.
-const CELLS: Integer = Integer { min: 2, max: cells::MOST_ACROSS };
-/// At zero, springs at rest would tear; springs that may stretch a thousandfold never tear.
-const STRAIN: Number = Number { min: 1e-3, max: 1e3 };
-/// Excludes the limits at which an isotropic material becomes incompressible or shear-rigid, where the stiffness is
-/// unbounded.
-const POISSON: Number = Number { min: -0.9, max: 0.49 };
-/// The length of a direction does not matter.
-const FINITE: Number = Number { min: f64::MIN, max: f64::MAX };
 
-static SCENE: Keys = Keys {
-    home: "at the top of the file",
-    form: "a table",
-    names: &[
-        "name",
-        "dt",
-        "duration",
-        "integrator",
-        "tolerance",
-        "gravity",
-        "model",
-        "material",
-        "influence",
-        "lattice",
-        "fem",
-        "surface",
-        "mesh",
-        "body",
-        "grid",
-        "pair",
-        "plane",
-        "point",
-        "push",
-    ],
-};
-static MATERIAL: Keys =
-    Keys { home: "in [material]", form: "a table, written [material]", names: &["omega", "damping", "response"] };
-static INFLUENCE: Keys = Keys {
-    home: "in [influence]",
-    form: "a table, written [influence]",
-    names: &["alpha", "beta", "reach", "weight", "scaling", "merge_at", "split_at", "core_at", "core_width", "apart"],
-};
-static LATTICE: Keys =
-    Keys { home: "in [lattice]", form: "a table, written [lattice]", names: &["cells", "tear", "limit"] };
-static FEM: Keys =
-    Keys { home: "in [fem]", form: "a table, written [fem]", names: &["cells", "young", "poisson", "tear_stress"] };
-static SURFACE: Keys = Keys { home: "in [surface]", form: "a table, written [surface]", names: &["blend"] };
-static BODY: Keys = Keys {
-    home: "in a [[body]]",
-    form: "a table, written [[body]]",
-    names: &["name", "radius", "shape", "motion", "mass", "group", "color", "omega", "damping", "response"],
-};
-static MESH: Keys = Keys { home: "in a [[mesh]]", form: "a table, written [[mesh]]", names: &["file", "data"] };
-static GRID: Keys = Keys {
-    home: "in a [[grid]]",
-    form: "a table, written [[grid]]",
-    names: &[
-        "name", "count", "spacing", "jitter", "seed", "radius", "shape", "motion", "mass", "group", "color", "omega",
-        "damping", "response",
-    ],
-};
-static PAIR: Keys = Keys {
-    home: "in a [[pair]]",
-    form: "a table, written [[pair]]",
-    names: &["bodies", "merge_at", "split_at", "core_at", "core_width", "alpha", "beta", "apart"],
-};
-static PLANE: Keys = Keys {
-    home: "in a [[plane]]",
-    form: "a table, written [[plane]]",
-    names: &["normal", "offset", "stiffness", "friction", "slip"],
-};
-static POINT: Keys = Keys {
-    home: "in a [[point]]",
-    form: "a table, written [[point]]",
-    names: &["name", "motion", "radius", "act", "alpha", "beta", "bodies", "start", "duration"],
-};
-static PUSH: Keys = Keys {
-    home: "in a [[push]]",
-    form: "a table, written [[push]]",
-    names: &["body", "direction", "strength", "start", "duration"],
-};
-static SHAPE: Keys = Keys {
-    home: "in the shape of a body",
-    form: "a table such as { sphere = { stacks = 12, slices = 24 } }",
-    names: Shape::NAMES,
-};
-/// The keys of each kind of shape.
-static SHAPES: [Keys; Shape::KINDS.len()] = {
-    let mut all = [const { Keys { home: "", form: "", names: &[] } }; Shape::KINDS.len()];
-    let mut i = 0;
-    while i < all.len() {
-        let kind = &Shape::KINDS[i];
-        all[i] = Keys { home: kind.home, form: kind.form, names: kind.keys };
-        i += 1;
-    }
-    all
-};
-static MOTION: Keys = Keys {
-    home: "in the motion of a body",
-    form: "a table such as { fixed = [0, 0, 0] }",
-    names: &["fixed", "line", "sine", "keyframes", "free"],
-};
-static LINE: Keys = Keys {
-    home: "in motion = { line = { … } }",
-    form: "a table such as { from = [0, 0, 0], velocity = [1, 0, 0] }",
-    names: &["from", "velocity"],
-};
-static SINE: Keys = Keys {
-    home: "in motion = { sine = { … } }",
-    form: "a table such as { center = [0, 0, 0], amplitude = [1, 0, 0], frequency = 0.25 }",
-    names: &["center", "amplitude", "frequency", "phase"],
-};
-
-static KEYFRAMES: Keys = Keys {
-    home: "in motion = { keyframes = { … } }",
-    form: "a table such as { keys = [[0, 0, 0, 0], [1, 2, 0, 0]], interpolation = \"linear\" }",
-    names: &["keys", "interpolation"],
-};
-static FREE: Keys = Keys {
-    home: "in motion = { free = { … } }",
-    form: "a table such as { from = [0, 0, 1], velocity = [1, 0, 0] }",
-    names: &["from", "velocity", "spin", "rotation"],
-};
-
-/// Every table, to find where a misplaced key belongs.
-fn all_keys() -> impl Iterator<Item = &'static Keys> {
-    let bodies =
-        [&SCENE, &MATERIAL, &INFLUENCE, &LATTICE, &FEM, &SURFACE, &MESH, &BODY, &GRID, &PAIR, &PLANE, &PUSH, &SHAPE];
-    bodies.into_iter().chain(&SHAPES).chain([&MOTION, &LINE, &SINE, &KEYFRAMES, &FREE])
+/// A key of the [table](keys), found when the program is built.
+macro_rules! key {
+    ($group:ident.$name:ident) => {
+        const { $crate::scene::keys::find(&$crate::scene::keys::$group, stringify!($name)) }
+    };
 }
-
-const RESPONSE: Choice<Response, 3> =
-    Choice([("rigid", Response::Rigid), ("inertial", Response::Inertial), ("world", Response::World)]);
-const WEIGHT: Choice<Weight, 2> = Choice([("linear", Weight::Linear), ("wendland", Weight::Wendland)]);
-const SCALING: Choice<Scaling, 2> = Choice([("relative", Scaling::Relative), ("absolute", Scaling::Absolute)]);
-const APART_REPELS: Choice<bool, 2> = Choice([("repel", true), ("none", false)]);
-
-/// Interpolation between the keys of a path.
-type Interpolation = fn(&[(f64, DVec3)]) -> Spline;
-const INTERPOLATION: Choice<Interpolation, 3> =
-    Choice([("spline", Spline::new), ("linear", Spline::linear), ("hold", Spline::hold)]);
-const ROTATION: Choice<Rotation, 2> = Choice([("free", Rotation::Free), ("fixed", Rotation::Fixed)]);
-
-const SCENE_NAME: Text = Text { form: "a name of 1 to 200 characters on one line", accepts: is_scene_name };
-const BODY_NAME: Text = Text { form: "a name of 1 to 64 letters, digits, - and _", accepts: is_body_name };
-const GROUP_NAME: Text = Text { form: "a name of 1 to 64 letters, digits, - and _", accepts: is_body_name };
-const COLOR: Text = Text { form: "a color \"#rrggbb\"", accepts: |text| color(text).is_some() };
+use key;
 
 impl Scene {
     /// The range of numbers that must be positive: radii, steps, tolerances, and so on.
@@ -320,51 +170,50 @@ pub(super) fn read_document(
     document: &DeTable<'_>,
     meshes: &mut Meshes<'_>,
 ) -> Result<Scene, SceneError> {
-    let root = Table::root(source, document, &SCENE)?;
+    let root = Table::root(source, document, &keys::SCENE)?;
 
     // tables first, so that a key below the wrong header is reported as misplaced, not as missing where it belongs
-    let material = root.table("material", &MATERIAL)?;
-    let influence = root.table("influence", &INFLUENCE)?;
-    let lattice = root.table("lattice", &LATTICE)?;
-    let fem = root.table("fem", &FEM)?;
-    let surface = root.table("surface", &SURFACE)?;
+    let material = root.table("material", &keys::MATERIAL)?;
+    let influence = root.table("influence", &keys::INFLUENCE)?;
+    let lattice = root.table("lattice", &keys::LATTICE)?;
+    let fem = root.table("fem", &keys::FEM)?;
+    let surface = root.table("surface", &keys::SURFACE)?;
     let [body_array, grid_array, pair_array, plane_array, point_array, push_array] =
         ["body", "grid", "pair", "plane", "point", "push"].map(|name| root.get(name));
     let mesh_array = root.get("mesh");
     if body_array.is_none() && grid_array.is_none() {
         return Err(root.error("body", "missing, expected at least one [[body]]".to_owned()));
     }
-    let body_tables = tables(&body_array, &BODY)?;
-    let grid_tables = tables(&grid_array, &GRID)?;
-    let mesh_tables = tables(&mesh_array, &MESH)?;
-    let pair_tables = tables(&pair_array, &PAIR)?;
-    let plane_tables = tables(&plane_array, &PLANE)?;
-    let point_tables = tables(&point_array, &POINT)?;
-    let push_tables = tables(&push_array, &PUSH)?;
+    let body_tables = tables(&body_array, &keys::BODY)?;
+    let grid_tables = tables(&grid_array, &keys::GRID)?;
+    let mesh_tables = tables(&mesh_array, &keys::MESH)?;
+    let pair_tables = tables(&pair_array, &keys::PAIR)?;
+    let plane_tables = tables(&plane_array, &keys::PLANE)?;
+    let point_tables = tables(&point_array, &keys::POINT)?;
+    let push_tables = tables(&push_array, &keys::PUSH)?;
 
-    let name = root.optional("name", SCENE_NAME)?.unwrap_or_else(|| name_from(source.file));
-    let dt = root.optional("dt", POSITIVE)?.unwrap_or(1.0 / 60.0);
-    let duration = root.required("duration", POSITIVE)?;
+    let name = root.given_text(key!(TOP.name))?.unwrap_or_else(|| name_from(source.file));
+    let dt = root.number(key!(TOP.dt))?;
+    let duration = root.number(key!(TOP.duration))?;
     if let Some(value) = root.get("duration").filter(|_| duration / dt > MAX_STEPS) {
         return Err(value
             .unexpected(format_args!("at most {MAX_STEPS:e} steps of dt ({dt:?} s)"))
             .with_help("shorten duration or raise dt"));
     }
-    let integrator = Choice(Integrator::ALL.map(|integrator| (integrator.name(), integrator)));
-    let integrator = root.optional("integrator", integrator)?.unwrap_or(Integrator::Exponential);
-
-    let tolerance = root.optional("tolerance", POSITIVE)?.unwrap_or(Scene::DEFAULT_TOLERANCE);
-
-    let gravity = root.optional("gravity", Vector(ANY))?.unwrap_or(DVec3::ZERO);
-
-    let model = root.optional("model", Choice(Model::ALL.map(|model| (model.name(), model))))?.unwrap_or_default();
-
-    let blend = surface.optional("blend", BLEND)?.unwrap_or(fairing::BLEND);
+    let integrator =
+        root.word(key!(TOP.integrator), &Integrator::ALL.map(|integrator| (integrator.name(), integrator)))?;
+    let tolerance = root.number(key!(TOP.tolerance))?;
+    let gravity = root.vector(key!(TOP.gravity))?;
+    let model = root.word(key!(TOP.model), &Model::ALL.map(|model| (model.name(), model)))?;
+    let blend = surface.number(key!(SURFACES.blend))?;
 
     let (lattice, fem) = (read_lattice(&lattice)?, read_fem(&fem)?);
 
-    let thesis = Material { omega: 12.0, damping: 1.5, response: Response::Inertial };
-    let material = read_material(&material, thesis)?;
+    let material = Material {
+        omega: material.number(key!(OSCILLATOR.omega))?,
+        damping: material.number(key!(OSCILLATOR.damping))?,
+        response: material.word(key!(OSCILLATOR.response), &keys::RESPONSES)?,
+    };
     meshes.embedded(&mesh_tables)?;
     let bodies = body_tables.iter().map(|table| read_body(table, material, meshes)).collect::<Result<Vec<_>, _>>()?;
     let (mut bodies, mut from) = (bodies, body_tables.iter().collect());
@@ -412,36 +261,24 @@ pub(super) fn read_document(
 }
 
 /// An optional array of tables.
-fn tables<'a>(array: &'a Option<Value<'_>>, keys: &Keys) -> Result<Vec<Table<'a>>, SceneError> {
-    array.as_ref().map_or(Ok(Vec::new()), |array| array.tables(keys))
-}
-
-/// The `[material]` table, or a body; missing keys are as in `default`.
-fn read_material(table: &Table<'_>, default: Material) -> Result<Material, SceneError> {
-    Ok(Material {
-        omega: table.optional("omega", NON_NEGATIVE)?.unwrap_or(default.omega),
-        damping: table.optional("damping", NON_NEGATIVE)?.unwrap_or(default.damping),
-        response: table.optional("response", RESPONSE)?.unwrap_or(default.response),
-    })
+fn tables<'a>(array: &'a Option<Value<'_>>, section: &Section) -> Result<Vec<Table<'a>>, SceneError> {
+    array.as_ref().map_or(Ok(Vec::new()), |array| array.tables(section))
 }
 
 fn read_lattice(table: &Table<'_>) -> Result<cells::Lattice, SceneError> {
-    let default = cells::Lattice::default();
-    let tear = Choice(TearMode::ALL.map(|tear| (tear.name(), tear)));
     Ok(cells::Lattice {
-        cells: table.optional("cells", CELLS)?.unwrap_or(default.cells),
-        tear: table.optional("tear", tear)?.unwrap_or(default.tear),
-        limit: table.optional("limit", STRAIN)?.unwrap_or(default.limit),
+        cells: table.integer(key!(LATTICES.cells))?,
+        tear: table.word(key!(LATTICES.tear), &TearMode::ALL.map(|tear| (tear.name(), tear)))?,
+        limit: table.number(key!(LATTICES.limit))?,
     })
 }
 
 fn read_fem(table: &Table<'_>) -> Result<cells::Fem, SceneError> {
-    let default = cells::Fem::default();
     Ok(cells::Fem {
-        cells: table.optional("cells", CELLS)?.unwrap_or(default.cells),
-        young: table.optional("young", POSITIVE)?,
-        poisson: table.optional("poisson", POISSON)?.unwrap_or(default.poisson),
-        tear_stress: table.optional("tear_stress", POSITIVE)?,
+        cells: table.integer(key!(ELEMENTS.cells))?,
+        young: table.given_number(key!(ELEMENTS.young))?,
+        poisson: table.number(key!(ELEMENTS.poisson))?,
+        tear_stress: table.given_number(key!(ELEMENTS.tear_stress))?,
     })
 }
 
@@ -450,9 +287,9 @@ fn read_influence(table: &Table<'_>) -> Result<Influence, SceneError> {
     Ok(Influence {
         alpha: PairLaw::DEFAULT.alpha,
         beta: PairLaw::DEFAULT.beta,
-        reach: table.optional("reach", POSITIVE)?.unwrap_or(std::f64::consts::SQRT_2),
-        weight: table.optional("weight", WEIGHT)?.unwrap_or(Weight::Linear),
-        scaling: table.optional("scaling", SCALING)?.unwrap_or(Scaling::Relative),
+        reach: table.number(key!(SPHERE.reach))?,
+        weight: table.word(key!(SPHERE.weight), &keys::WEIGHTS)?,
+        scaling: table.word(key!(SPHERE.scaling), &keys::SCALINGS)?,
         apart_repels: PairLaw::DEFAULT.apart_repels,
     })
 }
@@ -461,13 +298,13 @@ fn read_influence(table: &Table<'_>) -> Result<Influence, SceneError> {
 /// follows `merge_at`.
 fn read_law(table: &Table<'_>, default: PairLaw) -> Result<PairLaw, SceneError> {
     let Thresholds { merge_at, split_at, .. } = default.thresholds;
-    let alpha = table.optional("alpha", NON_NEGATIVE)?.unwrap_or(default.alpha);
-    let beta = table.optional("beta", NON_NEGATIVE)?.unwrap_or(default.beta);
-    let apart_repels = table.optional("apart", APART_REPELS)?.unwrap_or(default.apart_repels);
-    let merge_at = table.optional("merge_at", POSITIVE)?.unwrap_or(merge_at);
-    let split_at = table.optional("split_at", POSITIVE)?.unwrap_or(split_at);
-    let own_core_at = table.optional("core_at", NON_NEGATIVE)?;
-    let core_width = table.optional("core_width", NON_NEGATIVE)?;
+    let alpha = table.given_number(key!(STRENGTH.alpha))?.unwrap_or(default.alpha);
+    let beta = table.given_number(key!(STRENGTH.beta))?.unwrap_or(default.beta);
+    let apart_repels = table.given_word(key!(PHASES.apart), &keys::APART_REPELS)?.unwrap_or(default.apart_repels);
+    let merge_at = table.given_number(key!(PHASES.merge_at))?.unwrap_or(merge_at);
+    let split_at = table.given_number(key!(PHASES.split_at))?.unwrap_or(split_at);
+    let own_core_at = table.given_number(key!(PHASES.core_at))?;
+    let core_width = table.given_number(key!(PHASES.core_width))?;
     let core_at = own_core_at.unwrap_or(match default.for_free {
         ForFree::Core => PairLaw::FREE_CORE_AT * merge_at,
         ForFree::Width | ForFree::Nothing => default.thresholds.core_at,
@@ -514,18 +351,18 @@ fn read_law(table: &Table<'_>, default: PairLaw) -> Result<PairLaw, SceneError> 
 
 fn read_plane(table: &Table<'_>) -> Result<Plane, SceneError> {
     Ok(Plane {
-        normal: read_direction(table, "normal")?,
-        offset: table.optional("offset", ANY)?.unwrap_or(0.0),
-        stiffness: table.optional("stiffness", NON_NEGATIVE)?.unwrap_or(4000.0),
-        friction: table.optional("friction", NON_NEGATIVE)?.unwrap_or(0.0),
-        slip: table.optional("slip", POSITIVE)?.unwrap_or(0.01),
+        normal: read_direction(table, key!(PLANES.normal))?,
+        offset: table.number(key!(PLANES.offset))?,
+        stiffness: table.number(key!(PLANES.stiffness))?,
+        friction: table.number(key!(PLANES.friction))?,
+        slip: table.number(key!(PLANES.slip))?,
     })
 }
 
 /// A nonzero vector, normalised.
-fn read_direction(table: &Table<'_>, name: &'static str) -> Result<DVec3, SceneError> {
-    let direction = table.required(name, Vector(FINITE))?;
-    match table.get(name) {
+fn read_direction(table: &Table<'_>, key: &keys::Key) -> Result<DVec3, SceneError> {
+    let direction = table.vector(key)?;
+    match table.get(key.name) {
         Some(value) if direction == DVec3::ZERO => {
             Err(value.error("expected a direction, found the zero vector".to_owned()))
         }
@@ -535,31 +372,27 @@ fn read_direction(table: &Table<'_>, name: &'static str) -> Result<DVec3, SceneE
 
 /// A `[[body]]`, or the common description of the bodies of a `[[grid]]`.
 fn read_body(table: &Table<'_>, material: Material, meshes: &mut Meshes<'_>) -> Result<Body, SceneError> {
-    let name = table.required("name", BODY_NAME)?;
-    let radius = table.required("radius", POSITIVE)?;
-    let material = read_material(table, material)?;
+    let name = table.text(key!(BODIES.name))?;
+    let radius = table.number(key!(BODIES.radius))?;
+    let material = Material {
+        omega: table.given_number(key!(OSCILLATOR.omega))?.unwrap_or(material.omega),
+        damping: table.given_number(key!(OSCILLATOR.damping))?.unwrap_or(material.damping),
+        response: table.given_word(key!(OSCILLATOR.response), &keys::RESPONSES)?.unwrap_or(material.response),
+    };
     Ok(Body {
         name,
         radius,
         material,
         shape: read_shape(table, meshes)?,
-        mass: table.optional("mass", POSITIVE)?.unwrap_or(radius * radius * radius),
-        group: table.optional("group", GROUP_NAME)?,
-        color: table.optional("color", COLOR)?.as_deref().and_then(color),
+        mass: table.given_number(key!(BODIES.mass))?.unwrap_or(radius * radius * radius),
+        group: table.given_text(key!(BODIES.group))?,
+        color: table.given_text(key!(BODIES.color))?.as_deref().and_then(color),
         force: None,
         motion: read_motion(table, |free| {
             check_response(table, &free, &material)?;
-            Ok(Motion::Free(read_free(&free.into_table(&FREE)?)?))
+            Ok(Motion::Free(read_free(&free.into_table(&keys::FREE)?)?))
         })?,
     })
-}
-
-/// `#rrggbb`
-fn color(text: &str) -> Option<[u8; 3]> {
-    let digits =
-        text.strip_prefix('#').filter(|digits| digits.len() == 6 && digits.bytes().all(|b| b.is_ascii_hexdigit()))?;
-    let [_, red, green, blue] = u32::from_str_radix(digits, 16).ok()?.to_be_bytes();
-    Some([red, green, blue])
 }
 
 /// The names of a scene, resolved to bodies and groups.
@@ -598,24 +431,20 @@ impl Names {
 
 fn read_shape(body: &Table<'_>, meshes: &mut Meshes<'_>) -> Result<Shape, SceneError> {
     let Some(shape) = body.get("shape") else { return Ok(Shape::default()) };
-    let table = shape.clone().into_table(&SHAPE)?;
-    let mut given = Shape::KINDS.iter().zip(&SHAPES).filter(|(kind, _)| table.get(kind.name).is_some());
+    let table = shape.clone().into_table(&keys::SHAPE)?;
+    let mut given = Shape::KINDS.iter().zip(&*keys::SOLIDS).filter(|(kind, _)| table.get(kind.name).is_some());
     let file = table.get("mesh");
     let kind = given.next();
     if given.next().is_some() || kind.is_some() && file.is_some() {
-        return Err(shape.unexpected(SHAPE.form));
+        return Err(shape.unexpected(keys::SHAPE_FORM));
     }
     if let Some(file) = file {
         return meshes.shape(&file);
     }
-    let (kind, keys) = kind.unwrap_or((&Shape::KINDS[0], &SHAPES[0]));
-    let table = table.present(kind.name, keys.form)?;
-    let table = table.into_table(keys)?;
-    let parameters = kind.keys.iter().zip(kind.parameters).map(|(key, parameter)| {
-        let Parameter { least: min, most: max, default } = *parameter;
-        Ok(table.optional(key, Integer { min, max })?.unwrap_or(default))
-    });
-    Ok((kind.make)(&parameters.collect::<Result<Vec<_>, SceneError>>()?))
+    let (kind, section) = kind.unwrap_or((&Shape::KINDS[0], &keys::SOLIDS[0]));
+    let table = table.present(kind.name, section.form)?.into_table(section)?;
+    let parameters = section.all().map(|key| table.integer(key)).collect::<Result<Vec<_>, SceneError>>()?;
+    Ok((kind.make)(&parameters))
 }
 
 /// The motion of a body or of a force point; `free` reads `motion = { free = … }`.
@@ -623,28 +452,30 @@ fn read_motion<T: From<Path>>(
     owner: &Table<'_>,
     free: impl FnOnce(Value<'_>) -> Result<T, SceneError>,
 ) -> Result<T, SceneError> {
-    let motion = owner.present("motion", MOTION.form)?;
-    let table = motion.clone().into_table(&MOTION)?;
-    let given: Vec<_> = MOTION.names.iter().copied().filter(|name| table.get(name).is_some()).collect();
+    let motion = owner.present("motion", keys::MOTION_FORM)?;
+    let table = motion.clone().into_table(&keys::MOTION)?;
+    let names = || keys::MOTIONS.iter().map(|key| key.name);
+    let given: Vec<_> = names().filter(|name| table.get(name).is_some()).collect();
     let [kind] = given[..] else {
         let found = if given.is_empty() { "none".to_owned() } else { given.join(" and ") };
-        return Err(motion.error(format!("expected exactly one of {}, found {found}", MOTION.names.join(", "))));
+        let names: Vec<_> = names().collect();
+        return Err(motion.error(format!("expected exactly one of {}, found {found}", names.join(", "))));
     };
-    let value = table.present(kind, MOTION.form)?;
+    let value = table.present(kind, keys::MOTION_FORM)?;
     Ok(match kind {
-        "fixed" => Path::Fixed(Vector(ANY).read(&value)?).into(),
+        "fixed" => Path::Fixed(value.vector(ANY)?).into(),
         "line" => {
-            let line = value.into_table(&LINE)?;
-            let (from, velocity) = (line.required("from", Vector(ANY))?, line.required("velocity", Vector(ANY))?);
+            let line = value.into_table(&keys::LINE)?;
+            let (from, velocity) = (line.vector(key!(LINES.from))?, line.vector(key!(LINES.velocity))?);
             Path::Line { from, velocity }.into()
         }
         "sine" => {
-            let sine = value.into_table(&SINE)?;
+            let sine = value.into_table(&keys::SINE)?;
             let path = Path::Sine {
-                center: sine.required("center", Vector(ANY))?,
-                amplitude: sine.required("amplitude", Vector(ANY))?,
-                frequency: sine.required("frequency", NON_NEGATIVE)?,
-                phase: sine.optional("phase", ANY)?.unwrap_or(0.0),
+                center: sine.vector(key!(SINES.center))?,
+                amplitude: sine.vector(key!(SINES.amplitude))?,
+                frequency: sine.number(key!(SINES.frequency))?,
+                phase: sine.number(key!(SINES.phase))?,
             };
             path.into()
         }
@@ -655,10 +486,10 @@ fn read_motion<T: From<Path>>(
 
 fn read_free(table: &Table<'_>) -> Result<FreeMotion, SceneError> {
     Ok(FreeMotion {
-        from: table.required("from", Vector(ANY))?,
-        velocity: table.optional("velocity", Vector(ANY))?.unwrap_or(DVec3::ZERO),
-        spin: table.optional("spin", Vector(ANY))?.unwrap_or(DVec3::ZERO),
-        rotation: table.optional("rotation", ROTATION)?.unwrap_or(Rotation::Free),
+        from: table.vector(key!(FREES.from))?,
+        velocity: table.vector(key!(FREES.velocity))?,
+        spin: table.vector(key!(FREES.spin))?,
+        rotation: table.word(key!(FREES.rotation), &keys::ROTATIONS)?,
     })
 }
 
@@ -679,17 +510,15 @@ fn read_keyframes(value: &Value<'_>) -> Result<Spline, SceneError> {
     if !value.is_table() {
         return Ok(Spline::new(&read_keys(value)?));
     }
-    let table = value.clone().into_table(&KEYFRAMES)?;
-    let keys = read_keys(&table.present("keys", KEYS)?)?;
-    let interpolation = table.optional("interpolation", INTERPOLATION)?.unwrap_or(Spline::new);
+    let table = value.clone().into_table(&keys::KEYFRAMES)?;
+    let keys = read_keys(&table.present("keys", keys::KEYS_FORM)?)?;
+    let interpolation: keys::Interpolation = table.word(key!(PATHS.interpolation), &keys::INTERPOLATIONS)?;
     Ok(interpolation(&keys))
 }
 
-const KEYS: &str = "an array of two or more keys [t, x, y, z]";
-
 fn read_keys(value: &Value<'_>) -> Result<Vec<(f64, DVec3)>, SceneError> {
     let items = value.items().filter(|items| items.len() >= 2);
-    let items = items.ok_or_else(|| value.unexpected(KEYS))?;
+    let items = items.ok_or_else(|| value.unexpected(keys::KEYS_FORM))?;
     let mut keys: Vec<(f64, DVec3)> = Vec::with_capacity(items.len());
     for item in items {
         let [t, x, y, z] = item.numbers(ANY, "a key [t, x, y, z]")?;
@@ -714,10 +543,10 @@ fn read_push(table: &Table<'_>, bodies: &[Body], names: &Names) -> Result<Push, 
     })?;
     Ok(Push {
         body: *index as usize,
-        direction: read_direction(table, "direction")?,
-        strength: table.required("strength", ANY)?,
-        start: table.required("start", NON_NEGATIVE)?,
-        duration: table.required("duration", NON_NEGATIVE)?,
+        direction: read_direction(table, key!(PUSHES.direction))?,
+        strength: table.number(key!(PUSHES.strength))?,
+        start: table.number(key!(PUSHES.start))?,
+        duration: table.number(key!(PUSHES.duration))?,
     })
 }
 
@@ -740,10 +569,6 @@ fn unit(vector: DVec3) -> DVec3 {
     let (_, exponent) = libm::frexp(vector.abs().max_element());
     let scaled = DVec3::from_array(vector.to_array().map(|x| libm::ldexp(x, -exponent)));
     scaled / scaled.length()
-}
-
-fn is_scene_name(name: &str) -> bool {
-    (1..=200).contains(&name.chars().count()) && !name.chars().any(char::is_control)
 }
 
 /// The default name of a scene: the stem of its file, reduced to valid characters.

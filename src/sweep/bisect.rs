@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::{
     design::{Design, Values},
     refine::class,
-    row::{Cell, Row},
+    row::{Cell, Row, axis_column},
     run::{Outcome, Runner},
 };
 use crate::{
@@ -109,20 +109,22 @@ fn narrow(runner: &Runner<'_>, axis: usize, bracket: &Threshold, stop: &AtomicBo
     Some(found)
 }
 
+/// What the column of an axis holds in a table of thresholds.
+pub const AXIS: &str = "value at this key of the scene; on the bisected axis, the lower end";
+/// The columns of a table of thresholds beside the axes.
+pub const COLUMNS: [Column; 5] = [
+    Column::required("row", Kind::Count, "number of the threshold"),
+    Column::required("threshold", Kind::Float, "the middle of the bracket"),
+    Column::required("width", Kind::Float, "width of the bracket"),
+    Column::required("below", Kind::Text, "outcome at its first end"),
+    Column::required("above", Kind::Text, "outcome at its second end"),
+];
+
 /// The columns of a table of thresholds.
 pub fn columns(design: &Design) -> Vec<Column> {
-    let column = |name: &str, kind, about| Column { name: name.to_owned(), kind, about, is_nullable: false };
-    let axes = design.axes.iter().map(|axis| {
-        let kind = if axis.is_number() { Kind::Float } else { Kind::Text };
-        column(&axis.key.to_string(), kind, "value at this key of the scene; on the bisected axis, the lower end")
-    });
-    let rest = [
-        column("threshold", Kind::Float, "the middle of the bracket"),
-        column("width", Kind::Float, "width of the bracket"),
-        column("below", Kind::Text, "outcome at its first end"),
-        column("above", Kind::Text, "outcome at its second end"),
-    ];
-    std::iter::once(column("row", Kind::Count, "number of the threshold")).chain(axes).chain(rest).collect()
+    let [row, rest @ ..] = COLUMNS;
+    let axes = design.axes.iter().map(|axis| axis_column(axis, AXIS));
+    std::iter::once(row).chain(axes).chain(rest).collect()
 }
 
 /// The rows of a table of thresholds.

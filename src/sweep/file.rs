@@ -12,9 +12,10 @@ use super::{
 use crate::{
     scene::{
         Scene, SceneError, builtin,
+        keys::{ANY, Fallback, Key, Kind, Range, Section, Text, find, words},
         parse::{
             on_deep_stack,
-            reader::{Choice, Integer, Keys, Kind, Number, Source, Table, Text, Value},
+            reader::{Source, Table, Value},
         },
         template::{KeyPath, Setting, Template},
     },
@@ -28,29 +29,6 @@ const MAX_VALUES: usize = 100_000;
 /// Approximate maximum number of values of an axis that are validated before anything runs, at equal intervals.
 const MAX_VALIDATED: u64 = 4096;
 
-static SWEEP: Keys = Keys {
-    home: "at the top of the sweep",
-    form: "a table",
-    names: &["scene", "sample", "count", "seed", "until", "measures", "color", "jump", "axis", "set"],
-};
-static AXIS: Keys = Keys {
-    home: "in an [[axis]]",
-    form: "a table, written [[axis]]",
-    names: &["key", "from", "to", "count", "scale", "values", "name"],
-};
-static SET: Keys = Keys { home: "in a [[set]]", form: "a table, written [[set]]", names: &["key", "value"] };
-
-const ANY: Number = Number { min: -1e15, max: 1e15 };
-const KEY: Text = Text { form: "the path of a key, such as \"influence.merge_at\"", accepts: |text| text.len() <= 256 };
-const SCENE: Text = Text { form: "a scene file or the name of a built-in scene", accepts: |text| text.len() <= 4096 };
-const NAME: Text = Text {
-    form: "a name of 1 to 60 characters on one line",
-    accepts: |text| (1..=60).contains(&text.chars().count()) && !text.chars().any(char::is_control),
-};
-const SEED: Integer = Integer { min: 0, max: u32::MAX };
-const COUNT: Integer = Integer { min: 1, max: u32::MAX };
-const SCALE: Choice<Scale, 2> = Choice([("linear", Scale::Linear), ("log", Scale::Log)]);
-
 /// How points are chosen.
 #[derive(Clone, Copy, PartialEq)]
 enum Sample {
@@ -58,7 +36,10 @@ enum Sample {
     Latin,
     Sobol,
 }
-const SAMPLE: Choice<Sample, 3> = Choice([("grid", Sample::Grid), ("latin", Sample::Latin), ("sobol", Sample::Sobol)]);
+
+const SAMPLES: [(&str, Sample); 3] = [("grid", Sample::Grid), ("latin", Sample::Latin), ("sobol", Sample::Sobol)];
+const SCALES: [(&str, Scale); 2] = [("linear", Scale::Linear), ("log", Scale::Log)];
+const MEASURES: [(&str, usize); 2] = [("displacement", 0), ("surfaces", 1)];
 
 /// When a run ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,7 +49,8 @@ pub enum Until {
     /// At the end of the scene.
     End,
 }
-const UNTIL: Choice<Until, 2> = Choice([("certain", Until::Certain), ("end", Until::End)]);
+
+const UNTILS: [(&str, Until); 2] = [("certain", Until::Certain), ("end", Until::End)];
 
 /// Columns by which the map can be coloured.
 const COLORS: [&str; 9] = [
@@ -86,19 +68,145 @@ const COLORS: [&str; 9] = [
 const NOT_MEASURED: &str = "max_displacement is not measured";
 const MEASURE_IT: &str = "add measures = [\"displacement\"]";
 
-/// Measures whose jumps can refine the grid.
-const JUMPS: [&str; 8] = [
-    "max_displacement",
-    "closest",
-    "time_merged",
-    "first_merge",
-    "first_split",
-    "merges",
-    "splits",
-    "energy_by_events",
+// --- the keys -------------------------------------------------------------------------------------------------------
+
+const KEY: Text = Text { form: "the path of a key, such as \"influence.merge_at\"", accepts: |text| text.len() <= 256 };
+const SCENE: Text = Text { form: "a scene file or the name of a built-in scene", accepts: |text| text.len() <= 4096 };
+const NAME: Text = Text {
+    form: "a name of 1 to 60 characters on one line",
+    accepts: |text| (1..=60).contains(&text.chars().count()) && !text.chars().any(char::is_control),
+};
+const COUNT: Kind = Kind::Integer([1, u32::MAX]);
+const MEASURE_FORM: &str = "an array of \"displacement\" and \"surfaces\"";
+const VALUES_FORM: &str = "an array of numbers or of strings";
+const VALUE_FORM: &str = "a number or a string";
+
+const fn key(name: &'static str, kind: Kind, default: Fallback, about: &'static str) -> Key {
+    Key { name, kind, unit: "", default, usual: None, about }
+}
+
+/// A measure whose jumps can refine the grid, in the unit of its column.
+const fn jump(name: &'static str) -> Key {
+    let kind = Kind::Number(Range { min: 1e-12, max: 1e15 });
+    key(name, kind, Fallback::Else("none"), "Neighbours that differ by more are refined as if their outcomes differed.")
+}
+
+static TOP: [Key; 10] = [
+    key("scene", Kind::Text(SCENE), Fallback::Required, "The scene: a file in the same folder, or a built-in one."),
+    key(
+        "sample",
+        Kind::Word(|| words(&SAMPLES)),
+        Fallback::Word("grid"),
+        "How points are chosen: on a grid, or as so many samples of the axes.",
+    ),
+    key("count", COUNT, Fallback::Else("each [[axis]] of a grid has its own"), "Number of samples."),
+    key("seed", Kind::Integer([0, u32::MAX]), Fallback::Number(0.0), "Seed of the samples."),
+    key(
+        "until",
+        Kind::Word(|| words(&UNTILS)),
+        Fallback::Word("certain"),
+        "When a run ends: as soon as its outcome is certain, or at the end of the scene.",
+    ),
+    key("measures", Kind::Other(MEASURE_FORM), Fallback::Else("none"), "Optional measures, which take time."),
+    key("color", Kind::Word(|| COLORS.to_vec()), Fallback::Word("outcome"), "The column by which the map is coloured."),
+    key(
+        "jump",
+        Kind::Other("a table, written [jump]"),
+        Fallback::Else("none"),
+        "What --refine refines besides the boundaries between outcomes.",
+    ),
+    key("axis", Kind::Other("tables, written [[axis]]"), Fallback::Required, "The axes of the sweep, up to 8."),
+    key(
+        "set",
+        Kind::Other("tables, written [[set]]"),
+        Fallback::Else("none"),
+        "Keys of the scene with the same values in all runs.",
+    ),
 ];
-static JUMP: Keys = Keys { home: "in [jump]", form: "a table", names: &JUMPS };
-const JUMP_SIZE: Number = Number { min: 1e-12, max: 1e15 };
+static AXES: [Key; 7] = [
+    key(
+        "key",
+        Kind::Text(KEY),
+        Fallback::Required,
+        "A path into the scene; bodies by name: body.left.motion.free.velocity[0].",
+    ),
+    key("from", Kind::Number(ANY), Fallback::Required, "First value."),
+    key("to", Kind::Number(ANY), Fallback::Required, "Last value."),
+    key("count", COUNT, Fallback::Required, "Number of values on a grid."),
+    key("scale", Kind::Word(|| words(&SCALES)), Fallback::Word("linear"), "Spacing of the values."),
+    key(
+        "values",
+        Kind::Other(VALUES_FORM),
+        Fallback::Else("none"),
+        "The values, instead of from, to, count and scale.",
+    ),
+    key("name", Kind::Text(NAME), Fallback::Else("the key"), "Its name on the map."),
+];
+static SETS: [Key; 2] = [
+    key("key", Kind::Text(KEY), Fallback::Required, "A path into the scene."),
+    key("value", Kind::Other(VALUE_FORM), Fallback::Required, "Its value in all runs."),
+];
+static JUMPS: [Key; 8] = [
+    jump("max_displacement"),
+    jump("closest"),
+    jump("time_merged"),
+    jump("first_merge"),
+    jump("first_split"),
+    jump("merges"),
+    jump("splits"),
+    jump("energy_by_events"),
+];
+
+static SWEEP: Section = Section {
+    header: "",
+    home: "at the top of the sweep",
+    form: "a table",
+    about: "A sweep: one run of a scene for every point of a grid over its keys.",
+    example: "",
+    keys: &[&TOP],
+    shared: &[],
+};
+static AXIS: Section = Section {
+    header: "[[axis]]",
+    home: "in an [[axis]]",
+    form: "a table, written [[axis]]",
+    about: "A key of the scene that varies.",
+    example: "[[axis]]\nkey = \"influence.merge_at\"\nfrom = 0.8\nto = 1.15\ncount = 8",
+    keys: &[&AXES],
+    shared: &[],
+};
+static SET: Section = Section {
+    header: "[[set]]",
+    home: "in a [[set]]",
+    form: "a table, written [[set]]",
+    about: "A key of the scene that is the same in all runs.",
+    example: "[[set]]\nkey = \"duration\"\nvalue = 6.0",
+    keys: &[&SETS],
+    shared: &[],
+};
+static JUMP: Section = Section {
+    header: "[jump]",
+    home: "in [jump]",
+    form: "a table",
+    about: "Measures whose jumps --refine refines.",
+    example: "",
+    keys: &[&JUMPS],
+    shared: &[],
+};
+
+/// All sections of a sweep, in the order in which they are listed to users.
+pub fn sections() -> impl Iterator<Item = &'static Section> {
+    [&SWEEP, &JUMP, &AXIS, &SET].into_iter()
+}
+
+/// A key of the tables above, found when the program is built.
+macro_rules! key {
+    ($group:ident.$name:ident) => {
+        const { find(&$group, stringify!($name)) }
+    };
+}
+
+// --- the file -------------------------------------------------------------------------------------------------------
 
 /// A sweep: a scene, the axes along which it varies, and the measures of each run.
 pub struct Sweep {
@@ -185,8 +293,8 @@ fn parse(text: &str, file: &str, folder: Option<&Path>) -> Result<Sweep, SceneEr
         return Err(axis_array.unexpected(format_args!("1 to {MAX_AXES} axes")));
     }
 
-    let sample = root.optional("sample", SAMPLE)?.unwrap_or(Sample::Grid);
-    let seed = root.optional("seed", SEED)?;
+    let sample = root.word(key!(TOP.sample), &SAMPLES)?;
+    let seed = root.integer(key!(TOP.seed))?;
     let sampling = match sample {
         Sample::Grid => {
             for name in ["count", "seed"] {
@@ -198,7 +306,7 @@ fn parse(text: &str, file: &str, folder: Option<&Path>) -> Result<Sweep, SceneEr
             Sampling::Grid
         }
         sample => {
-            let (count, seed) = (u64::from(root.required("count", COUNT)?), u64::from(seed.unwrap_or(0)));
+            let (count, seed) = (u64::from(root.integer(key!(TOP.count))?), u64::from(seed));
             if sample == Sample::Latin { Sampling::Latin { count, seed } } else { Sampling::Sobol { count, seed } }
         }
     };
@@ -212,10 +320,10 @@ fn parse(text: &str, file: &str, folder: Option<&Path>) -> Result<Sweep, SceneEr
     let measures = read_measures(root.get("measures"))?;
     let color = read_color(root.get("color"), measures)?;
     let jumps = read_jumps(root.get("jump"), measures)?;
-    let until = root.optional("until", UNTIL)?.unwrap_or(Until::Certain);
+    let until = root.word(key!(TOP.until), &UNTILS)?;
     let design = Design { axes, sampling };
 
-    let name = root.required("scene", SCENE)?;
+    let name = root.text(key!(TOP.scene))?;
     let scene_error = |message: String| root.error("scene", message);
     let (scene_text, scene_file, scene_folder) = match builtin::ALL.iter().find(|builtin| builtin.name == name) {
         Some(builtin) => (builtin.text.to_owned(), name, None),
@@ -252,13 +360,13 @@ fn parse(text: &str, file: &str, folder: Option<&Path>) -> Result<Sweep, SceneEr
 }
 
 fn read_key(table: &Table<'_>) -> Result<KeyPath, SceneError> {
-    let key = table.required("key", KEY)?;
+    let key = table.text(key!(AXES.key))?;
     KeyPath::parse(&key).map_err(|message| table.error("key", message))
 }
 
 fn read_axis(table: &Table<'_>, sampling: Sampling) -> Result<Axis, SceneError> {
     let key = read_key(table)?;
-    let name = table.optional("name", NAME)?;
+    let name = table.given_text(key!(AXES.name))?;
     if let Some(values) = table.get("values") {
         for other in ["from", "to", "count", "scale"] {
             if table.get(other).is_some() {
@@ -266,7 +374,7 @@ fn read_axis(table: &Table<'_>, sampling: Sampling) -> Result<Axis, SceneError> 
             }
         }
         let items = values.items().filter(|items| (1..=MAX_VALUES).contains(&items.len()));
-        let items = items.ok_or_else(|| values.unexpected("an array of numbers or of strings"))?;
+        let items = items.ok_or_else(|| values.unexpected(VALUES_FORM))?;
         let values = items.map(|item| read_setting(&item)).collect::<Result<Vec<_>, _>>()?;
         let is_number = |setting: &Setting| matches!(setting, Setting::Number(_));
         if values.iter().any(|value| is_number(value) != is_number(&values[0])) {
@@ -274,8 +382,8 @@ fn read_axis(table: &Table<'_>, sampling: Sampling) -> Result<Axis, SceneError> 
         }
         return Ok(Axis { key, name, values: Values::List(values) });
     }
-    let (from, to) = (table.required("from", ANY)?, table.required("to", ANY)?);
-    let scale = table.optional("scale", SCALE)?.unwrap_or(Scale::Linear);
+    let (from, to) = (table.number(key!(AXES.from))?, table.number(key!(AXES.to))?);
+    let scale = table.word(key!(AXES.scale), &SCALES)?;
     if scale == Scale::Log {
         for (name, number) in [("from", from), ("to", to)] {
             if number <= 0.0 {
@@ -287,7 +395,7 @@ fn read_axis(table: &Table<'_>, sampling: Sampling) -> Result<Axis, SceneError> 
         return Err(table.error("to", format!("expected a number other than from ({from:?})")));
     }
     let count = match sampling {
-        Sampling::Grid => u64::from(table.required("count", COUNT)?),
+        Sampling::Grid => u64::from(table.integer(key!(AXES.count))?),
         _ if table.get("count").is_some() => {
             return Err(table.error("count", "not for samples: their count is at the top of the sweep".to_owned()));
         }
@@ -302,21 +410,20 @@ fn read_axis(table: &Table<'_>, sampling: Sampling) -> Result<Axis, SceneError> 
 fn read_setting(value: &Value<'_>) -> Result<Setting, SceneError> {
     match value.text() {
         Some(text) => Ok(Setting::Text(text.to_owned())),
-        None => ANY.read(value).map(Setting::Number),
+        None => value.number(ANY).map(Setting::Number),
     }
 }
 
 fn read_set(table: &Table<'_>) -> Result<(KeyPath, Setting), SceneError> {
-    Ok((read_key(table)?, read_setting(&table.present("value", "a number or a string")?)?))
+    Ok((read_key(table)?, read_setting(&table.present("value", VALUE_FORM)?)?))
 }
 
 fn read_measures(value: Option<Value<'_>>) -> Result<Measures, SceneError> {
-    const MEASURE: Choice<usize, 2> = Choice([("displacement", 0), ("surfaces", 1)]);
     let mut wanted = [false; 2];
     if let Some(value) = value {
-        let items = value.items().ok_or_else(|| value.unexpected("an array of \"displacement\" and \"surfaces\""))?;
+        let items = value.items().ok_or_else(|| value.unexpected(MEASURE_FORM))?;
         for item in items {
-            wanted[MEASURE.read(&item)?] = true;
+            wanted[item.word(&MEASURES)?] = true;
         }
     }
     Ok(Measures { displacement: wanted[0], surfaces: wanted[1] })
@@ -324,8 +431,7 @@ fn read_measures(value: Option<Value<'_>>) -> Result<Measures, SceneError> {
 
 fn read_color(value: Option<Value<'_>>, measures: Measures) -> Result<String, SceneError> {
     let Some(value) = value else { return Ok(COLORS[0].to_owned()) };
-    let known = Choice(COLORS.map(|name| (name, name)));
-    let color = known.read(&value)?;
+    let color = value.word(&COLORS.map(|name| (name, name)))?;
     if color == "max_displacement" && !measures.displacement {
         return Err(value.error(NOT_MEASURED.to_owned()).with_help(MEASURE_IT));
     }
@@ -336,8 +442,9 @@ fn read_jumps(value: Option<Value<'_>>, measures: Measures) -> Result<Vec<(Strin
     let Some(value) = value else { return Ok(Vec::new()) };
     let table = value.into_table(&JUMP)?;
     let mut jumps = Vec::new();
-    for name in JUMPS {
-        let Some(jump) = table.optional(name, JUMP_SIZE)? else { continue };
+    for key in &JUMPS {
+        let Some(jump) = table.given_number(key)? else { continue };
+        let name = key.name;
         if name == "max_displacement" && !measures.displacement {
             return Err(table.error(name, NOT_MEASURED.to_owned()).with_help(MEASURE_IT));
         }

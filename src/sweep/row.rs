@@ -56,60 +56,80 @@ pub type Row = (u64, Vec<Cell>);
 /// The name of the run time column, the only one that depends on the machine.
 pub const RUN_TIME: &str = "run_time";
 
+/// The number of a row.
+pub const ROW: Column = Column::required("row", Kind::Count, "number of the point");
+/// What the column of an axis holds.
+pub const AXIS: &str = "value at this key of the scene";
+/// The results of every sweep.
+pub const RESULTS: [Column; 19] = [
+    Column::new("outcome", Kind::Text, "apart, bounced, merged, passed or split; null if the run failed"),
+    Column::required("events", Kind::Text, "the phase changes in order, the first 64 of them"),
+    Column::required("event_times", Kind::List, "exact times of these events [s]"),
+    Column::required("merges", Kind::Integer, "number of merges"),
+    Column::required("splits", Kind::Integer, "number of splits"),
+    Column::required("cores", Kind::Integer, "number of times that a pair entered its core"),
+    Column::new("first_merge", Kind::Float, "exact time of the first merge [s]"),
+    Column::new("first_split", Kind::Float, "exact time of the first split [s]"),
+    Column::required(
+        "time_merged",
+        Kind::Float,
+        "time that pairs were merged or in their core, all pairs together [s]",
+    ),
+    Column::new(
+        "closest",
+        Kind::Float,
+        "smallest centre distance over the sum of the radii, among pairs that came within reach",
+    ),
+    Column::new("closest_time", Kind::Float, "time of the closest approach [s]"),
+    Column::new("energy_by_events", Kind::Float, "energy that phase changes brought to free bodies [mass unit²/s²]"),
+    Column::new("momentum_x", Kind::Float, "x component of the momentum of the free bodies at the end [mass unit/s]"),
+    Column::new("momentum_y", Kind::Float, "y component of the momentum"),
+    Column::new("momentum_z", Kind::Float, "z component of the momentum"),
+    Column::required(
+        "estimated_error",
+        Kind::Float,
+        "sum over steps of the largest estimated error of a vertex [radii]",
+    ),
+    Column::required("steps", Kind::Integer, "steps taken until the outcome was certain"),
+    Column::required("end", Kind::Float, "simulated time at the end [s]"),
+    Column::required("checksum", Kind::Count, "hash of the exact state at the end"),
+];
+/// With the measure `displacement`.
+pub const DISPLACEMENT: [Column; 1] = [Column::required(
+    "max_displacement",
+    Kind::Float,
+    "largest displacement of a vertex at the end of a step [radii]",
+)];
+/// With the measure `surfaces`.
+pub const SURFACES: [Column; 3] = [
+    Column::required("gaps", Kind::List, "distance of the surfaces at each event, negative where they overlap [radii]"),
+    Column::required("overlaps", Kind::List, "volume of the intersection at each event [share of the smaller body]"),
+    Column::required("necks", Kind::List, "radius of the seam at each event [radii]"),
+];
+/// The last columns of every sweep.
+pub const LAST: [Column; 2] = [
+    Column::new("failure", Kind::Text, "why the run failed"),
+    Column::required(RUN_TIME, Kind::Float, "wall time of the run [s]: the only column that differs between machines"),
+];
+
+/// The column of an axis.
+pub fn axis_column(axis: &Axis, about: &'static str) -> Column {
+    let kind = if axis.is_number() { Kind::Float } else { Kind::Text };
+    Column { name: axis.key.to_string().into(), ..Column::required("", kind, about) }
+}
+
 /// The columns of a sweep: the row number, the axes, then the results.
 pub fn columns(sweep: &Sweep) -> Vec<Column> {
-    let column = |name: &str, kind, is_nullable, about| Column { name: name.to_owned(), kind, about, is_nullable };
-    let mut columns = vec![column("row", Kind::Count, false, "number of the point")];
-    columns.extend(sweep.design.axes.iter().map(|axis: &Axis| {
-        let kind = if axis.is_number() { Kind::Float } else { Kind::Text };
-        column(&axis.key.to_string(), kind, false, "value at this key of the scene")
-    }));
-    let fixed: [(&str, Kind, bool, &'static str); 19] = [
-        ("outcome", Kind::Text, true, "apart, bounced, merged, passed or split; null if the run failed"),
-        ("events", Kind::Text, false, "the phase changes in order, the first 64 of them"),
-        ("event_times", Kind::List, false, "exact times of these events [s]"),
-        ("merges", Kind::Integer, false, "number of merges"),
-        ("splits", Kind::Integer, false, "number of splits"),
-        ("cores", Kind::Integer, false, "number of times that a pair entered its core"),
-        ("first_merge", Kind::Float, true, "exact time of the first merge [s]"),
-        ("first_split", Kind::Float, true, "exact time of the first split [s]"),
-        ("time_merged", Kind::Float, false, "time that pairs were merged or in their core, all pairs together [s]"),
-        (
-            "closest",
-            Kind::Float,
-            true,
-            "smallest centre distance over the sum of the radii, among pairs that came within reach",
-        ),
-        ("closest_time", Kind::Float, true, "time of the closest approach [s]"),
-        ("energy_by_events", Kind::Float, true, "energy that phase changes brought to free bodies [mass unit²/s²]"),
-        ("momentum_x", Kind::Float, true, "x component of the momentum of the free bodies at the end [mass unit/s]"),
-        ("momentum_y", Kind::Float, true, "y component of the momentum"),
-        ("momentum_z", Kind::Float, true, "z component of the momentum"),
-        ("estimated_error", Kind::Float, false, "sum over steps of the largest estimated error of a vertex [radii]"),
-        ("steps", Kind::Integer, false, "steps taken until the outcome was certain"),
-        ("end", Kind::Float, false, "simulated time at the end [s]"),
-        ("checksum", Kind::Count, false, "hash of the exact state at the end"),
-    ];
-    columns.extend(fixed.map(|(name, kind, is_nullable, about)| column(name, kind, is_nullable, about)));
+    let mut columns = vec![ROW];
+    columns.extend(sweep.design.axes.iter().map(|axis| axis_column(axis, AXIS)));
+    columns.extend(RESULTS);
     if sweep.measures.displacement {
-        let about = "largest displacement of a vertex at the end of a step [radii]";
-        columns.push(column("max_displacement", Kind::Float, false, about));
+        columns.extend(DISPLACEMENT);
     }
     if sweep.measures.surfaces {
-        let abouts = [
-            ("gaps", "distance of the surfaces at each event, negative where they overlap [radii]"),
-            ("overlaps", "volume of the intersection at each event [share of the smaller body]"),
-            ("necks", "radius of the seam at each event [radii]"),
-        ];
-        columns.extend(abouts.map(|(name, about)| column(name, Kind::List, false, about)));
+        columns.extend(SURFACES);
     }
-    columns.push(column("failure", Kind::Text, true, "why the run failed"));
-    columns.push(column(
-        RUN_TIME,
-        Kind::Float,
-        false,
-        "wall time of the run [s]: the only column that differs between machines",
-    ));
+    columns.extend(LAST);
     columns
 }
 

@@ -82,6 +82,17 @@ impl Outcome {
             Outcome::Merged => "merged",
         }
     }
+
+    /// What it says of a pair, as a sentence.
+    pub fn about(self) -> &'static str {
+        match self {
+            Outcome::Apart => "It never merged, and did not turn back.",
+            Outcome::Bounced => "It never merged, and turned back.",
+            Outcome::Split => "It merged and split, on the side from which the bodies came.",
+            Outcome::Passed => "It merged, the bodies passed through each other, and it split.",
+            Outcome::Merged => "It is merged at the end.",
+        }
+    }
 }
 
 /// Data shared by runs.

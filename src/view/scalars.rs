@@ -51,6 +51,11 @@ pub fn scalars(scene: &Scene) -> impl Iterator<Item = &'static Scalar> {
     SCALARS.iter().chain(parts).chain(LEDGER.iter().filter(occurs))
 }
 
+/// The scalars of all scenes.
+pub fn all() -> impl Iterator<Item = &'static Scalar> {
+    [SCALARS, PARTS, CONSERVED, LEDGER].into_iter().flatten()
+}
+
 /// A smooth scalar of the state.
 const fn smooth(
     name: &'static str,

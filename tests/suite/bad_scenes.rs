@@ -214,7 +214,7 @@ start = -1
 
 Point: an unknown key
 mass = 2
-> bad.toml:7:1: point["hand"].mass: unknown key; "mass" belongs in a [[body]] or in a [[grid]] (known keys: name, motion, radius, act, alpha, beta, bodies, start, duration)
+> bad.toml:7:1: point["hand"].mass: unknown key; "mass" belongs in a [[body]] or in a [[grid]] (known keys: name, motion, radius, act, bodies, start, duration, alpha, beta)
 
 Whole: two points of one name
 duration = 4
@@ -249,7 +249,7 @@ duration = 4
 name = "a"
 radius = 1
 motion = { fixed = [0, 0, 0] }
-> bad.toml:3:1: material.duration: unknown key; "duration" belongs at the top of the file or in a [[push]] (known keys: omega, damping, response)
+> bad.toml:3:1: material.duration: unknown key; "duration" belongs at the top of the file or in a [[point]] or in a [[push]] (known keys: omega, damping, response)
 
 Whole: the first of several unknown keys
 zeta = 1
@@ -279,7 +279,7 @@ aaaaaaaaaabbbbbbbbbbccccccccccddddddddddeeeeeeeeee = 1
 
 Top: key of another table
 alpha = 100
-> bad.toml:1:1: alpha: unknown key; "alpha" belongs in [influence] or in a [[pair]] (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)
+> bad.toml:1:1: alpha: unknown key; "alpha" belongs in [influence] or in a [[pair]] or in a [[point]] (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)
 
 Top: key of several tables
 response = "rigid"
@@ -492,7 +492,7 @@ raduis = 1
 
 Body: body key of a push
 start = 1
-> bad.toml:3:1: body["ball"].start: unknown key; "start" belongs in a [[push]] (known keys: name, radius, shape, motion, mass, group, color, omega, damping, response)
+> bad.toml:3:1: body["ball"].start: unknown key; "start" belongs in a [[point]] or in a [[push]] (known keys: name, radius, shape, motion, mass, group, color, omega, damping, response)
 
 Body: name with a space
 name = "a b"

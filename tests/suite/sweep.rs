@@ -152,7 +152,7 @@ fn a_boundary_in_closed_form_is_found_to_1e_9() {
     let svg = fs::read_to_string(dir.file("out/map.svg")).unwrap();
     assert!(svg.contains("a region smaller than a cell of the first grid may be missing"), "{svg}");
     assert!(svg.contains("influence.merge_at") && svg.contains(">split<") && svg.contains(">apart<"), "{svg}");
-    let column = |name: &str, kind| Column { name: name.to_owned(), kind, about: "", is_nullable: false };
+    let column = |name, kind| Column::required(name, kind, "");
     let columns = [
         column("row", Kind::Count),
         column("body.b.motion.line.from[1]", Kind::Float),

@@ -18,32 +18,58 @@ impl From<TableError> for Failure {
     }
 }
 
-fn columns(columns: &[(&str, Kind)]) -> Vec<Column> {
-    columns.iter().map(|(name, kind)| Column::new(name, *kind)).collect()
-}
+const STEP: Column = Column::required("step", Kind::Count, "number of the step");
+const TIME: Column = Column::required("time", Kind::Float, "simulated time [s]");
+const Q: &str = "centre distance over the sum of the radii";
+
+/// The columns of a table of events.
+pub const EVENTS: [Column; 10] = [
+    Column::required("step", Kind::Count, "the first step that the event affects"),
+    Column::required("time", Kind::Float, "exact time [s]"),
+    Column::required("event", Kind::Text, "kind of event: see `meldscope reference events`"),
+    Column::required("a", Kind::Text, "a body"),
+    Column::new("b", Kind::Text, "the other body; empty for an event of a single body"),
+    Column::new("q", Kind::Float, Q),
+    Column::new("rate", Kind::Float, "rate of change of q [1/s]; empty unless a phase changes"),
+    Column::new("from", Kind::Text, "phase before; empty unless a phase changes"),
+    Column::new("to", Kind::Text, "phase after; empty unless a phase changes"),
+    Column::new("surfaces", Kind::Text, "the surfaces at a change of phase, in words"),
+];
+/// The columns of a table of pairs within reach.
+pub const PAIRS: [Column; 6] = [
+    STEP,
+    TIME,
+    Column::required("a", Kind::Text, "a body"),
+    Column::required("b", Kind::Text, "the other body"),
+    Column::required("q", Kind::Float, Q),
+    Column::required("phase", Kind::Text, "phase"),
+];
+/// The first columns of a table of scalars; each scalar of the simulation follows.
+pub const SCALARS: [Column; 2] = [STEP, TIME];
+/// The columns of a table of states.
+pub const STATES: [Column; 13] = [
+    STEP,
+    TIME,
+    Column::required("body", Kind::Text, "body"),
+    Column::required("vertex", Kind::Count, "index of the vertex"),
+    Column::required("x", Kind::Float, "position in the world [scene unit]"),
+    Column::required("y", Kind::Float, ""),
+    Column::required("z", Kind::Float, ""),
+    Column::required("dx", Kind::Float, "displacement from rest, which is integrated [scene unit]"),
+    Column::required("dy", Kind::Float, ""),
+    Column::required("dz", Kind::Float, ""),
+    Column::required("vx", Kind::Float, "velocity of the displacement, which is integrated [scene unit/s]"),
+    Column::required("vy", Kind::Float, ""),
+    Column::required("vz", Kind::Float, ""),
+];
 
 /// A table of events.
 pub struct Events(pub Table);
 
 impl Events {
-    /// `step`, `time` [s], `event`, the bodies `a` and `b`, `q` and its `rate` [1/s], the phases `from` and `to`, and a
-    /// remark on the `surfaces` at a phase change. Empty cells do not apply: surfaces that touch and part change no
-    /// phase, and an event of a single body has no `b`.
+    /// An empty table.
     pub fn create(path: &Path) -> Result<Events, Failure> {
-        use Kind::{Count, Float, Text};
-        let columns = columns(&[
-            ("step", Count),
-            ("time", Float),
-            ("event", Text),
-            ("a", Text),
-            ("b", Text),
-            ("q", Float),
-            ("rate", Float),
-            ("from", Text),
-            ("to", Text),
-            ("surfaces", Text),
-        ]);
-        Ok(Events(Table::create(path, columns)?))
+        Ok(Events(Table::create(path, EVENTS.into())?))
     }
 
     /// Adds an event.
@@ -70,12 +96,9 @@ impl Events {
 pub struct Pairs(pub Table);
 
 impl Pairs {
-    /// `step`, `time` [s], the bodies `a` and `b`, `q`, and the `phase`.
+    /// An empty table.
     pub fn create(path: &Path) -> Result<Pairs, Failure> {
-        use Kind::{Count, Float, Text};
-        let columns =
-            columns(&[("step", Count), ("time", Float), ("a", Text), ("b", Text), ("q", Float), ("phase", Text)]);
-        Ok(Pairs(Table::create(path, columns)?))
+        Ok(Pairs(Table::create(path, PAIRS.into())?))
     }
 
     /// Adds the pairs of a frame.
@@ -92,11 +115,10 @@ impl Pairs {
 pub struct Scalars(pub Table);
 
 impl Scalars {
-    /// `step`, `time` [s], and a column for each scalar of the schema.
+    /// An empty table.
     pub fn create(path: &Path, schema: &Schema) -> Result<Scalars, Failure> {
-        let scalars = schema.scalars.iter().map(|scalar| (scalar.name, Kind::Float));
-        let all: Vec<_> = [("step", Kind::Count), ("time", Kind::Float)].into_iter().chain(scalars).collect();
-        Ok(Scalars(Table::create(path, columns(&all))?))
+        let scalars = schema.scalars.iter().map(|scalar| Column::new(scalar.name, Kind::Float, scalar.label));
+        Ok(Scalars(Table::create(path, SCALARS.into_iter().chain(scalars).collect())?))
     }
 
     /// Adds the scalars of a frame and of the step that led to it.
@@ -118,14 +140,9 @@ pub struct States {
 }
 
 impl States {
-    /// `step`, `time` [s], the `body`, the index of the `vertex`, its position in the world `x`, `y`, `z`
-    /// [scene unit], its displacement from rest `dx`, `dy`, `dz` [scene unit], and the velocity of that displacement
-    /// `vx`, `vy`, `vz` [scene unit/s]. The last six are the integrated state.
+    /// An empty table.
     pub fn create(path: &Path) -> Result<States, Failure> {
-        let head = [("step", Kind::Count), ("time", Kind::Float), ("body", Kind::Text), ("vertex", Kind::Count)];
-        let numbers = ["x", "y", "z", "dx", "dy", "dz", "vx", "vy", "vz"].map(|name| (name, Kind::Float));
-        let columns = columns(&[&head[..], &numbers].concat());
-        Ok(States { table: Table::create(path, columns)?, local: Vectors::default() })
+        Ok(States { table: Table::create(path, STATES.into())?, local: Vectors::default() })
     }
 
     /// Adds the vertices of a frame.

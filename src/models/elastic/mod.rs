@@ -44,6 +44,12 @@ pub use observe::schema;
 
 /// The core of a body that is held [radii].
 const CORE: f64 = 0.5;
+/// The kinds of events of single bodies, each with when it happens.
+pub const KINDS: [(&str, &str); 3] = [CUT_CELL, SPLIT_NODE, WOULD_TEAR];
+const CUT_CELL: (&str, &str) = ("cut cell", "An overstretched spring of a lattice is cut, with its cell.");
+const SPLIT_NODE: (&str, &str) = ("split node", "An overloaded node of a lattice is split.");
+const WOULD_TEAR: (&str, &str) =
+    ("would tear", "The tension of a finite element exceeds `tear_stress`; nothing tears.");
 /// With fewer nodes than this, a second thread does not pay off.
 const PARALLEL_NODES: usize = 128;
 
@@ -260,10 +266,10 @@ impl Elastic {
     /// Counts the step that ends at `time`, and collects its tear events.
     fn end_step(&mut self, time: f64) {
         self.step += 1;
-        let name = match (self.scene.model, self.scene.lattice.tear) {
-            (Model::Fem, _) => "would tear",
-            (_, TearMode::Split) => "split node",
-            _ => "cut cell",
+        let (name, _) = match (self.scene.model, self.scene.lattice.tear) {
+            (Model::Fem, _) => WOULD_TEAR,
+            (_, TearMode::Split) => SPLIT_NODE,
+            _ => CUT_CELL,
         };
         let step = self.step;
         let of = |body: &Body| {

@@ -2,15 +2,14 @@
 
 use glam::DVec3;
 
-use super::{
-    ANY, Body, Integer, Material, NON_NEGATIVE, SceneError, Table, Value, Vector, is_body_name, meshes::Meshes,
-    reader::Kind as _,
+use super::{Body, Material, SceneError, Table, Value, key, meshes::Meshes, reader::is_body_name};
+use crate::{
+    random::Random,
+    scene::{Motion, Path, keys::COUNT_FORM},
 };
-use crate::scene::{Motion, Path};
 
 /// Limit on the bodies of all grids of a scene together, and on the keys of their paths.
 const MAX_BODIES: u64 = 1_000_000;
-const COUNT: &str = "an array of 3 integers of at least 1 [nx, ny, nz]";
 
 /// Appends the bodies of these tables, and for each body its table.
 pub(super) fn read<'t, 's>(
@@ -23,7 +22,7 @@ pub(super) fn read<'t, 's>(
     let mut room = MAX_BODIES;
     for table in tables {
         let first = super::read_body(table, material, meshes)?;
-        let value = table.present("count", COUNT)?;
+        let value = table.present("count", COUNT_FORM)?;
         let counts = read_count(&value)?;
         let keys = match &first.motion {
             Motion::Prescribed(Path::Keyframes(spline)) => spline.key_count() as u64,
@@ -38,21 +37,21 @@ pub(super) fn read<'t, 's>(
                 bodies{with_keys}"
             ))
         })?;
-        let spacing = table.required("spacing", Vector(ANY))?;
-        let jitter = table.optional("jitter", NON_NEGATIVE)?.unwrap_or(0.0);
-        let seed = table.optional("seed", Integer { min: 0, max: u32::MAX })?.unwrap_or(0);
+        let spacing = table.vector(key!(GRIDS.spacing))?;
+        let jitter = table.number(key!(GRIDS.jitter))?;
+        let seed = table.integer(key!(GRIDS.seed))?;
         let name = |[x, y, z]: [u32; 3]| format!("{}-{x}-{y}-{z}", first.name);
         let last = name(counts.map(|count| count - 1));
         if !is_body_name(&last) {
             let message = format!("expected a name that leaves room for the indices, found one that makes \"{last}\"");
             return Err(table.error("name", message).with_help("names have at most 64 characters"));
         }
-        let mut random = Random(u64::from(seed));
+        let mut random = Random::new(u64::from(seed));
         for z in 0..counts[2] {
             for y in 0..counts[1] {
                 for x in 0..counts[0] {
                     let offset = DVec3::new(f64::from(x), f64::from(y), f64::from(z)) * spacing;
-                    let jittered = DVec3::from_array(std::array::from_fn(|_| random.next_signed()));
+                    let jittered = DVec3::from_array(std::array::from_fn(|_| random.signed()));
                     let motion = first.motion.moved_by(offset + jitter * jittered);
                     bodies.push(Body { name: name([x, y, z]), motion, ..first.clone() });
                     from.push(table);
@@ -64,25 +63,10 @@ pub(super) fn read<'t, 's>(
 }
 
 fn read_count(value: &Value<'_>) -> Result<[u32; 3], SceneError> {
-    let items = value.items().filter(|items| items.len() == 3).ok_or_else(|| value.unexpected(COUNT))?;
+    let items = value.items().filter(|items| items.len() == 3).ok_or_else(|| value.unexpected(COUNT_FORM))?;
     let mut counts = [0; 3];
     for (count, item) in counts.iter_mut().zip(items) {
-        *count = Integer { min: 1, max: MAX_BODIES as u32 }.read(&item)?;
+        *count = item.integer([1, MAX_BODIES as u32])?;
     }
     Ok(counts)
-}
-
-/// SplitMix64 (Steele, Lea, Flood: Fast Splittable Pseudorandom Number Generators, 2014).
-struct Random(u64);
-
-impl Random {
-    /// A number in [−1, 1).
-    fn next_signed(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^= z >> 31;
-        (z >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-    }
 }

@@ -2,18 +2,14 @@
 
 use std::{collections::BTreeMap, path::Path};
 
-use super::{LARGEST_FILE, SceneError, Table, Text, Value};
-use crate::geometry::{self, MeshFile, Shape};
+use super::{LARGEST_FILE, SceneError, Table, Value, key};
+use crate::{
+    geometry::{self, MeshFile, Shape},
+    scene::keys::is_file,
+};
 
 /// Marks the start of the meshes appended to the text of a scene.
 pub(super) const MARK: &str = "\n# The meshes of this scene, so that it needs no other files:\n";
-
-const FILE: Text = Text { form: "the name of a file, up to 4096 characters", accepts: is_file };
-const DATA: Text = Text { form: "a mesh as text", accepts: |_| true };
-
-fn is_file(name: &str) -> bool {
-    (1..=4096).contains(&name.len()) && !name.contains('\0')
-}
 
 /// The source of meshes that are not embedded in the text of a scene.
 #[derive(Clone, Copy)]
@@ -47,8 +43,8 @@ impl<'a> Meshes<'a> {
     /// Adds the meshes embedded in the text.
     pub(super) fn embedded(&mut self, tables: &[Table<'_>]) -> Result<(), SceneError> {
         for table in tables {
-            let file = table.required("file", FILE)?;
-            let data = table.required("data", DATA)?;
+            let file = table.text(key!(MESHES.file))?;
+            let data = table.text(key!(MESHES.data))?;
             let mesh = geometry::files::from_text(&data).map_err(|error| table.error("data", error.to_string()))?;
             if self.known.insert(file, mesh).is_some() {
                 return Err(table.error("file", "expected a file that no other [[mesh]] has".to_owned()));
@@ -59,7 +55,10 @@ impl<'a> Meshes<'a> {
 
     /// The shape in the file named by `value`; each file is read only once.
     pub(super) fn shape(&mut self, value: &Value<'_>) -> Result<Shape, SceneError> {
-        let name = value.text().filter(|name| is_file(name)).ok_or_else(|| value.unexpected(FILE.form))?;
+        let name = value
+            .text()
+            .filter(|name| is_file(name))
+            .ok_or_else(|| value.unexpected(key!(MESHES.file).kind.expected()))?;
         if let Some(mesh) = self.known.get(name) {
             return Ok(Shape::Mesh(mesh.clone()));
         }

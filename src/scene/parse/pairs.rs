@@ -5,14 +5,13 @@ use crate::{
     model::PairLaw,
     scene::{
         Body,
+        keys::SIDES_FORM,
         pairs::{Members, PairLaws},
     },
 };
 
 /// Limit on the number of tables; with groups, far fewer suffice.
 const MAX_TABLES: usize = 10_000;
-
-const BODIES: &str = "an array of two names of bodies or groups";
 
 /// The laws of pairs in these tables; missing keys are as in `common`.
 pub(super) fn read(
@@ -44,15 +43,15 @@ pub(super) fn read(
 }
 
 fn read_sides(table: &Table<'_>, bodies: &[Body], names: &Names) -> Result<[Members; 2], SceneError> {
-    let value = table.present("bodies", BODIES)?;
-    let sides = value.items().filter(|items| items.len() == 2).ok_or_else(|| value.unexpected(BODIES))?;
+    let value = table.present("bodies", SIDES_FORM)?;
+    let sides = value.items().filter(|items| items.len() == 2).ok_or_else(|| value.unexpected(SIDES_FORM))?;
     let sides = sides.map(|side| read_side(&side, bodies, names)).collect::<Result<Vec<_>, _>>()?;
     match sides[..] {
         [Members::Body(a), Members::Body(b)] if a == b => Err(value
             .error("expected two bodies, found one twice".to_owned())
             .with_help("name the body and another one")),
         [a, b] => Ok([a, b]),
-        _ => Err(value.unexpected(BODIES)),
+        _ => Err(value.unexpected(SIDES_FORM)),
     }
 }
 

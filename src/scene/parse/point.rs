@@ -1,20 +1,16 @@
 //! `[[point]]`: force points.
 
-use super::{
-    BODY_NAME, NON_NEGATIVE, Names, POSITIVE, SceneError,
-    pairs::read_side,
-    read_motion,
-    reader::{Choice, Table},
-};
+use super::{Names, SceneError, key, pairs::read_side, read_motion, reader::Table};
 use crate::{
     model::influence::Influence,
-    scene::{Body, Members, Point},
+    scene::{
+        Body, Members, Point,
+        keys::{ACTS, BODIES_FORM},
+    },
 };
 
 /// Limit on the number of tables.
 const MAX_POINTS: usize = 1000;
-
-const BODIES: &str = "an array of one or more names of bodies or groups";
 
 /// The force points in these tables.
 pub(super) fn read(
@@ -40,33 +36,34 @@ pub(super) fn read(
 }
 
 fn read_one(table: &Table<'_>, bodies: &[Body], names: &Names, influence: &Influence) -> Result<Point, SceneError> {
-    let name = table.required("name", BODY_NAME)?;
+    let name = table.text(key!(POINTS.name))?;
     let path = read_motion(table, |free| {
         let message = "expected a path: fixed, line, sine or keyframes; found free".to_owned();
         Err(free.error(message).with_help("nothing acts on a force point, so it cannot move by itself"))
     })?;
-    let radius = table.required("radius", POSITIVE)?;
-    let attracts = table.required("act", Choice([("attract", true), ("repel", false)]))?;
-    let [own, other, act] = if attracts { ["alpha", "beta", "attracts"] } else { ["beta", "alpha", "repels"] };
-    if let Some(value) = table.get(other) {
-        let message = format!("unexpected: this point {act}, and its strength is {own}");
-        return Err(value.error(message).with_help(format!("write {own}, or change act")));
+    let radius = table.number(key!(POINTS.radius))?;
+    let attracts = table.word(key!(POINTS.act), &ACTS)?;
+    let (alpha, beta) = (key!(STRENGTH.alpha), key!(STRENGTH.beta));
+    let (own, other, acts) = if attracts { (alpha, beta, "attracts") } else { (beta, alpha, "repels") };
+    if let Some(value) = table.get(other.name) {
+        let message = format!("unexpected: this point {acts}, and its strength is {}", own.name);
+        return Err(value.error(message).with_help(format!("write {}, or change act", own.name)));
     }
-    let strength = table.optional(own, NON_NEGATIVE)?;
+    let strength = table.given_number(own)?;
     Ok(Point {
         name,
         path,
         radius,
         strength: if attracts { strength.unwrap_or(influence.alpha) } else { -strength.unwrap_or(influence.beta) },
         bodies: read_bodies(table, bodies, names)?,
-        start: table.optional("start", NON_NEGATIVE)?.unwrap_or(0.0),
-        duration: table.optional("duration", NON_NEGATIVE)?.unwrap_or(f64::INFINITY),
+        start: table.number(key!(POINTS.start))?,
+        duration: table.given_number(key!(POINTS.duration))?.unwrap_or(f64::INFINITY),
     })
 }
 
 fn read_bodies(table: &Table<'_>, bodies: &[Body], names: &Names) -> Result<Option<Vec<u32>>, SceneError> {
     let Some(value) = table.get("bodies") else { return Ok(None) };
-    let items = value.items().filter(|items| items.len() > 0).ok_or_else(|| value.unexpected(BODIES))?;
+    let items = value.items().filter(|items| items.len() > 0).ok_or_else(|| value.unexpected(BODIES_FORM))?;
     let mut found = Vec::new();
     for item in items {
         match read_side(&item, bodies, names)? {

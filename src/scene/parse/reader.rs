@@ -9,7 +9,10 @@ use glam::DVec3;
 use toml::de::{DeTable, DeValue};
 
 use super::error::{Place, SceneError, clip, one_line};
-use crate::text::did_you_mean;
+use crate::{
+    scene::keys::{ANY, Fallback, Key, Kind, Range as Limits, Section, sections},
+    text::did_you_mean,
+};
 
 /// The text of a scene file and its name.
 pub(crate) struct Source<'a> {
@@ -49,33 +52,33 @@ impl<'a> Source<'a> {
         SceneError { file: self.file.to_owned(), place, key, message, help: None }
     }
 
-    fn error(&self, offset: usize, key: &Key<'_>, message: String) -> SceneError {
+    fn error(&self, offset: usize, path: &Path<'_>, message: String) -> SceneError {
         let place = Some(Place::of(self.text, offset));
-        SceneError { file: self.file.to_owned(), place, key: key.to_string(), message, help: None }
+        SceneError { file: self.file.to_owned(), place, key: path.to_string(), message, help: None }
     }
 }
 
 /// The dotted path of a value, as a linked list from the value outwards; formatted only for errors.
 #[derive(Clone, Copy)]
-enum Key<'a> {
+enum Path<'a> {
     File,
-    Field(&'a Key<'a>, &'a str),
-    Item(&'a Key<'a>, usize),
+    Field(&'a Path<'a>, &'a str),
+    Item(&'a Path<'a>, usize),
     /// A named item of an array of tables.
-    Named(&'a Key<'a>, &'a str),
+    Named(&'a Path<'a>, &'a str),
 }
 
-impl fmt::Display for Key<'_> {
+impl fmt::Display for Path<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Key::File => Ok(()),
-            Key::Field(parent, field) => {
-                write!(f, "{parent}{}", if matches!(parent, Key::File) { "" } else { "." })?;
+            Path::File => Ok(()),
+            Path::Field(parent, field) => {
+                write!(f, "{parent}{}", if matches!(parent, Path::File) { "" } else { "." })?;
                 let bare = !field.is_empty() && field.bytes().all(is_bare);
                 if bare { f.write_str(&clip(field)) } else { write!(f, "\"{}\"", clip(field)) }
             }
-            Key::Item(parent, index) => write!(f, "{parent}[{index}]"),
-            Key::Named(parent, name) => write!(f, "{parent}[\"{name}\"]"),
+            Path::Item(parent, index) => write!(f, "{parent}[{index}]"),
+            Path::Named(parent, name) => write!(f, "{parent}[\"{name}\"]"),
         }
     }
 }
@@ -90,20 +93,10 @@ pub(crate) fn is_body_name(name: &str) -> bool {
     (1..=64).contains(&name.len()) && name.bytes().all(is_bare)
 }
 
-/// The keys that a table accepts.
-pub(crate) struct Keys {
-    /// Where these keys belong, as the text after "belongs".
-    pub home: &'static str,
-    /// Description of the table, as the text after "expected".
-    pub form: &'static str,
-    /// Names of the keys, in the order in which they are listed to users.
-    pub names: &'static [&'static str],
-}
-
 /// A table whose keys are all known. A missing table reads like an empty one.
 pub(crate) struct Table<'a> {
     source: &'a Source<'a>,
-    key: Key<'a>,
+    path: Path<'a>,
     /// Position of its header, or of the whole table if it is inline.
     span: Range<usize>,
     entries: Option<&'a DeTable<'a>>,
@@ -114,27 +107,29 @@ impl<'a> Table<'a> {
     ///
     /// # Errors
     /// There is an unknown key.
-    pub fn root(source: &'a Source<'a>, document: &'a DeTable<'a>, known: &Keys) -> Result<Table<'a>, SceneError> {
-        Table { source, key: Key::File, span: 0..0, entries: Some(document) }.known(known)
+    pub fn root(source: &'a Source<'a>, document: &'a DeTable<'a>, known: &Section) -> Result<Table<'a>, SceneError> {
+        Table { source, path: Path::File, span: 0..0, entries: Some(document) }.known(known)
     }
 
     /// Unknown keys are reported before anything else: an unknown key is usually misspelled or misplaced, and its
     /// message is more helpful than the one that the intended key is missing.
-    fn known(self, known: &Keys) -> Result<Table<'a>, SceneError> {
+    fn known(self, known: &Section) -> Result<Table<'a>, SceneError> {
         let unknown = self.entries.iter().flat_map(|entries| entries.keys());
-        let unknown = unknown.filter(|key| !known.names.contains(&key.get_ref().as_ref()));
+        let accepts = |section: &Section, name: &str| section.all().any(|key| key.name == name);
+        let unknown = unknown.filter(|key| !accepts(known, key.get_ref().as_ref()));
         // the tree is sorted by name
         let Some(key) = unknown.min_by_key(|key| key.span().start) else { return Ok(self) };
         let name = key.get_ref().as_ref();
         let homes: Vec<&str> =
-            super::all_keys().filter(|keys| keys.names.contains(&name)).map(|keys| keys.home).collect();
+            sections().filter(|section| accepts(section, name)).map(|section| section.home).collect();
+        let names: Vec<&str> = known.all().map(|key| key.name).collect();
         let hint = if !homes.is_empty() {
             format!("; \"{name}\" belongs {}", homes.join(" or "))
         } else {
-            did_you_mean(name, known.names.iter().copied())
+            did_you_mean(name, names.iter().copied())
         };
-        let message = format!("unknown key{hint} (known keys: {})", known.names.join(", "));
-        Err(self.source.error(key.span().start, &Key::Field(&self.key, name), message))
+        let message = format!("unknown key{hint} (known keys: {})", names.join(", "));
+        Err(self.source.error(key.span().start, &Path::Field(&self.path, name), message))
     }
 
     /// The value of `name`, if present.
@@ -142,26 +137,111 @@ impl<'a> Table<'a> {
         let value = self.entries?.get(name)?;
         Some(Value {
             source: self.source,
-            key: Key::Field(&self.key, name),
+            path: Path::Field(&self.path, name),
             span: value.span(),
             value: value.get_ref(),
         })
     }
 
-    /// The value of `name` as a `kind`, if present.
+    /// The value of a key, if it is given.
     ///
     /// # Errors
-    /// The value is not a `kind`.
-    pub fn optional<K: Kind>(&self, name: &'static str, kind: K) -> Result<Option<K::Read>, SceneError> {
-        self.get(name).map(|value| kind.read(&value)).transpose()
+    /// `read` rejects it.
+    fn given<T>(
+        &self,
+        key: &Key,
+        read: impl FnOnce(&Value<'_>) -> Result<T, SceneError>,
+    ) -> Result<Option<T>, SceneError> {
+        self.get(key.name).map(|value| read(&value)).transpose()
     }
 
-    /// The value of `name` as a `kind`.
+    fn missing(&self, key: &Key) -> SceneError {
+        let message = format!("missing, expected {}", key.kind.expected());
+        self.source.error(self.span.start, &Path::Field(&self.path, key.name), message)
+    }
+
+    /// A number, or its default.
     ///
     /// # Errors
-    /// The value is missing, or is not a `kind`.
-    pub fn required<K: Kind>(&self, name: &'static str, kind: K) -> Result<K::Read, SceneError> {
-        kind.read(&self.present(name, &kind.expected())?)
+    /// It is not in the key's range, or a required one is missing.
+    pub fn number(&self, key: &Key) -> Result<f64, SceneError> {
+        match (self.given_number(key)?, key.default) {
+            (Some(number), _) | (None, Fallback::Number(number) | Fallback::Written(number, _)) => Ok(number),
+            _ => Err(self.missing(key)),
+        }
+    }
+
+    /// A number, if it is given.
+    ///
+    /// # Errors
+    /// It is not in the key's range.
+    pub fn given_number(&self, key: &Key) -> Result<Option<f64>, SceneError> {
+        self.given(key, |value| value.number(key.limits()))
+    }
+
+    /// An integer, or its default.
+    ///
+    /// # Errors
+    /// It is not in the key's range, or a required one is missing.
+    pub fn integer(&self, key: &Key) -> Result<u32, SceneError> {
+        let limits = if let Kind::Integer(limits) = key.kind { limits } else { [0, u32::MAX] };
+        match (self.given(key, |value| value.integer(limits))?, key.default) {
+            (Some(integer), _) => Ok(integer),
+            (None, Fallback::Number(number)) => Ok(number as u32),
+            _ => Err(self.missing(key)),
+        }
+    }
+
+    /// A vector, or its default.
+    ///
+    /// # Errors
+    /// It is not an array of three numbers in the key's range, or a required one is missing.
+    pub fn vector(&self, key: &Key) -> Result<DVec3, SceneError> {
+        match (self.given(key, |value| value.vector(key.limits()))?, key.default) {
+            (Some(vector), _) => Ok(vector),
+            (None, Fallback::Vector(component)) => Ok(DVec3::splat(component)),
+            _ => Err(self.missing(key)),
+        }
+    }
+
+    /// A text, if it is given.
+    ///
+    /// # Errors
+    /// It does not satisfy the key's condition.
+    pub fn given_text(&self, key: &Key) -> Result<Option<String>, SceneError> {
+        self.given(key, |value| {
+            let accepts = |text: &&str| if let Kind::Text(form) = key.kind { (form.accepts)(text) } else { true };
+            let text = value.text().filter(accepts);
+            text.map(str::to_owned).ok_or_else(|| value.unexpected(key.kind.expected()))
+        })
+    }
+
+    /// A text.
+    ///
+    /// # Errors
+    /// It is missing, or does not satisfy the key's condition.
+    pub fn text(&self, key: &Key) -> Result<String, SceneError> {
+        self.given_text(key)?.ok_or_else(|| self.missing(key))
+    }
+
+    /// What a word stands for, if it is given.
+    ///
+    /// # Errors
+    /// It is not one of the words.
+    pub fn given_word<T: Copy>(&self, key: &Key, words: &[(&'static str, T)]) -> Result<Option<T>, SceneError> {
+        self.given(key, |value| value.word(words))
+    }
+
+    /// What a word stands for, or the default one.
+    ///
+    /// # Errors
+    /// It is not one of the words, or a required one is missing.
+    pub fn word<T: Copy>(&self, key: &Key, words: &[(&'static str, T)]) -> Result<T, SceneError> {
+        let by_default = || {
+            let Fallback::Word(word) = key.default else { return None };
+            words.iter().find(|(known, _)| *known == word).map(|(_, value)| *value)
+        };
+        self.given_word(key, words)?.or_else(by_default).ok_or_else(|| self.missing(key))
     }
 
     /// The value of `name`.
@@ -171,14 +251,14 @@ impl<'a> Table<'a> {
     pub fn present(&self, name: &'static str, expected: &str) -> Result<Value<'_>, SceneError> {
         self.get(name).ok_or_else(|| {
             let message = format!("missing, expected {expected}");
-            self.source.error(self.span.start, &Key::Field(&self.key, name), message)
+            self.source.error(self.span.start, &Path::Field(&self.path, name), message)
         })
     }
 
     /// An error at the value of `name`, or at the table if that is missing.
     pub fn error(&self, name: &'static str, message: String) -> SceneError {
         let offset = self.get(name).map_or(self.span.start, |value| value.span.start);
-        self.source.error(offset, &Key::Field(&self.key, name), message)
+        self.source.error(offset, &Path::Field(&self.path, name), message)
     }
 
     /// Line of the table, from 1.
@@ -190,12 +270,12 @@ impl<'a> Table<'a> {
     ///
     /// # Errors
     /// The value is not a table, or has an unknown key.
-    pub fn table(&self, name: &'static str, known: &Keys) -> Result<Table<'_>, SceneError> {
+    pub fn table(&self, name: &'static str, known: &Section) -> Result<Table<'_>, SceneError> {
         match self.get(name) {
             Some(value) => value.into_table(known),
             None => Ok(Table {
                 source: self.source,
-                key: Key::Field(&self.key, name),
+                path: Path::Field(&self.path, name),
                 span: self.span.clone(),
                 entries: None,
             }),
@@ -207,7 +287,7 @@ impl<'a> Table<'a> {
 #[derive(Clone)]
 pub(crate) struct Value<'a> {
     source: &'a Source<'a>,
-    key: Key<'a>,
+    path: Path<'a>,
     span: Range<usize>,
     value: &'a DeValue<'a>,
 }
@@ -215,7 +295,7 @@ pub(crate) struct Value<'a> {
 impl<'a> Value<'a> {
     /// An error at this value's position.
     pub fn error(&self, message: String) -> SceneError {
-        self.source.error(self.span.start, &self.key, message)
+        self.source.error(self.span.start, &self.path, message)
     }
 
     /// The error that this value is not what was `expected`.
@@ -267,7 +347,7 @@ impl<'a> Value<'a> {
         let items = self.value.as_array()?;
         Some(items.iter().enumerate().map(|(index, item)| Value {
             source: self.source,
-            key: Key::Item(&self.key, index),
+            path: Path::Item(&self.path, index),
             span: item.span(),
             value: item.get_ref(),
         }))
@@ -277,24 +357,24 @@ impl<'a> Value<'a> {
     ///
     /// # Errors
     /// The value is not a table, or has an unknown key.
-    pub fn into_table(self, known: &Keys) -> Result<Table<'a>, SceneError> {
+    pub fn into_table(self, known: &Section) -> Result<Table<'a>, SceneError> {
         let entries = self.value.as_table().ok_or_else(|| self.unexpected(known.form))?;
-        Table { source: self.source, key: self.key, span: self.span, entries: Some(entries) }.known(known)
+        Table { source: self.source, path: self.path, span: self.span, entries: Some(entries) }.known(known)
     }
 
     /// This value as an array of tables, each identified by its name if that is valid, otherwise by its index.
     ///
     /// # Errors
     /// The value is not an array of tables, or one of them has an unknown key.
-    pub fn tables(&self, known: &Keys) -> Result<Vec<Table<'_>>, SceneError> {
+    pub fn tables(&self, known: &Section) -> Result<Vec<Table<'_>>, SceneError> {
         let items = self
             .items()
-            .ok_or_else(|| self.unexpected(format_args!("an array of tables, each written [[{}]]", self.key)))?;
+            .ok_or_else(|| self.unexpected(format_args!("an array of tables, each written [[{}]]", self.path)))?;
         items
             .map(|item| {
                 let name = item.value.get("name").and_then(|name| name.get_ref().as_str());
                 match name.filter(|name| is_body_name(name)) {
-                    Some(name) => Value { key: Key::Named(&self.key, name), ..item }.into_table(known),
+                    Some(name) => Value { path: Path::Named(&self.path, name), ..item }.into_table(known),
                     None => item.into_table(known),
                 }
             })
@@ -305,52 +385,21 @@ impl<'a> Value<'a> {
     ///
     /// # Errors
     /// The value is not such an array.
-    pub fn numbers<const N: usize>(&self, number: Number, expected: &str) -> Result<[f64; N], SceneError> {
+    pub fn numbers<const N: usize>(&self, limits: Limits, expected: &str) -> Result<[f64; N], SceneError> {
         let items = self.items().filter(|items| items.len() == N).ok_or_else(|| self.unexpected(expected))?;
         let mut numbers = [0.0; N];
         for (slot, item) in numbers.iter_mut().zip(items) {
-            *slot = number.read(&item)?;
+            *slot = item.number(limits)?;
         }
         Ok(numbers)
     }
-}
 
-/// A kind of value, with its constraints.
-pub(crate) trait Kind {
-    /// The type that it is read into.
-    type Read;
-
-    /// Description of the kind, as the text after "expected".
-    fn expected(&self) -> String;
-
+    /// This value as a finite number within a range. TOML integers are accepted.
+    ///
     /// # Errors
-    /// The value is not of this kind.
-    fn read(&self, value: &Value<'_>) -> Result<Self::Read, SceneError>;
-}
-
-/// A finite number within a closed range. TOML integers are accepted.
-#[derive(Clone, Copy)]
-pub(crate) struct Number {
-    pub min: f64,
-    pub max: f64,
-}
-
-impl Kind for Number {
-    type Read = f64;
-
-    fn expected(&self) -> String {
-        match self {
-            Number { max: f64::MAX, .. } => "a finite number".to_owned(),
-            // in scientific notation: 1e15, not 1000000000000000
-            Number { min, max } => {
-                let short = |x: f64| if x == 0.0 { "0".to_owned() } else { format!("{x:e}") };
-                format!("a number between {} and {}", short(*min), short(*max))
-            }
-        }
-    }
-
-    fn read(&self, value: &Value<'_>) -> Result<f64, SceneError> {
-        let number = match value.value {
+    /// The value is not such a number.
+    pub fn number(&self, limits: Limits) -> Result<f64, SceneError> {
+        let number = match self.value {
             DeValue::Float(float) => float.as_str().parse().ok(),
             // as a float, because a TOML integer may exceed any integer type
             DeValue::Integer(integer) if integer.radix() == 10 => integer.as_str().parse().ok(),
@@ -358,94 +407,83 @@ impl Kind for Number {
             _ => None,
         };
         match number {
-            Some(number) if (self.min..=self.max).contains(&number) => Ok(number + 0.0), // −0 is 0
-            _ => Err(unquoted(value, value.unexpected(self.expected()))),
+            Some(number) if (limits.min..=limits.max).contains(&number) => Ok(number + 0.0), // −0 is 0
+            _ => Err(self.unquoted(self.unexpected(Kind::Number(limits).expected()))),
         }
     }
-}
 
-/// An integer within a closed range.
-#[derive(Clone, Copy)]
-pub(crate) struct Integer {
-    pub min: u32,
-    pub max: u32,
-}
-
-impl Kind for Integer {
-    type Read = u32;
-
-    fn expected(&self) -> String {
-        format!("an integer from {} to {}", self.min, self.max)
-    }
-
-    fn read(&self, value: &Value<'_>) -> Result<u32, SceneError> {
-        let integer = value.value.as_integer();
+    /// This value as an integer within a closed range.
+    ///
+    /// # Errors
+    /// The value is not such an integer.
+    pub fn integer(&self, limits: [u32; 2]) -> Result<u32, SceneError> {
+        let integer = self.value.as_integer();
         let integer = integer.and_then(|integer| u32::from_str_radix(integer.as_str(), integer.radix()).ok());
         integer
-            .filter(|integer| (self.min..=self.max).contains(integer))
-            .ok_or_else(|| unquoted(value, value.unexpected(self.expected())))
-    }
-}
-
-/// A vector of three numbers.
-#[derive(Clone, Copy)]
-pub(crate) struct Vector(pub Number);
-
-impl Kind for Vector {
-    type Read = DVec3;
-
-    fn expected(&self) -> String {
-        "an array of 3 numbers [x, y, z]".to_owned()
+            .filter(|integer| (limits[0]..=limits[1]).contains(integer))
+            .ok_or_else(|| self.unquoted(self.unexpected(Kind::Integer(limits).expected())))
     }
 
-    fn read(&self, value: &Value<'_>) -> Result<DVec3, SceneError> {
-        value.numbers(self.0, &self.expected()).map(DVec3::from_array)
-    }
-}
-
-/// A string that satisfies a condition.
-pub(crate) struct Text {
-    pub form: &'static str,
-    pub accepts: fn(&str) -> bool,
-}
-
-impl Kind for Text {
-    type Read = String;
-
-    fn expected(&self) -> String {
-        self.form.to_owned()
+    /// This value as a vector.
+    ///
+    /// # Errors
+    /// The value is not an array of three numbers within the range.
+    pub fn vector(&self, limits: Limits) -> Result<DVec3, SceneError> {
+        self.numbers(limits, &Kind::Vector(limits).expected()).map(DVec3::from_array)
     }
 
-    fn read(&self, value: &Value<'_>) -> Result<String, SceneError> {
-        let text = value.text().filter(|text| (self.accepts)(text));
-        text.map(str::to_owned).ok_or_else(|| value.unexpected(self.form))
-    }
-}
-
-/// One of several keywords, each with the value that it stands for.
-pub(crate) struct Choice<T, const N: usize>(pub [(&'static str, T); N]);
-
-impl<T: Copy, const N: usize> Kind for Choice<T, N> {
-    type Read = T;
-
-    fn expected(&self) -> String {
-        let words = self.0.each_ref().map(|(word, _)| format!("\"{word}\""));
-        format!("one of {}", words.join(", "))
-    }
-
-    fn read(&self, value: &Value<'_>) -> Result<T, SceneError> {
-        let text = value.text();
-        if let Some((_, chosen)) = self.0.iter().find(|(word, _)| Some(*word) == text) {
+    /// What this value stands for among some words.
+    ///
+    /// # Errors
+    /// The value is not one of the words.
+    pub fn word<T: Copy>(&self, words: &[(&'static str, T)]) -> Result<T, SceneError> {
+        let text = self.text();
+        if let Some((_, chosen)) = words.iter().find(|(word, _)| Some(*word) == text) {
             return Ok(*chosen);
         }
-        let hint = text.map_or(String::new(), |text| did_you_mean(text, self.0.iter().map(|(word, _)| *word)));
-        Err(value.error(format!("expected {}, found {}{hint}", self.expected(), value.found())))
+        let names = || words.iter().map(|(word, _)| *word);
+        let hint = text.map_or(String::new(), |text| did_you_mean(text, names()));
+        Err(self.error(format!("expected {}, found {}{hint}", one_of(names()), self.found())))
+    }
+
+    fn unquoted(&self, error: SceneError) -> SceneError {
+        match self.text() {
+            Some(text) if text.trim().parse::<f64>().is_ok() => error.with_help("write the number without quotes"),
+            _ => error,
+        }
     }
 }
 
-fn unquoted(value: &Value<'_>, error: SceneError) -> SceneError {
-    match value.text() {
-        Some(text) if text.trim().parse::<f64>().is_ok() => error.with_help("write the number without quotes"),
-        _ => error,
+fn one_of<'w>(words: impl Iterator<Item = &'w str>) -> String {
+    let quoted: Vec<String> = words.map(|word| format!("\"{word}\"")).collect();
+    format!("one of {}", quoted.join(", "))
+}
+
+impl Key {
+    /// The range of its numbers.
+    fn limits(&self) -> Limits {
+        match self.kind {
+            Kind::Number(limits) | Kind::Vector(limits) => limits,
+            _ => ANY,
+        }
+    }
+}
+
+impl Kind {
+    /// What is expected, as the text after "expected".
+    pub fn expected(&self) -> String {
+        match self {
+            Kind::Number(Limits { max: f64::MAX, .. }) => "a finite number".to_owned(),
+            // in scientific notation: 1e15, not 1000000000000000
+            Kind::Number(Limits { min, max }) => {
+                let short = |x: f64| if x == 0.0 { "0".to_owned() } else { format!("{x:e}") };
+                format!("a number between {} and {}", short(*min), short(*max))
+            }
+            Kind::Integer([min, max]) => format!("an integer from {min} to {max}"),
+            Kind::Vector(_) | Kind::Direction => "an array of 3 numbers [x, y, z]".to_owned(),
+            Kind::Text(text) => text.form.to_owned(),
+            Kind::Word(words) => one_of(words().into_iter()),
+            Kind::Other(form) => (*form).to_owned(),
+        }
     }
 }
