@@ -25,11 +25,12 @@
 //! | module | contents | imports | feature |
 //! | --- | --- | --- | --- |
 //! | [`model`] | the equations, scalar and readable, each with its number | | |
-//! | [`geometry`] | rest shapes (positions, normals, triangles, masses) and the union of overlapping surfaces | | |
 //! | `text` | formatting of numbers and text for output | | |
 //! | [`hash`] | hashes of exact states | | |
+//! | `random` | random numbers, the same on every machine | | |
+//! | [`geometry`] | rest shapes (positions, normals, triangles, masses) and the union of overlapping surfaces | `random` | |
 //! | [`colors`] | a palette | | |
-//! | [`scene`] | scene files: parsing, validation, centre paths | `model`, `geometry`, `text` | |
+//! | [`scene`] | scene files: parsing, validation, centre paths | `model`, `geometry`, `random`, `text` | |
 //! | [`sim`] | the world and its step: forces, integrators, events, solver of free bodies | `model`, `geometry`, `text`, `hash`, `scene` | |
 //! | [`observe`] | the contract between a simulation and its observers: schema, frames, events | `model`, `geometry`, `colors` | |
 //! | [`analysis`] | what is computed from frames: surfaces, touches, closest approaches | `geometry`, `observe` | |
@@ -38,6 +39,7 @@
 //! | `atomic` | files that are either complete or not there | | `viewer` |
 //! | [`sdk`] | the parts of the Rerun SDK that are used | | `viewer` |
 //! | [`stream`] | frames as Rerun data: entities, blueprint, sinks | `geometry`, `text`, `hash`, `colors`, `observe`, `analysis`, `atomic`, `sdk` | `viewer` |
+//! | `svg` | diagrams: shapes, text, ticks | | `cli` |
 //! | [`table`] | tables as CSV, JSON and Parquet files | `atomic`, `sdk` | `cli` |
 //! | [`recording`] | reading recordings: replay, check, diff | all above | `viewer` |
 //! | [`sweep`] | grids of runs over a scene's parameters, refinement, thresholds, maps | all above | `cli` |
@@ -113,6 +115,8 @@ pub mod hash;
 pub mod model;
 pub mod models;
 pub mod observe;
+#[doc(hidden)]
+pub mod random;
 #[cfg(feature = "viewer")]
 pub mod recording;
 pub mod scene;
@@ -121,6 +125,8 @@ pub mod sdk;
 pub mod sim;
 #[cfg(feature = "viewer")]
 pub mod stream;
+#[cfg(feature = "cli")]
+mod svg;
 #[cfg(feature = "cli")]
 pub mod sweep;
 #[cfg(feature = "cli")]

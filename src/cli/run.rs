@@ -28,6 +28,7 @@ use crate::{
         Pipeline, Recorder,
         blueprint::Tab,
         chunks::Audience,
+        contract,
         pipeline::{PipelineEnd, send},
         recorder::MOST_APPROACHES,
         settings::{self, Around, Detail, Entities, Frames, Settings, Trigger, application, file_stem},
@@ -132,9 +133,14 @@ pub struct Arguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "Flight recorder")]
     keep: Option<u64>,
     /// Write the frames held by --keep whenever one of these events occurs, instead of at the end.
-    #[arg(long, requires = "keep", value_delimiter = ',', value_name = "merge,split,core,diverge",
-          value_parser = one_of(&Trigger::ALL, Trigger::name), help_heading = "Flight recorder")]
-    on: Vec<Trigger>,
+    #[arg(
+        long,
+        requires = "keep",
+        value_delimiter = ',',
+        value_name = "merge,split,core,diverge",
+        help_heading = "Flight recorder"
+    )]
+    on: Vec<String>,
     /// After such an event, also write the N frames that follow.
     #[arg(long, requires = "on", value_name = "N", default_value_t = 0, help_heading = "Flight recorder")]
     after: u64,
@@ -472,7 +478,7 @@ fn simulate(
     let failed =
         failed.filter(|failure| !matches!(failure, StepFailure::Interrupted(_))).map(|failure| failure.to_string());
     if let Some(failed) = &failed {
-        end.recorder.log_property("failure", failed);
+        end.recorder.log_property(contract::FAILURE, failed);
     }
     let unsent = end.finish(&*simulation);
     let PipelineEnd { recorder, mut sinks, mut notes, failure: recording } = end;
@@ -739,7 +745,9 @@ fn settings(arguments: &Arguments, schema: &Schema) -> Result<Settings, Failure>
     };
     let only = arguments.pair.iter().map(|text| settings::pair(text, schema)).collect::<Result<_, _>>();
     let around = arguments.around.as_ref().map(|text| Around::parse(text, schema)).transpose();
+    let on = arguments.on.iter().map(|word| Trigger::parse(word, schema)).collect::<Result<_, _>>();
     let (only, around) = (only.map_err(named("--pair"))?, around.map_err(named("--around"))?);
+    let on = on.map_err(named("--on"))?;
     let own = Settings::for_bodies(schema.bodies.len(), schema.steps);
     Ok(Settings {
         steps: match arguments.steps {
@@ -757,7 +765,7 @@ fn settings(arguments: &Arguments, schema: &Schema) -> Result<Settings, Failure>
         entities: arguments.entities.unwrap_or(own.entities),
         frames: match (arguments.thin, arguments.keep) {
             (true, _) => Frames::Thin,
-            (false, Some(most)) => Frames::Last { most, on: arguments.on.clone(), after: arguments.after },
+            (false, Some(most)) => Frames::Last { most, on, after: arguments.after },
             (false, None) => own.frames,
         },
         pairs: arguments.pairs.map_or(own.pairs, |pairs| pairs as usize),

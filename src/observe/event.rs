@@ -53,6 +53,13 @@ pub struct BodyEvent {
     pub place: DVec3,
 }
 
+impl PairEvent {
+    /// Whether the event is of the kind of a [word](Schema::event_words).
+    pub fn is(&self, word: &str) -> bool {
+        self.name.split(' ').next() == Some(word)
+    }
+}
+
 impl BodyEvent {
     /// Describes the event in words.
     pub fn describe(&self, schema: &Schema) -> String {

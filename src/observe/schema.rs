@@ -47,6 +47,8 @@ pub struct Schema {
     pub arrow_scale: f64,
     /// Phases of a pair, from the weakest interaction to the strongest.
     pub phases: Vec<PhaseSchema>,
+    /// Kinds of events of pairs.
+    pub events: Vec<EventSchema>,
     /// Levels of q at which a pair changes phase. At the first level, it leaves its first phase.
     pub thresholds: Vec<Threshold>,
     /// Levels for pairs with their own thresholds.
@@ -123,6 +125,15 @@ pub struct PhaseSchema {
     pub color: Rgb,
     /// Whether two bodies in this phase count as one: bodies connected by such pairs form a group, with one surface.
     pub is_joined: bool,
+}
+
+/// A kind of event of a pair.
+#[derive(Clone, Copy, Debug)]
+pub struct EventSchema {
+    /// The name of its events: one word, or several that begin with that of a related kind.
+    pub name: &'static str,
+    /// When it happens, as a sentence.
+    pub about: &'static str,
 }
 
 /// A level of q at which a pair changes phase.
@@ -231,6 +242,7 @@ impl Default for Schema {
             labels: Vec::new(),
             arrow_scale: 0.01,
             phases: Vec::new(),
+            events: Vec::new(),
             thresholds: Vec::new(),
             own_levels: OwnLevels::default(),
             surfaces: OwnSurfaces::default(),
@@ -254,6 +266,12 @@ impl From<(&'static str, Rgb)> for PhaseSchema {
     /// A phase in which the bodies remain separate.
     fn from((name, color): (&'static str, Rgb)) -> PhaseSchema {
         PhaseSchema { name, color, is_joined: false }
+    }
+}
+
+impl From<(&'static str, &'static str)> for EventSchema {
+    fn from((name, about): (&'static str, &'static str)) -> EventSchema {
+        EventSchema { name, about }
     }
 }
 
@@ -304,6 +322,13 @@ impl Schema {
         let energy = event.energy.filter(|&energy| energy != 0.0);
         let energy = energy.map_or_else(String::new, |energy| format!(", energy {energy:+.4}"));
         format!("{} {pair} at t = {:.9} s, q = {:.6}, step {}{energy}", event.name, event.time, event.q, event.step)
+    }
+
+    /// The words that select events of pairs: the first word of each kind.
+    pub fn event_words(&self) -> Vec<&'static str> {
+        let mut words: Vec<_> = self.events.iter().filter_map(|event| event.name.split(' ').next()).collect();
+        words.dedup();
+        words
     }
 
     /// The distinct shapes, by name.

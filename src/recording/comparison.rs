@@ -20,6 +20,7 @@ use crate::{
     stream::{
         blueprint,
         chunks::Chunks,
+        contract::{ABOUT, COMPARED_ERROR, COMPARED_SURFACE, DIFFERENCE, EVENTS, RECORDING_INFO, WORLD},
         instant::Instant,
         light::Light,
         normals,
@@ -88,9 +89,9 @@ impl Comparison {
         let wanted = 0.3 * radius / plan.largest;
         let magnification = if wanted.is_finite() { wanted.max(1.0) } else { 1.0 };
 
-        chunks.log_static("/world", &ViewCoordinates::RIGHT_HAND_Z_UP());
+        chunks.log_static(WORLD.path, &ViewCoordinates::RIGHT_HAND_Z_UP());
         let name = format!("{}: {} and {}", schema.name, plan.labels[0], plan.labels[1]);
-        chunks.log_static("/__properties", &sdk::RecordingInfo::new().with_name(name));
+        chunks.log_static(RECORDING_INFO.path, &sdk::RecordingInfo::new().with_name(name));
         let about = format!(
             "**{}**: blue is {}, orange is {}. Red arrows lead from the one to the other, {} times as long as the vertices \
              are apart. {}  \nThe plot has the largest distance of each body, in radii; grey: the tolerance, {:e}.",
@@ -105,22 +106,22 @@ impl Comparison {
             },
             plan.tolerance,
         );
-        chunks.log_static("/about", &TextDocument::new(about).with_media_type(MediaType::MARKDOWN));
+        chunks.log_static(ABOUT.path, &TextDocument::new(about).with_media_type(MediaType::MARKDOWN));
         for (_, name, mesh) in &shown {
             for (side, rgb) in ["a", "b"].into_iter().zip(COLORS) {
                 let mesh = Mesh3D::update_fields()
                     .with_triangle_indices(mesh.triangles().iter().copied())
                     .with_albedo_factor(sdk::Rgba32::from_unmultiplied_rgba(rgb[0], rgb[1], rgb[2], 120));
-                chunks.log_static(&format!("/world/{side}/{name}"), &mesh);
+                chunks.log_static(&COMPARED_SURFACE.of(&[side, name]), &mesh);
             }
         }
         let style = Arrows3D::update_fields().with_colors([color(ERROR)]).with_radii([sdk::Radius::new_ui_points(1.2)]);
-        chunks.log_static("/world/error", &style);
+        chunks.log_static(COMPARED_ERROR.path, &style);
         for (number, (_, name, _)) in shown.iter().enumerate() {
             let rgb = palette::distance(number); // blue and orange are the two runs
-            Series::style(&mut chunks, &format!("/difference/{name}"), name, rgb, 1.5, Interpolation::Linear);
+            Series::style(&mut chunks, &DIFFERENCE.of(&[name]), name, rgb, 1.5, Interpolation::Linear);
         }
-        Series::style(&mut chunks, "/difference/tolerance", "tolerance", LIMIT, 1.0, Interpolation::Linear);
+        Series::style(&mut chunks, &DIFFERENCE.of(&["tolerance"]), "tolerance", LIMIT, 1.0, Interpolation::Linear);
         let mut comparison = Comparison { chunks, sinks, shown, magnification, frames: 0, changes: 0 };
         comparison.send()?;
         Ok(comparison)
@@ -148,7 +149,7 @@ impl Comparison {
                 let mesh = Mesh3D::update_fields()
                     .with_vertex_positions(positions.iter().map(|p| p.as_vec3()))
                     .with_vertex_colors(normals.iter().map(|&normal| light.white(normal)));
-                self.chunks.log(&format!("/world/{side}/{name}"), at, &mesh);
+                self.chunks.log(&COMPARED_SURFACE.of(&[side, name]), at, &mesh);
             }
             if let [Some(a), Some(b)] = &both {
                 let mut largest = 0.0;
@@ -158,11 +159,15 @@ impl Comparison {
                     vectors.push(((b - a) * self.magnification).as_vec3());
                 }
                 let radii = largest / schema.bodies.get(*index).map_or(1.0, |body| body.radius);
-                self.chunks.log(&format!("/difference/{name}"), at, &Scalars::single(radii));
+                self.chunks.log(&DIFFERENCE.of(&[name]), at, &Scalars::single(radii));
             }
         }
-        self.chunks.log("/world/error", at, &Arrows3D::update_fields().with_origins(origins).with_vectors(vectors));
-        self.chunks.log("/difference/tolerance", at, &Scalars::single(tolerance));
+        self.chunks.log(
+            COMPARED_ERROR.path,
+            at,
+            &Arrows3D::update_fields().with_origins(origins).with_vectors(vectors),
+        );
+        self.chunks.log(&DIFFERENCE.of(&["tolerance"]), at, &Scalars::single(tolerance));
         self.frames += 1;
         if self.frames.is_multiple_of(64) { self.send() } else { Ok(()) }
     }
@@ -176,7 +181,7 @@ impl Comparison {
             Change::Appeared(_) => COLORS[1],
             Change::Moved(..) | Change::Reordered(_) => LIMIT,
         };
-        self.chunks.log("/events", at, &TextLog::new(change.to_string()).with_color(color(rgb)));
+        self.chunks.log(EVENTS.path, at, &TextLog::new(change.to_string()).with_color(color(rgb)));
         self.changes += 1;
     }
 
@@ -187,7 +192,7 @@ impl Comparison {
                 0 => "the same: neither run has events".to_owned(),
                 n => format!("the same: {} in both runs", crate::text::counted(n as u64, "event")),
             };
-            self.chunks.log("/events", Instant::default(), &TextLog::new(line));
+            self.chunks.log(EVENTS.path, Instant::default(), &TextLog::new(line));
         }
     }
 

@@ -60,8 +60,8 @@ impl RecordedEvent {
         RecordedEvent {
             name: event.name.to_owned(),
             pair: schema.pair_name(event.a, event.b),
-            phases: Some([event.from, event.to].map(|phase| schema.phases[phase].name.to_owned())),
-            q: Some(event.q),
+            phases: [event.from, event.to].map(|phase| schema.phases[phase].name.to_owned()),
+            q: event.q,
             time: event.time,
             step: event.step,
         }

@@ -7,12 +7,10 @@
 use std::fmt;
 use std::path::Path;
 
-use super::{
-    read::Reader,
-    recorded::{PROPERTIES, cell},
-};
+use super::{read::Reader, recorded::cell};
 use crate::sdk::datatypes::Utf8;
 use crate::stream::{
+    contract::{BLESSED, Component, PROPERTIES, SETTINGS},
     settings::{Frames, Settings, application},
     sinks::SinkError,
 };
@@ -85,9 +83,9 @@ impl Existing {
         let mut reader = Reader::open(path).ok()?;
         reader.stop_after(HEAD);
         let mut kind = None;
-        while let Ok(Some(chunk)) = reader.next(|entity| entity == PROPERTIES) {
-            let text = |name| cell::<Utf8>(&chunk, name, 0).into_iter().next();
-            if let Some(settings) = text("settings") {
+        while let Ok(Some(chunk)) = reader.next(|entity| PROPERTIES.is(entity)) {
+            let text = |property: Component| cell::<Utf8>(&chunk, &property.descriptor(), 0).into_iter().next();
+            if let Some(settings) = text(SETTINGS) {
                 let frames = settings.as_str().lines().find_map(|line| line.strip_prefix("frames = "));
                 kind = Some(match frames {
                     None => Kind::Run,
@@ -95,7 +93,7 @@ impl Existing {
                     Some(_) => Kind::Last,
                 });
             }
-            if text("blessed").is_some() {
+            if text(BLESSED).is_some() {
                 kind = Some(Kind::Golden);
             }
             if matches!(kind, Some(Kind::Golden | Kind::Last | Kind::Run)) {

@@ -11,26 +11,24 @@ use glam::{DQuat, DVec3, Quat, Vec3};
 use super::{
     ReadError, Recorded,
     read::Reader,
-    recorded::{cell, step_of},
+    recorded::{cell, raw, step_of},
 };
 use crate::{
     analysis::Worst,
     geometry::{Mesh, Vectors},
     observe::{Frame, Instant, Schema},
     sdk::{
-        Chunk,
+        Chunk, ComponentDescriptor, Ellipsoids3D, InstancePoses3D, Mesh3D, Scalars, Transform3D,
         datatypes::{Float64, Quaternion, UVec3D, Utf8, Vec3D},
     },
     stream::{
-        instant::STAGE,
-        recorder::{DEFORMED, resting_entity},
+        contract::{BODY, BODY_SURFACE, DEFORMING, INFLUENCE, RESTING, STAGE, TIMING, VERTEX_BODY, path_of},
+        recorder::DEFORMED,
     },
 };
 
-/// Entity logged with every frame but the first: a frame is complete once it has a row for its timings.
-const MARKER: &str = "/timings/observe";
-/// Entity with the centres of all bodies.
-const CENTRES: &str = "/world/influence";
+/// The stage that has a timing in every frame but the first: a frame is complete once it has a row for it.
+const MARKER: &str = "observe";
 
 /// The surface of a body in a recorded frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -210,7 +208,7 @@ impl FrameReader {
     pub fn open(recorded: &Recorded) -> Result<FrameReader, ReadError> {
         let schema = recorded.schema.clone();
         let names = schema.bodies.iter().enumerate().map(|(index, body)| (body.name.clone(), index)).collect();
-        let shapes = schema.bodies.iter().map(|body| (resting_entity(&body.shape), Arc::clone(&body.mesh)));
+        let shapes = schema.bodies.iter().map(|body| (RESTING.of(&[&body.shape]), Arc::clone(&body.mesh)));
         Ok(FrameReader {
             reader: Reader::open(&recorded.path)?,
             path: recorded.path.clone(),
@@ -281,11 +279,9 @@ impl FrameReader {
         self.pending = kept;
         self.entities.clear();
 
-        let is_of_frames = |entity: &str| {
-            let others = ["/world/forces/", "/world/merged"];
-            entity.starts_with("/world/") && !others.iter().any(|other| entity.starts_with(other))
-        };
-        let is_wanted = |entity: &str| entity == MARKER || is_of_frames(entity);
+        let marker = TIMING.of(&[MARKER]);
+        let states = [&BODY, &BODY_SURFACE, &INFLUENCE, &DEFORMING, &RESTING];
+        let is_wanted = |entity: &str| entity == marker || states.iter().any(|state| state.is(entity));
         loop {
             let chunk = match self.next_chunk.take() {
                 Some(chunk) => chunk,
@@ -301,16 +297,16 @@ impl FrameReader {
                     }
                 },
             };
-            let entity = chunk.entity_path().to_string();
+            let entity = path_of(&chunk);
             if !self.entities.insert(entity.clone()) {
                 self.next_chunk = Some(chunk);
                 break;
             }
             for row in 0..chunk.num_rows() {
                 let step = step_of(&chunk, row).map_err(damaged)?;
-                if entity == MARKER {
+                if entity == marker {
                     // an empty row is a gap in the line, not a frame
-                    if !cell::<Float64>(&chunk, "Scalars:scalars", row).is_empty() {
+                    if !cell::<Float64>(&chunk, &Scalars::descriptor_scalars(), row).is_empty() {
                         self.marked.push(step);
                     }
                 } else {
@@ -347,35 +343,35 @@ impl FrameReader {
 
     fn apply_row(&mut self, chunk: usize, row: usize, is_naming_pass: bool) -> Result<(), String> {
         let Some(chunk) = self.pending.get(chunk) else { return Ok(()) };
-        let entity = chunk.entity_path().to_string();
-        let vectors = |component| -> Vec<Vec3> {
+        let entity = path_of(chunk);
+        let vectors = |component: &ComponentDescriptor| -> Vec<Vec3> {
             cell::<Vec3D>(chunk, component, row).into_iter().map(|v| Vec3::from(v.0)).collect()
         };
-        let quaternions = |component| -> Vec<Quat> {
+        let quaternions = |component: &ComponentDescriptor| -> Vec<Quat> {
             cell::<Quaternion>(chunk, component, row).into_iter().map(|q| Quat::from_array(q.0)).collect()
         };
         let bodies = || -> Result<Vec<usize>, String> {
-            let names = cell::<Utf8>(chunk, "body", row);
+            let names = cell::<Utf8>(chunk, &VERTEX_BODY.descriptor(), row);
             let index = |name: &Utf8| self.names.get(name.as_str()).copied();
             names
                 .iter()
                 .map(|name| index(name).ok_or_else(|| format!("{entity} has an unknown body {:?}", name.as_str())))
                 .collect()
         };
-        if let Some(rest) = entity.strip_prefix("/world/bodies/") {
-            if is_naming_pass {
-                return Ok(());
+        let index_of = |names: &[&str]| {
+            let index = names.first().and_then(|&name| self.names.get(name).copied());
+            index.ok_or_else(|| format!("{entity} is not a body of its scene"))
+        };
+        if let Some(names) = BODY.names(&entity) {
+            if !is_naming_pass && let Some(&rotation) = quaternions(&Transform3D::descriptor_quaternion()).first() {
+                self.rotations[index_of(&names)?] = rotation;
             }
-            let name = rest.strip_suffix("/surface").unwrap_or(rest);
-            let index = *self.names.get(name).ok_or_else(|| format!("{entity} is not a body of its scene"))?;
-            if name == rest {
-                if let Some(&rotation) = quaternions("Transform3D:quaternion").first() {
-                    self.rotations[index] = rotation;
-                }
-            } else {
-                let positions = vectors("Mesh3D:vertex_positions");
-                let triangles: Vec<[u32; 3]> =
-                    cell::<UVec3D>(chunk, "Mesh3D:triangle_indices", row).into_iter().map(|t| t.0).collect();
+        } else if let Some(names) = BODY_SURFACE.names(&entity) {
+            if !is_naming_pass {
+                let index = index_of(&names)?;
+                let positions = vectors(&Mesh3D::descriptor_vertex_positions());
+                let triangles = cell::<UVec3D>(chunk, &Mesh3D::descriptor_triangle_indices(), row);
+                let triangles: Vec<[u32; 3]> = triangles.into_iter().map(|triangle| triangle.0).collect();
                 if !triangles.is_empty() {
                     self.triangles[index] = Some(triangles.into());
                 }
@@ -387,20 +383,21 @@ impl FrameReader {
                     surface.triangles.clone_from(&self.triangles[index]);
                 }
             }
-        } else if entity == CENTRES {
+        } else if INFLUENCE.is(&entity) {
             if !is_naming_pass {
-                self.centres.iter_mut().zip(vectors("Ellipsoids3D:centers")).for_each(|(centre, now)| *centre = now);
+                let centres = vectors(&Ellipsoids3D::descriptor_centers());
+                self.centres.iter_mut().zip(centres).for_each(|(centre, now)| *centre = now);
             }
-        } else if entity == "/world/deforming/surface" {
+        } else if DEFORMING.is(&entity) {
             if is_naming_pass {
-                if super::recorded::raw(chunk, "body", row).is_some() {
+                if raw(chunk, &VERTEX_BODY.descriptor(), row).is_some() {
                     let vertices = bodies()?;
                     let runs = vertices.chunk_by(|a, b| a == b);
                     let deforming = runs.filter_map(|run| run.first().map(|&body| (body, run.len()))).collect();
                     self.deforming = deforming;
                 }
             } else {
-                let positions = vectors("Mesh3D:vertex_positions");
+                let positions = vectors(&Mesh3D::descriptor_vertex_positions());
                 let mut rest = positions.as_slice();
                 for (body, count) in self.deforming.clone() {
                     let Some((own, others)) = rest.split_at_checked(count) else { break };
@@ -412,10 +409,10 @@ impl FrameReader {
         } else if let Some(mesh) = self.shapes.get(&entity) {
             // the influence spheres give the positions; only the identity and rotation of the bodies matter here
             if !is_naming_pass {
-                let rotations = quaternions("InstancePoses3D:quaternions");
+                let rotations = quaternions(&InstancePoses3D::descriptor_quaternions());
                 let bodies = self.resting.get(&entity).map(Vec::as_slice).unwrap_or_default();
                 bodies.iter().zip(rotations).for_each(|(&body, rotation)| self.rotations[body] = rotation);
-            } else if super::recorded::raw(chunk, "body", row).is_some() {
+            } else if raw(chunk, &VERTEX_BODY.descriptor(), row).is_some() {
                 let resting = bodies()?;
                 let surface = |body: usize| {
                     let rest = mesh.at(self.schema.bodies[body].radius);

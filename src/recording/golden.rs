@@ -1,8 +1,8 @@
 //! Golden recordings: the expected results of a scene, and comparison with them.
 //!
 //! A golden recording is thin: the scene and a checksum of every step. To locate a difference, it also has the events,
-//! a two-byte hash for every displaced vertex at every step ([`VERTICES`]), which shows at which vertices two states
-//! diverge, and at regular intervals the full displacements ([`STATES`]) and geometric quantities ([`SURFACES`]).
+//! a two-byte hash for every displaced vertex at every step ([`GOLDEN_VERTICES`]), which shows at which vertices two states
+//! diverge, and at regular intervals the full displacements ([`GOLDEN_STATES`]) and geometric quantities ([`GOLDEN_SURFACES`]).
 
 use std::{
     collections::BTreeMap,
@@ -18,7 +18,7 @@ use super::{
     events::{self, Change},
     quantities::{self, Deviation, Deviations, Values},
     read::Reader,
-    recorded::{RecordedEvent, cell, raw, start, step_of},
+    recorded::{RecordedEvent, cell, numbers, start, step_of},
     replay,
 };
 use crate::{
@@ -29,28 +29,22 @@ use crate::{
     sdk::{
         self, AnyValues,
         arrow::{
-            array::{ArrayRef, AsArray as _, Float64Array, UInt16Array, UInt32Array},
+            array::{ArrayRef, Float64Array, UInt16Array, UInt32Array},
             datatypes::{Float64Type, UInt16Type, UInt32Type},
         },
         components::Text,
     },
     stream::{
         Recorder,
+        contract::{
+            BLESSED, BODIES, COUNTS, Component, DISPLACEMENTS, FRAMES, GOLDEN_STATES, GOLDEN_SURFACES, GOLDEN_VERTICES,
+            HASHES, PROPERTIES, QUANTITIES, VALUES, path_of,
+        },
         settings::{Frames, Settings},
         sinks::{Complete, Destinations, SinkError, Sinks},
     },
 };
 
-/// Entity with a two-byte hash for every vertex of every body that is free or not at rest, at every step: components
-/// `bodies` and `hashes`.
-pub const VERTICES: &str = "/golden/vertices";
-/// Entity with the displacements of every body that is free or not at rest, every [`STATE_EVERY`] steps: components
-/// `bodies` and `displacements`, the latter x, y and z of each vertex [scene unit], and, if there are free bodies,
-/// `frames`, the centre and the rotation (x, y, z, w) of each of these.
-pub const STATES: &str = "/golden/states";
-/// Entity with geometric quantities of surfaces, at the same steps as [`STATES`]: components `names`, the entities that
-/// plot them, and `values`.
-pub const SURFACES: &str = "/golden/surfaces";
 /// Upper limit on the pairs whose surfaces are measured.
 const MAX_PAIRS: usize = 64;
 /// Differences of quantities below this count as rounding [tolerances].
@@ -98,8 +92,8 @@ pub fn prepare(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<(Ble
     let (schema, mut frame, mut summary) = (simulation.schema(), Frame::default(), StepSummary::default());
     let mut sinks = Sinks::open(&Destinations { save: Some(path.to_owned()), ..Destinations::default() })?;
     let mut recorder = Recorder::new(&*simulation, settings);
-    recorder.log_property("blessed", reason);
-    recorder.log_property("counts", &counts(&schema));
+    recorder.log_property(BLESSED, reason);
+    recorder.log_property(COUNTS, &counts(&schema));
     let mut merger = Merger::new(&schema, None);
     let mut checksums = vec![simulation.checksum()];
     for step in 1..=schema.steps {
@@ -112,16 +106,16 @@ pub fn prepare(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<(Ble
         checksums.push(simulation.checksum());
         simulation.observe(Want::default(), &mut frame);
         let awake: Vec<usize> = (0..frame.bodies.len()).filter(|&index| is_kept(&schema, &frame, index)).collect();
-        let bodies = |field: ArrayRef, name: &'static str| {
+        let bodies = |field: ArrayRef, component: Component| {
             let bodies: UInt32Array = awake.iter().map(|&index| index as u32).collect::<Vec<_>>().into();
             AnyValues::default()
-                .with_component_from_data("bodies", Arc::new(bodies))
-                .with_component_from_data(name, field)
+                .with_component_from_data(BODIES.0, Arc::new(bodies))
+                .with_component_from_data(component.0, field)
         };
         if !awake.is_empty() {
             let hashes = |&i: &usize| vertex_hashes(&schema.bodies[i], &frame.bodies[i]);
             let hashes: Vec<u16> = awake.iter().flat_map(hashes).collect();
-            recorder.log(VERTICES, &*simulation, &bodies(Arc::new(UInt16Array::from(hashes)), "hashes"));
+            recorder.log(GOLDEN_VERTICES.path, &*simulation, &bodies(Arc::new(UInt16Array::from(hashes)), HASHES));
         }
         if !awake.is_empty() && (step % STATE_EVERY == 0 || step == schema.steps) {
             let displacements = |&i: &usize| {
@@ -129,21 +123,21 @@ pub fn prepare(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<(Ble
                 (0..schema.bodies[i].vertex_count()).flat_map(|vertex| now.displacement(vertex).to_array())
             };
             let displacements: Vec<f64> = awake.iter().flat_map(displacements).collect();
-            let mut state = bodies(Arc::new(Float64Array::from(displacements)), "displacements");
+            let mut state = bodies(Arc::new(Float64Array::from(displacements)), DISPLACEMENTS);
             let free = awake.iter().filter(|&&index| schema.bodies[index].is_free);
             let frames: Vec<f64> = free.flat_map(|&i| BodyPose::of(&frame.bodies[i]).to_array()).collect();
             if !frames.is_empty() {
-                state = state.with_component_from_data("frames", Arc::new(Float64Array::from(frames)));
+                state = state.with_component_from_data(FRAMES.0, Arc::new(Float64Array::from(frames)));
             }
-            recorder.log(STATES, &*simulation, &state);
+            recorder.log(GOLDEN_STATES.path, &*simulation, &state);
         }
         if step % STATE_EVERY == 0 || step == schema.steps {
             let (names, values): (Vec<String>, Vec<f64>) = surfaces(&mut merger, &schema, &frame).into_iter().unzip();
             if !names.is_empty() {
                 let quantities = AnyValues::default()
-                    .with_component::<Text>("names", names)
-                    .with_component_from_data("values", Arc::new(Float64Array::from(values)));
-                recorder.log(SURFACES, &*simulation, &quantities);
+                    .with_component::<Text>(QUANTITIES.0, names)
+                    .with_component_from_data(VALUES.0, Arc::new(Float64Array::from(values)));
+                recorder.log(GOLDEN_SURFACES.path, &*simulation, &quantities);
             }
         }
         if step % 256 == 0 {
@@ -361,18 +355,14 @@ pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -
 fn read_surfaces(path: &Path) -> Result<BTreeMap<u64, Values>, ReadError> {
     let mut surfaces: BTreeMap<u64, Values> = BTreeMap::new();
     let mut reader = Reader::open(path)?;
-    while let Some(chunk) = reader.next(|entity| entity == SURFACES)? {
+    while let Some(chunk) = reader.next(|entity| GOLDEN_SURFACES.is(entity))? {
         for row in 0..chunk.num_rows() {
             let damaged = |what: String| ReadError::Damaged { path: path.to_owned(), at: None, what };
             let step = u64::try_from(step_of(&chunk, row).map_err(damaged)?).unwrap_or(0);
-            let values = raw(&chunk, "values", row);
-            let values = values.as_ref().and_then(|values| values.as_primitive_opt::<Float64Type>());
-            let names = cell::<sdk::datatypes::Utf8>(&chunk, "names", row);
+            let values = numbers::<Float64Type>(&chunk, VALUES, row).unwrap_or_default();
+            let names = cell::<sdk::datatypes::Utf8>(&chunk, &QUANTITIES.descriptor(), row);
             let names = names.iter().map(|name| name.as_str().to_owned());
-            surfaces
-                .entry(step)
-                .or_default()
-                .extend(names.zip(values.iter().flat_map(|values| values.values()).copied()));
+            surfaces.entry(step).or_default().extend(names.zip(values));
         }
     }
     Ok(surfaces)
@@ -509,8 +499,8 @@ struct Details {
 impl Details {
     fn counts(path: &Path) -> Result<Option<String>, ReadError> {
         let mut reader = Reader::open(path)?;
-        while let Some(chunk) = reader.next(|entity| entity == "/__properties/meldscope")? {
-            if let Some(text) = cell::<sdk::datatypes::Utf8>(&chunk, "counts", 0).first() {
+        while let Some(chunk) = reader.next(|entity| PROPERTIES.is(entity))? {
+            if let Some(text) = cell::<sdk::datatypes::Utf8>(&chunk, &COUNTS.descriptor(), 0).first() {
                 return Ok(Some(text.as_str().to_owned()));
             }
         }
@@ -521,26 +511,20 @@ impl Details {
         let (schema, path) = (&recorded.schema, &recorded.path);
         let mut details = Details::default();
         let mut reader = Reader::open(path)?;
-        while let Some(chunk) = reader.next(|entity| entity == VERTICES || entity == STATES)? {
-            let is_states = chunk.entity_path().to_string() == STATES;
+        while let Some(chunk) = reader.next(|entity| GOLDEN_VERTICES.is(entity) || GOLDEN_STATES.is(entity))? {
+            let is_states = GOLDEN_STATES.is(&path_of(&chunk));
             for row in 0..chunk.num_rows() {
                 let damaged = |what: String| ReadError::Damaged { path: path.to_owned(), at: None, what };
                 let at = u64::try_from(step_of(&chunk, row).map_err(damaged)?).unwrap_or(0);
-                let bodies = raw(&chunk, "bodies", row);
-                let bodies = bodies.as_ref().and_then(|bodies| bodies.as_primitive_opt::<UInt32Type>());
-                let Some(bodies) = bodies else { continue };
-                let sizes = bodies.values().iter().filter_map(|&index| {
+                let Some(bodies) = numbers::<UInt32Type>(&chunk, BODIES, row) else { continue };
+                let sizes = bodies.iter().filter_map(|&index| {
                     let body = schema.bodies.get(index as usize)?;
                     Some((index as usize, body.vertex_count()))
                 });
                 let mut first = 0;
                 if is_states && at >= step {
-                    let values = raw(&chunk, "displacements", row);
-                    let values = values.as_ref().and_then(|values| values.as_primitive_opt::<Float64Type>());
-                    let values = values.map(|values| values.values().as_ref()).unwrap_or_default();
-                    let frames = raw(&chunk, "frames", row);
-                    let frames = frames.as_ref().and_then(|frames| frames.as_primitive_opt::<Float64Type>());
-                    let frames = frames.map(|frames| frames.values().as_ref()).unwrap_or_default();
+                    let values = numbers::<Float64Type>(&chunk, DISPLACEMENTS, row).unwrap_or_default();
+                    let frames = numbers::<Float64Type>(&chunk, FRAMES, row).unwrap_or_default();
                     let state = details.states.entry(at).or_default();
                     let free = sizes.clone().map(|(index, _)| index).filter(|&index| schema.bodies[index].is_free);
                     let poses = frames.as_chunks::<{ BodyPose::NUMBERS }>().0;
@@ -552,9 +536,7 @@ impl Details {
                         first += count;
                     }
                 } else if !is_states && at == step {
-                    let values = raw(&chunk, "hashes", row);
-                    let values = values.as_ref().and_then(|values| values.as_primitive_opt::<UInt16Type>());
-                    let values = values.map(|values| values.values().as_ref()).unwrap_or_default();
+                    let values = numbers::<UInt16Type>(&chunk, HASHES, row).unwrap_or_default();
                     for (index, count) in sizes {
                         let own: &[u16] = values.get(first..first + count).unwrap_or_default();
                         details.hashes.insert(index, own.to_vec());

@@ -10,9 +10,9 @@ use super::{
 use crate::{
     analysis::surface::Merged,
     observe::Schema,
-    sdk::datatypes::Float64,
+    sdk::{Scalars, datatypes::Float64},
     stream::{
-        instant::STAGE,
+        contract::{GROUP_LINE, PAIR_NECK, STAGE, path_of},
         parts::{groups, pairs::MEASURES},
     },
 };
@@ -30,14 +30,14 @@ pub fn of_frame(schema: &Schema, merged: &Merged, pairs: &[[usize; 2]]) -> Value
     for (&[a, b], measures) in pairs.iter().zip(&merged.pairs) {
         let Some(measures) = measures else { continue };
         let numbers = [measures.gap, measures.overlap, measures.neck];
-        for ((part, ..), value) in MEASURES.iter().zip(numbers) {
-            values.insert(format!("/pairs/{}/{part}", schema.pair_name(a, b)), value);
+        for ((entity, ..), value) in MEASURES.iter().zip(numbers) {
+            values.insert(entity.of(&[&schema.pair_name(a, b)]), value);
         }
     }
     for group in &merged.groups {
         let Some(first) = group.bodies.first().and_then(|&first| schema.bodies.get(first)) else { continue };
         for ((part, ..), value) in groups::LINES.iter().zip(groups::values(group)) {
-            values.insert(format!("/groups/{}/{part}", first.name), value);
+            values.insert(GROUP_LINE.of(&[&first.name, part]), value);
         }
     }
     values
@@ -87,26 +87,26 @@ impl Deviations {
     /// Compares a quantity at a step of the first run.
     pub fn compare(&mut self, entity: &str, step: u64, time: f64, values: [f64; 2]) {
         let [first, second] = values;
-        let Some((name, part)) = entity.trim_start_matches("/").split_once('/').and_then(|of| of.1.rsplit_once('/'))
-        else {
-            return;
-        };
         let difference = (first - second).abs();
+        let allowed = SENSITIVITY * self.tolerance;
+        let group = GROUP_LINE.names(entity);
         // ratio to what the tolerance allows, in radii of the pair or relative to the group
-        let excess = match part {
+        let excess = match group.as_deref() {
             _ if first.to_bits() == second.to_bits() => 0.0,
-            "gap" | "overlap" => difference / (SENSITIVITY * self.tolerance),
-            // the seam's area is proportional to the penetration depth, its radius only to the root of it
-            "neck" => (first * first - second * second).abs() / (SENSITIVITY * self.tolerance),
-            "volume" | "area" => {
-                difference / (SENSITIVITY * self.tolerance * first.abs().max(second.abs()).max(f64::MIN_POSITIVE))
+            Some([_, "volume" | "area"]) => {
+                difference / (allowed * first.abs().max(second.abs()).max(f64::MIN_POSITIVE))
             }
-            _ => f64::INFINITY, // counts
+            Some(_) => f64::INFINITY, // counts
+            // the seam's area is proportional to the penetration depth, its radius only to the root of it
+            None if PAIR_NECK.is(entity) => (first * first - second * second).abs() / allowed,
+            None => difference / allowed,
         };
         if !(excess > self.min_excess || excess.is_nan()) {
             return;
         }
-        let group = if entity.starts_with("/groups/") { "'s group" } else { "" };
+        let group = if group.is_some() { "'s group" } else { "" };
+        let mut parts = entity.rsplit('/');
+        let (part, name) = (parts.next().unwrap_or_default(), parts.next().unwrap_or_default());
         let known = self.found.entry(entity.to_owned()).or_insert_with(|| Deviation {
             what: format!("{part} of {name}{group}"),
             step,
@@ -142,12 +142,7 @@ impl Recorded {
     /// # Errors
     /// The recording cannot be read.
     pub fn read(path: &Path) -> Result<Recorded, ReadError> {
-        let parts: Vec<&str> =
-            MEASURES.iter().map(|(part, ..)| *part).chain(groups::LINES.iter().map(|(part, ..)| *part)).collect();
-        let is_wanted = |entity: &str| {
-            (entity.starts_with("/pairs/") || entity.starts_with("/groups/"))
-                && entity.rsplit_once('/').is_some_and(|(_, part)| parts.contains(&part))
-        };
+        let is_wanted = |entity: &str| GROUP_LINE.is(entity) || MEASURES.iter().any(|(measure, ..)| measure.is(entity));
         let mut recorded = Recorded::default();
         let mut reader = Reader::open(path)?;
         while let Some(chunk) = reader.next(is_wanted)? {
@@ -155,13 +150,14 @@ impl Recorded {
             if chunk.is_static() || chunk.timelines().keys().any(|name| name.as_str() == STAGE) {
                 continue;
             }
-            // the ~ of a pair is escaped in paths
-            let entity = chunk.entity_path().to_string().replace('\\', "");
-            let line = recorded.lines.entry(entity).or_default();
+            let line = recorded.lines.entry(path_of(&chunk)).or_default();
             for row in 0..chunk.num_rows() {
                 let damaged = |what| ReadError::Damaged { path: path.to_owned(), at: None, what };
                 let step = step_of(&chunk, row).map_err(damaged)?;
-                line.push((step, cell::<Float64>(&chunk, "Scalars:scalars", row).first().map(|value| value.0)));
+                line.push((
+                    step,
+                    cell::<Float64>(&chunk, &Scalars::descriptor_scalars(), row).first().map(|value| value.0),
+                ));
             }
         }
         recorded.lines.values_mut().for_each(|line| line.sort_by_key(|point| point.0));

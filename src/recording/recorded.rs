@@ -13,22 +13,22 @@ use crate::{
     hash, models,
     observe::{Experiment, Refusal, Schema, Simulation, simulation::ReadExperiment},
     sdk::{
-        Chunk, Loggable,
+        Chunk, ComponentDescriptor, Loggable, TextLog,
         arrow::{
             array::{Array as _, ArrayRef, AsArray as _},
-            datatypes::UInt64Type,
+            datatypes::{ArrowPrimitiveType, UInt64Type},
         },
         datatypes::{Float64, Utf8},
     },
     stream::{
-        checksums,
-        parts::pairs::event,
-        settings::{FORMAT, Settings, recording_id, table},
+        contract::{
+            self, BLESSED, BODIES, CHECKSUM, CHECKSUMS, Component, DIGEST, EVENTS, FAILURE, MACHINE, OVERRIDES, PHASES,
+            PROPERTIES, Q, SCENE, SETTINGS, STEP, TIME, VERSION, path_of,
+        },
+        settings::{FORMAT, Settings, recording_id},
     },
 };
 
-/// Entity of the properties.
-pub(super) const PROPERTIES: &str = "/__properties/meldscope";
 /// Size of a checksum in a file [bytes]: checksums are incompressible.
 const CHECKSUM_BYTES: u64 = 8;
 /// This many checksums are accepted whatever the size of the file.
@@ -75,15 +75,15 @@ pub struct Recorded {
 /// An event as stored in a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordedEvent {
-    /// Kind of event: merge, split, core, core left.
+    /// Kind of event, such as `merge`.
     pub name: String,
     /// The pair, as `A~B`.
     pub pair: String,
-    /// The phases before and after the event, if they are recorded.
-    pub phases: Option<[String; 2]>,
-    /// Centre distance over the sum of the radii at the event [–], if it is recorded.
-    pub q: Option<f64>,
-    /// Time of the event [s]: to the nanosecond in older golden recordings, exact in all others.
+    /// The phases before and after the event.
+    pub phases: [String; 2],
+    /// Centre distance over the sum of the radii at the event [–].
+    pub q: f64,
+    /// Exact time of the event [s].
     pub time: f64,
     /// The first step whose state is affected by the event.
     pub step: u64,
@@ -120,12 +120,17 @@ impl Recorded {
         let mut reader = Reader::open(path)?;
         let mut properties = Properties::default();
         let (mut sums, mut events) = (ReadChecksums::default(), Vec::new());
-        while let Some(chunk) = reader.next(|entity| [PROPERTIES, checksums::ENTITY, "/events"].contains(&entity))? {
+        while let Some(chunk) =
+            reader.next(|entity| [&PROPERTIES, &CHECKSUM, &EVENTS].iter().any(|wanted| wanted.is(entity)))?
+        {
             let damaged = |what: String| ReadError::Damaged { path: path.to_owned(), at: None, what };
-            match chunk.entity_path().to_string().as_str() {
-                PROPERTIES => properties.take(&chunk, reader.at()).map_err(damaged)?,
-                checksums::ENTITY => sums.take(&chunk, reader.at()).map_err(damaged)?,
-                _ => events.extend(events_of(&chunk).map_err(damaged)?),
+            let entity = path_of(&chunk);
+            if PROPERTIES.is(&entity) {
+                properties.take(&chunk, reader.at()).map_err(damaged)?;
+            } else if CHECKSUM.is(&entity) {
+                sums.take(&chunk, reader.at()).map_err(damaged)?;
+            } else {
+                events.extend(events_of(&chunk).map_err(damaged)?);
             }
         }
         let id = reader.id().unwrap_or_default().to_owned();
@@ -168,29 +173,30 @@ impl Recorded {
 impl Properties {
     /// Reads the properties in a chunk; `read` bytes of the file have been read.
     fn take(&mut self, chunk: &Chunk, read: u64) -> Result<(), String> {
-        for (field, name) in [
-            (&mut self.scene, "scene"),
-            (&mut self.settings, "settings"),
-            (&mut self.overrides, "overrides"),
-            (&mut self.version, "version"),
-            (&mut self.machine, "machine"),
-            (&mut self.blessed, "blessed"),
-            (&mut self.failure, "failure"),
-            (&mut self.digest, "digest"),
+        for (field, property) in [
+            (&mut self.scene, SCENE),
+            (&mut self.settings, SETTINGS),
+            (&mut self.overrides, OVERRIDES),
+            (&mut self.version, VERSION),
+            (&mut self.machine, MACHINE),
+            (&mut self.blessed, BLESSED),
+            (&mut self.failure, FAILURE),
+            (&mut self.digest, DIGEST),
         ] {
-            if let Some(text) = cell::<Utf8>(chunk, name, 0).into_iter().next() {
+            if let Some(text) = cell::<Utf8>(chunk, &property.descriptor(), 0).into_iter().next() {
                 let text = text.as_str();
-                let limit = match name {
-                    "scene" => crate::scene::Scene::LARGEST_TEXT.min(TEXT.0 + TEXT.1 * read) as usize,
+                let limit = match property {
+                    SCENE => crate::scene::Scene::LARGEST_TEXT.min(TEXT.0 + TEXT.1 * read) as usize,
                     _ => MAX_PROPERTY,
                 };
                 if text.len() > limit {
-                    return Err(format!("its {name} has {} bytes, over the limit of {limit}", text.len()));
+                    return Err(format!("its {} has {} bytes, over the limit of {limit}", property.0, text.len()));
                 }
                 *field = Some(text.to_owned());
             }
         }
-        self.format = cell::<Float64>(chunk, "format", 0).first().map(|number| number.0).or(self.format);
+        self.format =
+            cell::<Float64>(chunk, &contract::FORMAT.descriptor(), 0).first().map(|number| number.0).or(self.format);
         Ok(())
     }
 
@@ -229,7 +235,7 @@ impl Properties {
         // The id contains a hash of these texts, which reveals any change to them.
         let ending = |id: &str| id.rsplit('-').next().unwrap_or_default().to_owned();
         let is_as_made = ending(id) == ending(&recording_id("", &text, &settings, &version));
-        let run = table(&settings);
+        let run: toml::Table = settings.parse().unwrap_or_default();
         let cannot_run = |what: String| unsupported(format!("cannot be run here: {what}"));
         let experiment = match read(&file, &text, &run) {
             Err(Refusal::Source(what)) => return Err(scene_error(what)),
@@ -301,9 +307,7 @@ impl ReadChecksums {
     fn take(&mut self, chunk: &Chunk, read: u64) -> Result<(), String> {
         for row in 0..chunk.num_rows() {
             let step = u64::try_from(step_of(chunk, row)?).map_err(|_| "a checksum of a negative step".to_owned())?;
-            let cell = raw(chunk, checksums::COMPONENT, row).ok_or("a row without checksums")?;
-            let values =
-                cell.as_primitive_opt::<UInt64Type>().ok_or("checksums that are not unsigned numbers")?.values();
+            let values = numbers::<UInt64Type>(chunk, CHECKSUMS, row).ok_or("a row without checksums")?;
             let first = step.saturating_add(1).checked_sub(values.len() as u64).ok_or("checksums of negative steps")?;
             if self.values.is_empty() {
                 self.first = first;
@@ -316,7 +320,7 @@ impl ReadChecksums {
             if count > SPARE + read / CHECKSUM_BYTES {
                 return Err(format!("{count} checksums in {read} bytes"));
             }
-            self.values.extend_from_slice(values);
+            self.values.extend(values);
         }
         Ok(())
     }
@@ -326,29 +330,22 @@ impl ReadChecksums {
 fn events_of(chunk: &Chunk) -> Result<Vec<RecordedEvent>, String> {
     let mut events = Vec::new();
     for row in 0..chunk.num_rows() {
-        let texts = |component: &str| -> Vec<String> {
+        let texts = |component: &ComponentDescriptor| -> Vec<String> {
             cell::<Utf8>(chunk, component, row).iter().map(|text| text.as_str().to_owned()).collect()
         };
-        let number = |component: &str| cell::<Float64>(chunk, component, row).first().map(|number| number.0);
-        let Some(name) = texts("TextLog:level").pop() else { continue };
-        if !texts(event::BODIES).is_empty() && texts(event::PHASES).is_empty() {
+        let number =
+            |component: Component| cell::<Float64>(chunk, &component.descriptor(), row).first().map(|number| number.0);
+        let Some(name) = texts(&TextLog::descriptor_level()).pop() else { continue };
+        let Ok(phases) = texts(&PHASES.descriptor()).try_into() else {
             continue; // surfaces that touch or part, in a thin recording
-        }
-        let pair = match texts(event::BODIES).as_slice() {
-            [a, b] => format!("{a}~{b}"),
-            // older golden recordings have only the line: "NAME A~B at t = …"
-            _ => {
-                let line = texts("TextLog:text").pop();
-                let pair = line.as_ref().and_then(|line| line.strip_prefix(&name)?.split_whitespace().next());
-                pair.ok_or("an event without a pair")?.to_owned()
-            }
         };
+        let [a, b] = texts(&BODIES.descriptor()).try_into().map_err(|_| "an event without a pair")?;
         events.push(RecordedEvent {
             name,
-            pair,
-            phases: texts(event::PHASES).try_into().ok(),
-            q: number(event::Q),
-            time: number(event::TIME).unwrap_or(time_of(chunk, row)? as f64 * 1e-9),
+            pair: format!("{a}~{b}"),
+            phases,
+            q: number(Q).ok_or("an event without q")?,
+            time: number(TIME).ok_or("an event without a time")?,
             step: u64::try_from(step_of(chunk, row)?).map_err(|_| "an event of a negative step".to_owned())?,
         });
     }
@@ -357,28 +354,28 @@ fn events_of(chunk: &Chunk) -> Result<Vec<RecordedEvent>, String> {
 
 /// The value of the timeline `step` in a row.
 pub(super) fn step_of(chunk: &Chunk, row: usize) -> Result<i64, String> {
-    index(chunk, "step", row)
-}
-
-/// The value of the timeline `sim_time` in a row [ns].
-pub(super) fn time_of(chunk: &Chunk, row: usize) -> Result<i64, String> {
-    index(chunk, "sim_time", row)
-}
-
-fn index(chunk: &Chunk, timeline: &str, row: usize) -> Result<i64, String> {
-    let column = chunk.timelines().values().find(|column| column.timeline().name().as_str() == timeline);
-    let time = column.and_then(|column| column.times_raw().get(row));
-    time.copied().ok_or_else(|| format!("{} has rows without {timeline}", chunk.entity_path()))
+    let column = chunk.timelines().values().find(|column| column.timeline().name().as_str() == STEP);
+    let step = column.and_then(|column| column.times_raw().get(row));
+    step.copied().ok_or_else(|| format!("{} has rows without {STEP}", chunk.entity_path()))
 }
 
 /// A component of a row as stored in the file.
-pub(super) fn raw(chunk: &Chunk, component: &str, row: usize) -> Option<ArrayRef> {
-    let column = chunk.components().values().find(|column| column.descriptor.component.as_str() == component)?;
-    let list = &column.list_array;
+pub(super) fn raw(chunk: &Chunk, component: &ComponentDescriptor, row: usize) -> Option<ArrayRef> {
+    let list = &chunk.components().get(component.component)?.list_array;
     (row < list.len() && !list.is_null(row)).then(|| list.value(row))
 }
 
+/// The numbers of a component of a row; `None` if the row has none, or none of that type.
+pub(super) fn numbers<T: ArrowPrimitiveType>(
+    chunk: &Chunk,
+    component: Component,
+    row: usize,
+) -> Option<Vec<T::Native>> {
+    let cell = raw(chunk, &component.descriptor(), row)?;
+    Some(cell.as_primitive_opt::<T>()?.values().to_vec())
+}
+
 /// A component of a row, decoded by the SDK; empty if the row has none, or none of that type.
-pub(super) fn cell<T: Loggable>(chunk: &Chunk, component: &str, row: usize) -> Vec<T> {
+pub(super) fn cell<T: Loggable>(chunk: &Chunk, component: &ComponentDescriptor, row: usize) -> Vec<T> {
     raw(chunk, component, row).and_then(|cell| T::from_arrow(&cell).ok()).unwrap_or_default()
 }

@@ -41,6 +41,14 @@ pub struct Event {
     pub energy: f64,
 }
 
+/// The kinds of events, each with when it happens.
+pub const KINDS: [(&str, &str); 4] = [
+    ("merge", "The bodies of a pair come closer than `merge_at`: they are merged."),
+    ("split", "The bodies of a pair move farther apart than `split_at`: they are apart."),
+    ("core", "The bodies of a pair come closer than `core_at`: they are in their core, and repel each other."),
+    ("core left", "The bodies of a pair leave their core: they are merged."),
+];
+
 impl Event {
     /// The name used in recordings and summaries.
     pub fn name(&self) -> &'static str {

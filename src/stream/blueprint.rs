@@ -7,17 +7,17 @@ use glam::DVec3;
 
 use super::{
     chunks::{Chunks, blueprint_time},
+    contract::{
+        ABOUT, ALONG, BODY, BODY_SURFACE, DEFORMING, DIAGNOSTIC, DIFFERENCE, DRAWN, EVENTS, Entity, FORCE, GROUP_LINE,
+        INFLUENCE, LAG, LEGEND, MAP, MARKS_AT_Q, MARKS_ON_AXIS, MEASURE, MERGED, MERGED_SURFACE, PAIR_CONTACT,
+        PAIR_DISTANCE, PAIR_GAP, PAIR_LEVEL, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE, PLANE, RESTING, SIM_TIME, SLICE,
+        SPEED, STACKED, STAGE, STAGES, STEP, TRAILS, WORLD,
+    },
     focus::Focus,
-    instant::STAGE,
     light, palette,
     parts::{
-        batch, forces, groups,
-        heat::{self, LEGEND},
-        marks::{AT_Q, ON_AXIS},
-        merged::{self, DRAWN},
-        net_forces,
-        numbers::{self, LAG, SPEED},
-        pairs::{self, CONTACT, MEASURES},
+        groups, heat, net_forces, numbers,
+        pairs::{self, MEASURES},
         trails,
     },
     settings::{Detail, Entities, Frames, Settings},
@@ -54,6 +54,16 @@ pub struct Subject<'a> {
     pub schema: &'a Schema,
     /// The settings of the recording.
     pub settings: &'a Settings,
+}
+
+/// A line of a view's contents: an entity.
+fn including(entity: &str) -> String {
+    format!("+ {entity}")
+}
+
+/// A line of a view's contents: all entities of a family, and what is below them.
+fn family(entity: &Entity) -> String {
+    format!("+ {}/**", entity.family())
 }
 
 /// The messages that create the layout for `recording` and activate it.
@@ -98,9 +108,9 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         }
         for (stage, median) in measured.medians.iter().filter(|(stage, _)| numbers::is_work(stage)) {
             let name = format!("{}, median {median:.4} ms", numbers::described(stage));
-            let entity = numbers::stacked(stage);
+            let entity = STACKED.of(&[stage]);
             let style = SeriesLines::update_fields().with_names([name]);
-            layout.visualize(&plot, entity.trim_start_matches('/'), &[("SeriesLines", &[], &style)]);
+            layout.visualize(&plot, &entity, &[("SeriesLines", &[], &style)]);
         }
     }
     if let Some([low, high]) = measured.distances {
@@ -138,15 +148,15 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     }
     if !pairs::has_named_pairs(subject.schema) && !measured.pairs.is_empty() {
         // the pairs that have plots are known only now
-        let of = |parts: &[&str]| -> Vec<String> {
-            let lines =
-                measured.pairs.iter().flat_map(|pair| parts.iter().map(move |part| format!("+ /pairs/{pair}/{part}")));
-            lines.collect()
-        };
-        let mut lines = of(&["distance", "merge_at", "split_at", "core_at"]);
-        lines.push(format!("+ {AT_Q}/**"));
-        let views =
-            [(std::mem::take(&mut layout.distances), lines), (std::mem::take(&mut layout.phases), of(&["phase"]))];
+        let mut lines = vec![family(&MARKS_AT_Q)];
+        let mut lanes = vec![];
+        for pair in &measured.pairs {
+            lines.push(including(&PAIR_DISTANCE.of(&[pair])));
+            let levels = subject.schema.thresholds.iter().map(|threshold| PAIR_LEVEL.of(&[pair, threshold.name]));
+            lines.extend(levels.map(|level| including(&level)));
+            lanes.push(including(&PAIR_PHASE.of(&[pair])));
+        }
+        let views = [(std::mem::take(&mut layout.distances), lines), (std::mem::take(&mut layout.phases), lanes)];
         for (paths, lines) in views {
             for path in paths {
                 layout.log(&format!("{path}/ViewContents"), &ViewContents::new(lines.iter().map(String::as_str)));
@@ -161,11 +171,12 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
 pub fn of_comparison(spheres: &[(DVec3, f64)], recording: &StoreId) -> Vec<LogMsg> {
     let mut layout = Layout::of(recording);
     layout.ground = Ground::under(spheres);
-    let surfaces = layout.space((spheres, WIDE), "Both surfaces, and arrows between them", &["+ /world/**"]);
-    let about = layout.view("TextDocument", "What is what", "/about", &["+ /about"], &[]);
+    let surfaces = layout.space((spheres, WIDE), "Both surfaces, and arrows between them", &[&family(&WORLD)]);
+    let about = layout.view("TextDocument", "What is what", ABOUT.path, &[&including(ABOUT.path)], &[]);
     let left = layout.container(ContainerKind::Vertical, "Surfaces", vec![surfaces, about], &[3.4, 1.0]);
-    let plot = layout.plot("Largest difference [radii]", "/difference", &["+ /difference/**"], Corner2D::LeftTop);
-    let events = layout.lines("Events", "/events");
+    let plot =
+        layout.plot("Largest difference [radii]", DIFFERENCE.family(), &[&family(&DIFFERENCE)], Corner2D::LeftTop);
+    let events = layout.lines("Events", EVENTS.path);
     let right = layout.container(ContainerKind::Vertical, "Differences", vec![plot, events], &[1.5, 1.0]);
     let root = layout.container(ContainerKind::Horizontal, "meldscope", vec![left, right], &[1.6, 1.0]);
     layout.finish(root)
@@ -174,11 +185,11 @@ pub fn of_comparison(spheres: &[(DVec3, f64)], recording: &StoreId) -> Vec<LogMs
 /// The layout of the map of a sweep: the map, its legend, and measures along a line.
 pub fn of_map(measures: &[&str], recording: &StoreId, has_slices: bool) -> Vec<LogMsg> {
     let mut layout = Layout::of(recording);
-    layout.timeline = if has_slices { "slice" } else { "along" };
-    let map = layout.view("2D", "Map", "/map", &["+ /map/**"], &[]);
-    let about = layout.view("TextDocument", "What is what", "/about", &["+ /about"], &[]);
+    layout.timeline = if has_slices { SLICE } else { ALONG };
+    let map = layout.view("2D", "Map", MAP.family(), &[&family(&MAP)], &[]);
+    let about = layout.view("TextDocument", "What is what", ABOUT.path, &[&including(ABOUT.path)], &[]);
     let plots = measures.iter().map(|measure| {
-        let entity = format!("/along/{measure}");
+        let entity = format!("{}/{measure}", MEASURE.family());
         let legend = PlotLegend::new().with_corner(Corner2D::LeftTop);
         let name = if has_slices { format!("{measure} (timeline: along)") } else { (*measure).to_owned() };
         layout.view("TimeSeries", &name, &entity, &[&format!("+ {entity}/**")], &[("PlotLegend", &legend)])
@@ -303,7 +314,7 @@ impl Layout {
             phases: Vec::new(),
             spaces: Vec::new(),
             ground: None,
-            timeline: "sim_time",
+            timeline: SIM_TIME,
         }
     }
 
@@ -378,7 +389,7 @@ impl Layout {
     /// The stages inside steps, on the timeline `stage`.
     fn stages_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         let view = self.scene_view((framing, NARROW), schema, "Inside of a step (timeline: stage)", settings);
-        let lines = self.lines("Stages", "/stages");
+        let lines = self.lines("Stages", STAGES.path);
         self.container(ContainerKind::Horizontal, "Stages", vec![view, lines], &[2.0, 1.0])
     }
 
@@ -392,7 +403,7 @@ impl Layout {
     /// An overview of everything.
     fn scene_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         let scene_view = self.scene_view((framing, WIDE), schema, "Bodies, influence spheres, forces", settings);
-        let about = self.view("TextDocument", "What is what", "/about", &["+ /about"], &[]);
+        let about = self.view("TextDocument", "What is what", ABOUT.path, &[&including(ABOUT.path)], &[]);
         let left = self.container(ContainerKind::Vertical, "Space", vec![scene_view, about], &[2.6, 1.0]);
         let right = if schema.bodies.len() > 1 {
             let mut parts = self.pair_views(schema);
@@ -412,9 +423,9 @@ impl Layout {
     /// The surfaces of groups, and the gap and overlap of pairs above their phases.
     fn surface_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         // a seam lies inside the smooth surface and would show through in places
-        let merged =
-            if schema.blend > 0.0 { format!("+ {}", merged::SURFACE) } else { "+ /world/merged/**".to_owned() };
-        let contents = ["+ /world/bodies/**", "+ /world/deforming/**", "+ /world/resting/**", merged.as_str()];
+        let merged = if schema.blend > 0.0 { including(MERGED_SURFACE.path) } else { family(&MERGED) };
+        let contents = [&BODY, &DEFORMING, &RESTING].map(family);
+        let contents = [&contents[0], &contents[1], &contents[2], &merged].map(String::as_str);
         let view = self.space((framing, NARROW), "One surface per group", &contents);
         for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
             // a batch has a colour per vertex
@@ -422,34 +433,34 @@ impl Layout {
             self.draw_unmerged(&view, &surface, &Mesh3D::update_fields().with_albedo_factor(palette::opaque(rgb)));
         }
         let opaque = Mesh3D::update_fields().with_albedo_factor(sdk::Rgba32::WHITE);
-        self.draw_lit(&view, merged::SURFACE, &opaque);
+        self.draw_lit(&view, MERGED_SURFACE.path, &opaque);
         self.draw_resting(&view, schema, settings);
         let mut parts = Vec::new();
         if pairs::has_named_pairs(schema) {
             let titles = ["Gap and neck [radii of the smaller body]", "Overlap [its radius cubed]"];
-            for (title, measures) in titles.into_iter().zip([["gap", "neck"].as_slice(), &["overlap"]]) {
+            for (title, measures) in titles.into_iter().zip([[&PAIR_GAP, &PAIR_NECK].as_slice(), &[&PAIR_OVERLAP]]) {
                 let lines = measures.iter().flat_map(|measure| pairs::named(schema, measure));
-                let contents: Vec<String> = lines.map(|line| format!("+ {line}")).collect();
+                let contents: Vec<String> = lines.map(|line| including(&line)).collect();
                 let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
                 parts.push(self.plot(title, "/", &contents, Corner2D::RightTop));
             }
         }
         let title = "Phases, and whether the surfaces touch (red, yellow: the two disagree)";
-        parts.push(self.view("StateTimeline", title, "/pairs", &["+ /pairs/**"], &[]));
+        parts.push(self.view("StateTimeline", title, PAIR_PHASE.family(), &[&family(&PAIR_PHASE)], &[]));
         if pairs::has_named_pairs(schema) {
             let titles =
                 ["Groups (by their first body): volume and area", "Groups (by their first body): bodies and topology"];
             for (title, is_size) in titles.into_iter().zip([true, false]) {
                 let lines = groups::LINES.iter().filter(|(line, ..)| ["volume", "area"].contains(line) == is_size);
                 let entities = lines.flat_map(|(line, ..)| {
-                    schema.bodies.iter().map(move |body| format!("+ /groups/{}/{line}", body.name))
+                    schema.bodies.iter().map(move |body| including(&GROUP_LINE.of(&[&body.name, line])))
                 });
                 let contents: Vec<String> = entities.collect();
                 let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
                 parts.push(self.plot(title, "/", &contents, Corner2D::RightTop));
             }
         } else {
-            parts.push(self.plot("Groups: volume, bodies, genus", "/", &["+ /groups/**"], Corner2D::RightTop));
+            parts.push(self.plot("Groups: volume, bodies, genus", "/", &[&family(&GROUP_LINE)], Corner2D::RightTop));
         }
         let shares = vec![1.0; parts.len()];
         let right = self.container(ContainerKind::Vertical, "Measures", parts, &shares);
@@ -460,13 +471,14 @@ impl Layout {
     /// has its own camera: Rerun 0.36 cannot link two of them.
     fn forces_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         const WHITE: palette::Rgb = [0xFF; 3];
+        let bodies = [&BODY, &DEFORMING, &PLANE].map(family);
         let views: Vec<Part> = schema
             .terms
             .iter()
             .filter(|term| term.can_act)
             .map(|term| {
-                let arrows = format!("+ {}", forces::entity(term.name));
-                let contents = ["+ /world/bodies/**", "+ /world/deforming/**", "+ /world/planes/**", arrows.as_str()];
+                let arrows = including(&FORCE.of(&[term.name]));
+                let contents = [&bodies[0], &bodies[1], &bodies[2], &arrows].map(String::as_str);
                 let view =
                     self.space((framing, NARROW), &format!("{} ({})", term.label, colors::name(term.color)), &contents);
                 if schema.bodies.len() <= MAX_SHEER || settings.entities == Entities::Batch {
@@ -486,7 +498,8 @@ impl Layout {
 
     /// Surfaces coloured by displacement, with selectable vertices, above the colour scale.
     fn displacement_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
-        let contents = ["+ /world/bodies/**", "+ /world/deforming/**", "+ /world/planes/**"];
+        let contents = [&BODY, &DEFORMING, &PLANE].map(family);
+        let contents = [&contents[0], &contents[1], &contents[2]].map(String::as_str);
         let title = "Displacement from rest; select a vertex to see its numbers";
         let view = self.space((framing, WIDE), title, &contents);
         let positions = Mapping { target: "Points3D:positions", source: "Mesh3D:vertex_positions" };
@@ -498,28 +511,28 @@ impl Layout {
         for surface in surfaces(schema, settings) {
             self.visualize(&view, &surface, &[("Mesh3D", &heat::MAPPINGS, &opaque), ("Points3D", &[positions], &dots)]);
         }
-        let scale = self.view("2D", "Displacement [radii]", LEGEND, &[&format!("+ {LEGEND}/**")], &[]);
+        let scale = self.view("2D", "Displacement [radii]", LEGEND.family(), &[&family(&LEGEND)], &[]);
         self.container(ContainerKind::Vertical, "Displacement", vec![view, scale], &[6.0, 1.0])
     }
 
     /// Views of pair distances, phases and events.
     fn pair_views(&mut self, schema: &Schema) -> Vec<Part> {
         // a pattern cannot have its wildcard in the middle
-        let without = |parts: &[&str]| -> Vec<String> {
+        let without = |parts: &[&Entity]| -> Vec<String> {
             let left_out = parts.iter().flat_map(|part| pairs::named(schema, part)).map(|line| format!("- {line}"));
-            std::iter::once("+ /pairs/**".to_owned()).chain(left_out).collect()
+            std::iter::once(family(&PAIR_DISTANCE)).chain(left_out).collect()
         };
         let mut contents = without(&MEASURES.map(|(measure, ..)| measure));
-        contents.push(format!("+ {AT_Q}/**"));
+        contents.push(family(&MARKS_AT_Q));
         let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
         let title = "Pair distances q and their thresholds";
         let distances = self.time_series(title, "/", &contents, Corner2D::RightBottom);
         self.distances.push(distances.path.clone());
-        let contents = without(&[CONTACT]);
+        let contents = without(&[&PAIR_CONTACT]);
         let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
-        let phases = self.view("StateTimeline", "Pair phases", "/pairs", &contents, &[]);
+        let phases = self.view("StateTimeline", "Pair phases", PAIR_PHASE.family(), &contents, &[]);
         self.phases.push(phases.path.clone());
-        let events = self.lines("Events", "/events");
+        let events = self.lines("Events", EVENTS.path);
         vec![distances, phases, events]
     }
 
@@ -533,7 +546,7 @@ impl Layout {
     fn timings(&mut self, schema: &Schema, has_legend: bool) -> Part {
         let contents: Vec<String> = numbers::timings(schema)
             .filter(|&stage| numbers::is_work(stage))
-            .map(|stage| format!("+ {}", numbers::stacked(stage)))
+            .map(|stage| including(&STACKED.of(&[stage])))
             .collect();
         let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
         let title = "Timings, ms per step: each stage upon those below it";
@@ -546,7 +559,7 @@ impl Layout {
     }
 
     fn speed(&mut self) -> Part {
-        let contents = [format!("+ {SPEED}"), format!("+ {LAG}")];
+        let contents = [&SPEED, &LAG].map(|line| including(line.path));
         let contents = [contents[0].as_str(), contents[1].as_str()];
         self.plot("Steps per second, and milliseconds behind real time", "/", &contents, Corner2D::LeftTop)
     }
@@ -555,7 +568,7 @@ impl Layout {
     fn diagnostics(&mut self, schema: &Schema) -> Vec<Part> {
         let mut plots: Vec<(&'static str, Vec<String>)> = Vec::new();
         for scalar in &schema.scalars {
-            let line = format!("+ /diagnostics/{}", scalar.name);
+            let line = including(&DIAGNOSTIC.of(&[scalar.name]));
             match plots.iter_mut().find(|(plot, _)| *plot == scalar.plot) {
                 Some((_, lines)) => lines.push(line),
                 None => plots.push((scalar.plot, vec![line])),
@@ -572,7 +585,7 @@ impl Layout {
 
     /// A plot over time, with the events as markers on its axis.
     fn plot(&mut self, name: &str, origin: &str, contents: &[&str], corner: Corner2D) -> Part {
-        let marks = format!("+ {ON_AXIS}/**");
+        let marks = family(&MARKS_ON_AXIS);
         let contents: Vec<&str> = contents.iter().copied().chain([marks.as_str()]).collect();
         self.time_series(name, origin, &contents, corner)
     }
@@ -586,12 +599,12 @@ impl Layout {
 
     /// A 3D view of everything, with the forces that make bodies merge and split.
     fn scene_view(&mut self, framing: Framing<'_>, schema: &Schema, name: &str, settings: &Settings) -> Part {
-        let view = self.space(framing, name, &["+ /world/**"]);
+        let view = self.space(framing, name, &[&family(&WORLD)]);
         for surface in surfaces(schema, settings) {
             self.draw_unmerged(&view, &surface, &Mesh3D::update_fields());
         }
         if schema.bodies.len() > 1 {
-            self.draw_lit(&view, merged::SURFACE, &Mesh3D::update_fields());
+            self.draw_lit(&view, MERGED_SURFACE.path, &Mesh3D::update_fields());
         }
         self.draw_resting(&view, schema, settings);
         let mut hide = |entity: &str| {
@@ -599,27 +612,26 @@ impl Layout {
             self.log(&path, &EntityBehavior::new().with_visible(false));
         };
         if settings.entities == Entities::Batch {
-            hide("/world/influence"); // spheres that reach another body are drawn with the pairs
+            hide(INFLUENCE.path); // spheres that reach another body are drawn with the pairs
         }
         if settings.detail != Detail::Surface {
             // the other terms can be enabled in the view's entity list
             for term in schema.terms.iter().filter(|term| !term.is_shown) {
-                hide(&forces::entity(term.name));
+                hide(&FORCE.of(&[term.name]));
             }
         }
         if settings.entities == Entities::Body && schema.bodies.iter().any(|body| body.is_free) {
             let seconds = (-trails::SECONDS * 1e9) as i64;
-            let ranges =
-                [("sim_time", seconds), ("step", (-trails::SECONDS / schema.dt) as i64)].map(|(line, start)| {
-                    VisibleTimeRange(datatypes::VisibleTimeRange {
-                        timeline: line.into(),
-                        range: TimeRange {
-                            start: TimeRangeBoundary::CursorRelative(start.into()),
-                            end: TimeRangeBoundary::CursorRelative(0.into()),
-                        },
-                    })
-                });
-            let path = format!("{}/ViewContents/overrides{}", view.path, trails::TRAILS);
+            let ranges = [(SIM_TIME, seconds), (STEP, (-trails::SECONDS / schema.dt) as i64)].map(|(line, start)| {
+                VisibleTimeRange(datatypes::VisibleTimeRange {
+                    timeline: line.into(),
+                    range: TimeRange {
+                        start: TimeRangeBoundary::CursorRelative(start.into()),
+                        end: TimeRangeBoundary::CursorRelative(0.into()),
+                    },
+                })
+            });
+            let path = format!("{}/ViewContents/overrides{}", view.path, TRAILS.path);
             self.log(&path, &VisibleTimeRanges::new(ranges.clone()));
             self.log(&format!("{path}/visualizers"), &VisibleTimeRanges::new(ranges));
         }
@@ -641,35 +653,35 @@ impl Layout {
         let camera = camera_past(spheres, &[], &[], aspect);
         let properties: [(&str, &dyn AsComponents); 3] =
             [("EyeControls3D", &camera), ("LineGrid3D", &grid), ("Background", &background)];
-        let view = self.view("3D", name, "/world", contents, &properties);
+        let view = self.view("3D", name, WORLD.path, contents, &properties);
         self.spaces.push((view.path.clone(), aspect));
         view
     }
 
     /// Draws the own surface of a body only while it is not part of a merged one.
     fn draw_unmerged(&mut self, view: &Part, surface: &str, overrides: &dyn AsComponents) {
-        let drawn = Mapping { target: "Mesh3D:triangle_indices", source: DRAWN };
+        let drawn = Mapping { target: "Mesh3D:triangle_indices", source: DRAWN.0 };
         self.visualize(view, surface, &[("Mesh3D", &[drawn, light::COLORS, light::NO_LIGHT], overrides)]);
     }
 
     /// Draws a surface with its baked lighting.
     fn draw_lit(&mut self, view: &Part, surface: &str, overrides: &dyn AsComponents) {
         let mappings = [light::COLORS, light::NO_LIGHT];
-        self.visualize(view, surface.trim_start_matches('/'), &[("Mesh3D", &mappings, overrides)]);
+        self.visualize(view, surface, &[("Mesh3D", &mappings, overrides)]);
     }
 
     /// Draws the undeformed bodies of a batched scene with baked lighting.
     fn draw_resting(&mut self, view: &Part, schema: &Schema, settings: &Settings) {
         if settings.entities == Entities::Batch {
             for shape in schema.shapes().keys() {
-                self.draw_lit(view, &batch::resting_entity(shape), &Mesh3D::update_fields());
+                self.draw_lit(view, &RESTING.of(&[shape]), &Mesh3D::update_fields());
             }
         }
     }
 
     /// Replaces the default visualizers of an entity in a view.
     fn visualize(&mut self, view: &Part, entity: &str, visualizers: &[(&str, &[Mapping], &dyn AsComponents)]) {
-        let base = format!("{}/ViewContents/overrides/{entity}/visualizers", view.path);
+        let base = format!("{}/ViewContents/overrides{entity}/visualizers", view.path);
         let mut ids = Vec::new();
         for (class, mapping, overrides) in visualizers {
             let (id, text) = self.id();
@@ -746,8 +758,8 @@ impl Layout {
 /// The entities of deformable surfaces.
 pub(super) fn surfaces(schema: &Schema, settings: &Settings) -> Vec<String> {
     match settings.entities {
-        Entities::Body => schema.bodies.iter().map(|body| format!("world/bodies/{}/surface", body.name)).collect(),
-        Entities::Batch => vec!["world/deforming/surface".to_owned()],
+        Entities::Body => schema.bodies.iter().map(|body| BODY_SURFACE.of(&[&body.name])).collect(),
+        Entities::Batch => vec![DEFORMING.path.to_owned()],
     }
 }
 
@@ -881,11 +893,14 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
                - `meldscope replay F.rrd --integrator rk4` tries it another way.\n";
     }
     let phases = schema.phases.iter().map(|phase| format!("{} **{}**", colors::name(phase.color), phase.name));
-    let spheres = format!(
-        "Influence spheres, lines, lanes: {}, grey: reaches no body{}.  \n",
-        phases.collect::<Vec<_>>().join(", "),
-        if settings.entities == Entities::Batch { " (hidden at first)" } else { "" },
-    );
+    let phases = phases.collect::<Vec<_>>().join(", ");
+    let spheres = match settings.entities {
+        _ if schema.bodies.iter().all(|body| body.reach == 0.0) => format!("Lines, lanes: {phases}.  \n"),
+        Entities::Body => format!("Influence spheres, lines, lanes: {phases}, grey: reaches no body.  \n"),
+        Entities::Batch => {
+            format!("Influence spheres (hidden at first), lines, lanes: {phases}, grey: reaches no body.  \n")
+        }
+    };
     let arrows = match settings.detail {
         Detail::Surface => "Force arrows were not recorded (`--detail forces`).  \n".to_owned(),
         Detail::Forces | Detail::Stages { .. } => {
@@ -911,17 +926,17 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
     } else {
         String::new()
     };
-    let merged = if schema.surfaces.get().is_some() {
-        String::new() // the law describes the surface
-    } else if schema.bodies.len() > 1 {
-        let joined = schema.phases.iter().filter(|phase| phase.is_joined).map(|phase| format!("**{}**", phase.name));
+    let joined: Vec<String> =
+        schema.phases.iter().filter(|phase| phase.is_joined).map(|phase| format!("**{}**", phase.name)).collect();
+    // a surface of its own is part of the law
+    let merged = if schema.surfaces.get().is_none() && schema.bodies.len() > 1 && !joined.is_empty() {
         let smooth = match schema.blend {
             0.0 => "sharp where they meet".to_owned(),
             blend => format!("smooth within {blend} R of where they meet"),
         };
         format!(
             "Bodies that are {} share one surface, {smooth}; white lines: where they meet.  \n",
-            joined.collect::<Vec<_>>().join(" or ")
+            joined.join(" or ")
         )
     } else {
         String::new()

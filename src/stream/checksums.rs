@@ -2,21 +2,20 @@
 
 use std::sync::Arc;
 
-use super::{chunks::Chunks, instant::Instant};
+use super::{
+    chunks::Chunks,
+    contract::{CHECKSUM, CHECKSUMS, SIM_TIME, STEP},
+    instant::Instant,
+};
 use crate::hash::followed_by;
 use crate::sdk::{
-    ChunkComponents, ComponentDescriptor, RowId, TimeColumn, Tuid,
+    ChunkComponents, RowId, TimeColumn, Tuid,
     arrow::{
         array::{ListArray, UInt64Array},
         buffer::OffsetBuffer,
         datatypes::{DataType, Field},
     },
 };
-
-/// The entity of the checksums. Its only component holds unsigned 64-bit numbers.
-pub const ENTITY: &str = "/checksum";
-/// The component of [`ENTITY`].
-pub const COMPONENT: &str = "checksum";
 
 /// Checksums of consecutive steps that have not been sent yet.
 ///
@@ -79,11 +78,11 @@ impl Checksums {
         let field = Field::new_list_field(DataType::UInt64, true);
         let offsets = OffsetBuffer::from_lengths(lengths);
         let lists = ListArray::new(field.into(), offsets, Arc::new(UInt64Array::from(values)), None);
-        let components: ChunkComponents = [(ComponentDescriptor::partial(COMPONENT), lists)].into_iter().collect();
+        let components: ChunkComponents = [(CHECKSUMS.descriptor(), lists)].into_iter().collect();
         let timelines = [
-            TimeColumn::new_sequence("step", last.iter().map(|at| at.step as i64)),
-            TimeColumn::new_duration_nanos("sim_time", last.iter().map(|at| at.nanoseconds())),
+            TimeColumn::new_sequence(STEP, last.iter().map(|at| at.step as i64)),
+            TimeColumn::new_duration_nanos(SIM_TIME, last.iter().map(|at| at.nanoseconds())),
         ];
-        chunks.columns(ENTITY, &ids, timelines, components);
+        chunks.columns(CHECKSUM.path, &ids, timelines, components);
     }
 }

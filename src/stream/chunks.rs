@@ -7,7 +7,8 @@ use std::collections::HashMap;
 
 use super::{
     columns::{Cell, ChunkParts, Columns},
-    instant::{Instant, STAGE},
+    contract::STAGE,
+    instant::Instant,
 };
 use crate::sdk::{
     AsComponents, Chunk, ChunkBuilder, ChunkComponents, ChunkId, ComponentDescriptor, EntityPath, LogMsg, RowId,
@@ -96,14 +97,14 @@ impl Chunks {
 
     /// Like [`Chunks::push`], for values that depend on the machine. Their rows are counted separately, so that all
     /// other rows have the same ids in equal runs.
-    pub fn push_apart(&mut self, TrackId(track): TrackId, at: Instant, cells: &[Cell<'_>]) {
+    pub fn push_apart(&mut self, TrackId(track): TrackId, at: Instant, cells: &[&dyn Cell]) {
         self.rows_apart += 1;
         let row = RowId::from_tuid(Tuid::from_nanos_and_inc(4, self.rows_apart));
         self.tracks[track].push(row, at, None, cells);
     }
 
     /// Logs a row of a track, one cell per component.
-    pub fn push(&mut self, TrackId(track): TrackId, at: Instant, cells: &[Cell<'_>]) {
+    pub fn push(&mut self, TrackId(track): TrackId, at: Instant, cells: &[&dyn Cell]) {
         let row = self.row_id();
         self.tracks[track].push(row, at, self.stage, cells);
     }

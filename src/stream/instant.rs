@@ -1,9 +1,7 @@
 //! Conversion of an [`Instant`] to the two timelines of a recording.
 
+use super::contract::{SIM_TIME, STEP};
 use crate::sdk::{self, TimePoint, Timeline};
-
-/// The timeline of the stages inside steps.
-pub const STAGE: &str = "stage";
 
 pub use crate::observe::Instant;
 
@@ -11,8 +9,8 @@ impl Instant {
     /// The time point of a row.
     pub fn time_point(self) -> TimePoint {
         TimePoint::from_iter([
-            (*Timeline::new_sequence("step").name(), sdk::TimeCell::from_sequence(self.step as i64)),
-            (*Timeline::new_duration("sim_time").name(), sdk::TimeCell::from_duration_nanos(self.nanoseconds())),
+            (*Timeline::new_sequence(STEP).name(), sdk::TimeCell::from_sequence(self.step as i64)),
+            (*Timeline::new_duration(SIM_TIME).name(), sdk::TimeCell::from_duration_nanos(self.nanoseconds())),
         ])
     }
 

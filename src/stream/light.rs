@@ -8,35 +8,30 @@ use std::sync::{Arc, LazyLock};
 
 use glam::{DQuat, DVec3};
 
-use super::{blueprint::Mapping, normals::Float3, palette::Rgb};
+use super::{
+    blueprint::Mapping,
+    contract::{LIT, UNLIT},
+    normals::Float3,
+    palette::Rgb,
+};
 use crate::sdk::{
-    AnyValues, ComponentDescriptor,
+    AnyValues,
     arrow::{
         array::{FixedSizeListArray, Float32Array},
         datatypes::{DataType, Field},
     },
 };
 
-/// The component with the lit colours of vertices, packed like `Mesh3D:vertex_colors`.
-pub const LIT: &str = "lit_colors";
-/// The component with the normal that receives no light.
-const UNLIT: &str = "unlit_normals";
-
 /// Visualizer sources of a surface that the viewer does not light.
-pub const NO_LIGHT: Mapping = Mapping { target: "Mesh3D:vertex_normals", source: UNLIT };
+pub const NO_LIGHT: Mapping = Mapping { target: "Mesh3D:vertex_normals", source: UNLIT.0 };
 /// Visualizer sources of a surface with lit colours.
-pub const COLORS: Mapping = Mapping { target: "Mesh3D:vertex_colors", source: LIT };
-
-/// The component with lit colours.
-pub fn descriptor() -> ComponentDescriptor {
-    ComponentDescriptor::partial(LIT)
-}
+pub const COLORS: Mapping = Mapping { target: "Mesh3D:vertex_colors", source: LIT.0 };
 
 /// The normal that receives no light. The viewer repeats it for all vertices.
 pub fn unlit() -> AnyValues {
     let item = Field::new("item", DataType::Float32, false);
     let zero = FixedSizeListArray::new(item.into(), 3, Arc::new(Float32Array::from(vec![0.0; 3])), None);
-    AnyValues::default().with_component_from_data(UNLIT, Arc::new(zero))
+    AnyValues::default().with_component_from_data(UNLIT.0, Arc::new(zero))
 }
 
 /// A large soft light, above and beside the initial camera.

@@ -11,6 +11,7 @@
 //! | smooth normals of deformed surfaces | [`normals`] |
 //! | the settings that determine a recording | [`settings`] |
 //! | prediction of the size of a recording | [`size`] |
+//! | every entity, component and property | [`contract`] |
 //! | plot lines | [`series`] |
 //! | a hash of the state for every step | [`checksums`] |
 //! | the last frames, kept until a trigger fires | `flight` |
@@ -29,39 +30,66 @@
 //! Equal runs give equal recordings except for `/timings`, the axis ranges of their plots in the layout, and the name
 //! of the machine.
 //!
-//! | entity | contents |
-//! | --- | --- |
-//! | `/world/bodies/NAME`, `…/surface` | transform to the centre; mesh in body coordinates |
-//! | `/world/resting/SHAPE`, `/world/deforming/surface` | replace the above for more than 64 bodies: undeformed ones as instances, the others as one mesh in world coordinates |
-//! | `/world/merged/surface`, `…/seams` | the surfaces of all groups (two or more bodies connected by joined pairs) as one mesh in world coordinates, with class ids that name the body of each vertex and `vertex`, its index there; the lines along which bodies meet. A body in a group keeps its own surface, but its component `drawn_triangles`, which the layout draws, is one degenerate triangle |
-//! | `/groups/A/volume`, `…/genus`, `…/bodies`, with few bodies also `…/area`, `…/components`, `…/euler` | volume, genus, number of bodies, area, connected components and Euler characteristic of the sharp union of the group whose first body is A; as many groups as pairs with plots. `/diagnostics/overlapping_groups`: the number of groups that could not be united in time and are drawn as overlapping meshes |
-//! | `/world/influence` | all influence spheres |
-//! | `/world/pairs` | lines between the centres of pairs within reach, labelled with q: the closest 16, or 5 in a batched scene (`--pairs N`); in a batched scene also the influence spheres that reach another body |
-//! | `/world/forces/CAUSE` | arrows of `attraction`, `repulsion` (of bodies apart), `core` (of bodies in their core), `point` (of force points), `restoring`, `damping`, `push`, `carry`, `net`: accelerations times the arrow scale given in the panel; classes, named at `/world/forces`, identify the two bodies between which a force acts |
-//! | `/world/forces/net_force`, `…/torque` | one arrow per free body, at its centre: force over mass, torque over mass times radius, times the scale given in the panel |
-//! | `/world/trails` | the path of the centre of each free body, one segment per frame; not in a batched scene |
-//! | `/world/planes/N`, `…/grid` | planes |
-//! | on a surface, with forces | for each vertex: `body`, `vertex`, `displacement_in_radii`, `net_force`, `reach` |
-//! | `/pairs/A~B/distance`, `…/merge_at`, `…/split_at`, `…/core_at`, `…/phase` | q, its thresholds and the phase, for the first 16 pairs within reach, or 5 in a batched scene (`--pairs N`), and as many that have events; of pairs that come within reach together, the closest (`--pair A~B`: that pair alone) |
-//! | `/pairs/A~B/gap`, `…/overlap`, `…/neck`, `…/contact` | for the same pairs: smallest distance between the surfaces or minus the penetration depth, volume of the intersection, radius of the seam (in radii of the smaller body); where these and the phase disagree |
-//! | `/events` | one line per merge, split and core event, with the components `bodies`, `phases` (before and after), `time` (s, exact), `q` and its `rate` (1/s); with free bodies also the `energy` that they gained |
-//! | `/events/accuracy` | one line per step in which the error of a body exceeds the tolerance: which body, and by how much |
-//! | `/events/surfaces` | one line when surfaces touch or part; a thin recording has it in `/events` |
-//! | `/events/bodies` | one line per cell of a body that was cut, or would have torn, and per node that was split, with its position |
-//! | `/timings/STAGE`, `/timings/stacked/STAGE`, `/timings/speed`, `/timings/lag`, `/diagnostics/…` | scalars over time; `stacked`: with the stages before it on the same thread |
-//! | `/marks/axis/KIND`, `/marks/q/KIND` | events as markers in plots: at 0, and at q |
-//! | `/world/names`, `/world/recent` | the names of up to 8 bodies; pairs that had an event in the last 24 frames |
-//! | `/legend/…` | the colour scale of the displacement tab; `heat_…` on a surface: its texture and texture coordinates |
-//! | `lit_colors`, `unlit_normals` on a surface | colours with baked lighting, which the layout draws without the viewer's lights |
-//! | `/stages` | on the timeline `stage`: one line per stage of the steps recorded in detail; the entities under `/world` have this timeline too |
-//! | `/checksum` | `checksum`, a hash of the exact state, for every step; a thin recording has several steps per row, at the time of the last one |
-//! | `/about` | the text of the panel |
-//! | properties `meldscope` | text of the scene, resolved settings, overrides of the scene's own (`overrides`), program version, format, machine, integrator, number of steps, digest of all checksums |
+//! | entity | holds | shows |
+//! | --- | --- | --- |
+//! | `/world` | ViewCoordinates | Axes: right-handed, z up. |
+//! | `/world/bodies/NAME` | Transform3D | Transform to the centre of a body, and of a free one its rotation. |
+//! | `/world/bodies/NAME/surface` | Mesh3D, drawn_triangles, lit_colors, unlit_normals, heat_…; with forces body, vertex, displacement_in_radii, net_force, reach | Mesh in the axes of the body. A body in a group keeps its own surface, but draws one degenerate triangle of it. |
+//! | `/world/resting/SHAPE` | Mesh3D, InstancePoses3D, body | With more than 64 bodies: the undeformed ones, as instances of their shape. |
+//! | `/world/deforming/surface` | as the surface of a body | With more than 64 bodies: the deformed ones, as one mesh in world coordinates. |
+//! | `/world/merged` | AnnotationContext | Names of the bodies, as classes of the vertices of merged surfaces. |
+//! | `/world/merged/surface` | Mesh3D, vertex, lit_colors, unlit_normals | The surfaces of all groups (two or more bodies connected by joined pairs), as one mesh in world coordinates. |
+//! | `/world/merged/seams` | LineStrips3D | The lines along which bodies meet. |
+//! | `/world/influence` | Ellipsoids3D | All influence spheres, coloured by the deepest phase of their body. |
+//! | `/world/pairs` | LineStrips3D; with more than 64 bodies Ellipsoids3D | Lines between the centres of the closest pairs within reach, labelled with q; with many bodies also the influence spheres that reach another body. |
+//! | `/world/recent` | LineStrips3D | Pairs that had an event in the last 24 frames. |
+//! | `/world/names` | Points3D | The names of up to 8 bodies. |
+//! | `/world/forces` | AnnotationContext | Names of the pairs of bodies between which forces act, as classes of arrows. |
+//! | `/world/forces/CAUSE` | Arrows3D | Accelerations of vertices by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre. |
+//! | `/world/trails` | LineStrips3D | The path of the centre of each free body, one segment per frame; not with more than 64 bodies. |
+//! | `/world/planes/N` | Mesh3D | A plane. |
+//! | `/world/planes/N/grid` | LineStrips3D | Its grid. |
+//! | `/pairs/A~B/distance` | Scalars | q, for the first 16 pairs within reach, or 5 with more than 64 bodies (--plots), and as many that have events. |
+//! | `/pairs/A~B/LEVEL` | Scalars | A threshold of q, for the same pairs: merge_at, split_at, core_at. |
+//! | `/pairs/A~B/phase` | StateChange, StateConfiguration | The phase, for the same pairs. |
+//! | `/pairs/A~B/gap` | Scalars | Smallest distance of the surfaces, or minus the depth of their overlap [radii of the smaller body]. |
+//! | `/pairs/A~B/overlap` | Scalars | Volume of the intersection [its radius³]. |
+//! | `/pairs/A~B/neck` | Scalars | Radius of the seam [radii of the smaller body]. |
+//! | `/pairs/A~B/contact` | StateChange, StateConfiguration | Whether the bodies are joined by their phase, and whether their surfaces touch. |
+//! | `/groups/A` | bodies | The names of the bodies of the group whose first body is A. |
+//! | `/groups/A/QUANTITY` | Scalars | Volume, area, genus, components, Euler characteristic and number of bodies of the group, of its sharp union. |
+//! | `/events` | TextLog, bodies, phases, time, q, rate, energy | One line per change of a phase; a thin recording has all events here. |
+//! | `/events/accuracy` | TextLog | One line per step in which the error of a body exceeds the tolerance: which body, and by how much. |
+//! | `/events/surfaces` | TextLog | One line when surfaces touch or part. |
+//! | `/events/bodies` | TextLog | One line per event of a single body, with its position. |
+//! | `/marks/axis/KIND` | Scalars, SeriesPoints | Events as markers on the axis of plots. |
+//! | `/marks/q/KIND` | Scalars, SeriesPoints | Events as markers in plots of q. |
+//! | `/timings/STAGE` | Scalars | What a stage of the step or of the recording costs [ms per step]. |
+//! | `/timings/stacked/STAGE` | Scalars | The same, with the stages before it on the same thread. |
+//! | `/timings/speed` | Scalars | Steps per second. |
+//! | `/timings/lag` | Scalars | How far a run in real time is behind [ms]. |
+//! | `/diagnostics/SCALAR` | Scalars | Energy, error, counts. |
+//! | `/diagnostics/overlapping_groups` | Scalars | Groups that could not be united in time and are drawn as overlapping meshes. |
+//! | `/legend/PART` | Image; Points2D | The colour scale of displacements, and its numbers. |
+//! | `/stages` | TextLog | One line per stage of the steps recorded in detail, on the timeline stage, which the entities under /world have too. |
+//! | `/checksum` | checksum | A hash of the exact state after every step; a thin recording has several steps per row, at the time of the last one. |
+//! | `/about` | TextDocument | The text of the panel. |
+//! | `/__properties` | RecordingInfo | The name of the recording. |
+//! | `/__properties/meldscope` | the properties below | What a replay needs, and how the recording was made. |
+//! | `/golden/vertices` | bodies, hashes | In a golden recording: a hash of two bytes for every vertex of every body that is free or not at rest, at every step. |
+//! | `/golden/states` | bodies, displacements, frames | In a golden recording: displacements of these bodies every 20 steps, and the centres and rotations of the free ones. |
+//! | `/golden/surfaces` | names, values | In a golden recording: the quantities of pairs and groups every 20 steps, by the entity that plots them. |
+//! | `/world/SIDE/NAME` | Mesh3D | In a comparison: the surface of a body in the first or the second run. |
+//! | `/world/error` | Arrows3D | In a comparison: arrows between equal vertices. |
+//! | `/difference/NAME` | Scalars | In a comparison: the largest difference of a body [radii]. |
+//! | `/map/LAYER` | Image, LineStrips2D, Points2D | In the map of a sweep: its regions, their boundaries, every run as a point, and ticks; on the timeline slice, if there are several maps. |
+//! | `/along/COLUMN/LINE` | Scalars | In the map of a sweep: a measure along the first axis, on the timeline along. |
 
 pub mod blueprint;
 pub mod checksums;
 pub mod chunks;
 pub mod columns;
+pub mod contract;
 pub mod extract;
 mod flight;
 mod focus;

@@ -14,6 +14,11 @@ use super::{
     blueprint::{self, Measured, Subject, Tab},
     checksums::Checksums,
     chunks::{Audience, Chunks},
+    contract::{
+        self, ABOUT, ACCURACY, BODY_EVENTS, Component, DIGEST, EVENTS, Entity, INTEGRATOR, MACHINE, MARKS_AT_Q,
+        MARKS_ON_AXIS, MODEL, OVERRIDES, PAIR_PHASE, PROPERTIES, RECORDING_INFO, SCENE, SETTINGS, STAGES, STEPS,
+        SURFACE_EVENTS, VERSION, WORLD, path_of,
+    },
     extract::Extractor,
     flight::FlightRecorder,
     focus::FocusFinder,
@@ -29,7 +34,7 @@ use super::{
     step::{StepRecord, StepWatch},
 };
 pub use super::{
-    parts::batch::{DEFORMED, resting_entity},
+    parts::batch::DEFORMED,
     settings::{Detail, Entities, MOST_PAIRS, Settings, file_stem},
 };
 use crate::{
@@ -44,6 +49,10 @@ use crate::{
 
 /// Upper limit on the number of near misses listed.
 pub const MOST_APPROACHES: usize = 5;
+
+/// What a flight recorder writes whether or not a trigger fires.
+static ALWAYS_WRITTEN: [&Entity; 7] =
+    [&EVENTS, &SURFACE_EVENTS, &BODY_EVENTS, &ACCURACY, &MARKS_ON_AXIS, &MARKS_AT_Q, &PAIR_PHASE];
 
 /// Converts a simulation, step by step, to the messages of a recording.
 pub struct Recorder {
@@ -128,7 +137,7 @@ impl Recorder {
         log_properties(&schema, &run, &simulation.overrides(settings.steps), &settings, &mut chunks);
         if settings.frames != Frames::Thin {
             // a thin recording would open an empty 3D view
-            chunks.log_static("/world", &ViewCoordinates::RIGHT_HAND_Z_UP());
+            chunks.log_static(WORLD.path, &ViewCoordinates::RIGHT_HAND_Z_UP());
         }
         log_about(blueprint::about(&schema, &settings, simulation.steps_taken()), &mut chunks);
         if settings.frames != Frames::Thin && !schema.planes.is_empty() {
@@ -306,7 +315,7 @@ impl Recorder {
             self.chunks.set_stage(Some(self.stage_count));
             self.stage_count += 1;
             let line = format!("step {}: {}", at.step, stage.name);
-            self.chunks.log("/stages", at, &TextLog::new(line).with_level("stage"));
+            self.chunks.log(STAGES.path, at, &TextLog::new(line).with_level("stage"));
             state.log(FrameView { schema: &self.schema, frame: &stage.frame, at }, &[], &mut self.chunks);
         }
         self.chunks.set_stage(None);
@@ -327,9 +336,9 @@ impl Recorder {
     }
 
     /// Adds a text to the recording's properties.
-    pub fn log_property(&mut self, name: &'static str, text: &str) {
-        let property = AnyValues::default().with_component::<Text>(name, [text]);
-        self.chunks.log_static("/__properties/meldscope", &property);
+    pub fn log_property(&mut self, property: Component, text: &str) {
+        let property = AnyValues::default().with_component::<Text>(property.0, [text]);
+        self.chunks.log_static(PROPERTIES.path, &property);
     }
 
     /// Moves the data logged in this step to the flight recorder, if there is one, and writes its contents if the step
@@ -337,14 +346,8 @@ impl Recorder {
     fn keep(&mut self, summary: &StepSummary) {
         let (Some(flight), Frames::Last { on, after, .. }) = (&mut self.flight, &self.settings.frames) else { return };
         for chunk in self.chunks.drain() {
-            let entity = chunk.entity_path().to_string();
-            if entity == "/events"
-                || entity == pairs::SURFACE_EVENTS
-                || entity == pairs::BODY_EVENTS
-                || entity == pairs::ACCURACY
-                || entity.starts_with(marks::MARKS)
-                || (entity.starts_with("/pairs/") && entity.ends_with("/phase"))
-            {
+            let entity = path_of(&chunk);
+            if ALWAYS_WRITTEN.iter().any(|family| family.is(&entity)) {
                 self.chunks.send(chunk);
             } else {
                 flight.push(chunk);
@@ -434,7 +437,7 @@ impl Recorder {
             );
         }
         self.checksums.log(&mut self.chunks, true);
-        self.log_property("digest", &format!("{:016x}", self.checksums.digest()));
+        self.log_property(DIGEST, &format!("{:016x}", self.checksums.digest()));
         log_steps(Some(simulation.steps_taken()), &mut self.chunks);
     }
 }
@@ -537,32 +540,32 @@ impl StateParts {
 }
 
 fn log_about(text: String, chunks: &mut Chunks) {
-    chunks.log_static("/about", &TextDocument::new(text).with_media_type(MediaType::MARKDOWN));
+    chunks.log_static(ABOUT.path, &TextDocument::new(text).with_media_type(MediaType::MARKDOWN));
 }
 
 fn log_properties(schema: &Schema, run: &str, overrides: &str, settings: &Settings, chunks: &mut Chunks) {
     let properties = AnyValues::default()
-        .with_component::<Text>("scene", [schema.source.as_str()])
-        .with_component::<Text>("settings", [run])
-        .with_component::<Text>("overrides", [overrides])
-        .with_component::<Text>("version", [env!("CARGO_PKG_VERSION")])
-        .with_component::<Scalar>("format", [f64::from(FORMAT)])
-        .with_component::<Text>("machine", [machine::describe()])
-        .with_component::<Text>("integrator", [schema.integrator.as_str()]);
+        .with_component::<Text>(SCENE.0, [schema.source.as_str()])
+        .with_component::<Text>(SETTINGS.0, [run])
+        .with_component::<Text>(OVERRIDES.0, [overrides])
+        .with_component::<Text>(VERSION.0, [env!("CARGO_PKG_VERSION")])
+        .with_component::<Scalar>(contract::FORMAT.0, [f64::from(FORMAT)])
+        .with_component::<Text>(MACHINE.0, [machine::describe()])
+        .with_component::<Text>(INTEGRATOR.0, [schema.integrator.as_str()]);
     // omitted for oscillators, as in recordings made before there were other models
     let properties = match schema.non_default_model() {
         None => properties,
-        Some(model) => properties.with_component::<Text>("model", [model]),
+        Some(model) => properties.with_component::<Text>(MODEL.0, [model]),
     };
-    chunks.log_static("/__properties/meldscope", &properties);
-    chunks.log_static("/__properties", &sdk::RecordingInfo::new().with_name(schema.name.as_str()));
+    chunks.log_static(PROPERTIES.path, &properties);
+    chunks.log_static(RECORDING_INFO.path, &sdk::RecordingInfo::new().with_name(schema.name.as_str()));
     log_steps(settings.steps, chunks);
 }
 
 /// Logs the number of steps: the planned one, and at the end the actual one.
 fn log_steps(steps: Option<u64>, chunks: &mut Chunks) {
-    let steps = AnyValues::default().with_component::<Scalar>("steps", [steps.unwrap_or(0) as f64]);
-    chunks.log_static("/__properties/meldscope", &steps);
+    let steps = AnyValues::default().with_component::<Scalar>(STEPS.0, [steps.unwrap_or(0) as f64]);
+    chunks.log_static(PROPERTIES.path, &steps);
 }
 
 fn now(simulation: &dyn Simulation) -> Instant {

@@ -2,7 +2,6 @@
 
 use super::{
     chunks::{Chunks, TrackId},
-    columns::Cell,
     instant::Instant,
     palette::{Rgb, color},
 };
@@ -76,19 +75,19 @@ impl Series {
         match last {
             Some(last) if last.value == value && !self.is_whole => last.seen = now,
             Some(last) if self.is_whole => {
-                chunks.push(*track, now, &[Cell::Scalars(&[value])]);
+                chunks.push(*track, now, &[&[value]]);
                 *last = Last { value, logged: now, seen: now };
             }
             Some(Last { value: before, logged, seen }) => {
                 // A linear line was flat until the value was last observed: it needs a point at that corner.
                 if *shape == Interpolation::Linear && logged.step < seen.step {
-                    chunks.push(*track, *seen, &[Cell::Scalars(&[*before])]);
+                    chunks.push(*track, *seen, &[&[*before]]);
                 }
-                chunks.push(*track, now, &[Cell::Scalars(&[value])]);
+                chunks.push(*track, now, &[&[value]]);
                 *last = Some(Last { value, logged: now, seen: now });
             }
             None => {
-                chunks.push(*track, now, &[Cell::Scalars(&[value])]);
+                chunks.push(*track, now, &[&[value]]);
                 *last = Some(Last { value, logged: now, seen: now });
             }
         }
@@ -104,7 +103,7 @@ impl Series {
         let line = &mut self.lines[line];
         line.extend(chunks);
         if line.last.take().is_some() {
-            chunks.push(line.track, now, &[Cell::Scalars(&[])]);
+            chunks.push(line.track, now, &[&[0.0_f64; 0]]);
         }
     }
 
@@ -119,7 +118,7 @@ impl Line {
         if let Some(last) = &mut self.last
             && last.logged.step < last.seen.step
         {
-            chunks.push(self.track, last.seen, &[Cell::Scalars(&[last.value])]);
+            chunks.push(self.track, last.seen, &[&[last.value]]);
             last.logged = last.seen;
         }
     }

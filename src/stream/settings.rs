@@ -85,38 +85,49 @@ pub enum Frames {
     },
 }
 
-/// An event that makes a flight recorder write its frames.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// What makes a flight recorder write its frames.
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Trigger {
-    /// A pair merges.
-    Merge,
-    /// A pair splits.
-    Split,
-    /// A pair enters or leaves its core.
-    Core,
+    /// An event of a pair, by its [word](Schema::event_words).
+    Event(String),
     /// The state diverges: the step led to an impossible state.
     Diverge,
 }
 
 impl Trigger {
-    /// All triggers, in the order in which they are listed to users.
-    pub const ALL: [Trigger; 4] = [Trigger::Merge, Trigger::Split, Trigger::Core, Trigger::Diverge];
+    /// The name of [`Trigger::Diverge`].
+    pub const DIVERGE: &str = "diverge";
+
+    /// Parses the name of an event of this simulation, or `diverge`.
+    ///
+    /// # Errors
+    /// It is neither; the error names the known ones.
+    pub fn parse(word: &str, schema: &Schema) -> Result<Trigger, String> {
+        let known = || schema.event_words().into_iter().chain([Trigger::DIVERGE]);
+        if known().any(|known| known == word) {
+            return Ok(Trigger::of(word));
+        }
+        let hint = did_you_mean(word, known());
+        Err(format!("no event {:?}{hint} (known: {})", printable(word), known().collect::<Vec<_>>().join(", ")))
+    }
+
+    fn of(name: &str) -> Trigger {
+        if name == Trigger::DIVERGE { Trigger::Diverge } else { Trigger::Event(name.to_owned()) }
+    }
 
     /// The name on the command line and in recordings.
-    pub fn name(self) -> &'static str {
+    pub fn name(&self) -> &str {
         match self {
-            Trigger::Merge => "merge",
-            Trigger::Split => "split",
-            Trigger::Core => "core",
-            Trigger::Diverge => "diverge",
+            Trigger::Event(word) => word,
+            Trigger::Diverge => Trigger::DIVERGE,
         }
     }
 
     /// Whether the trigger fired in a step.
-    pub fn is_in(self, summary: &StepSummary) -> bool {
+    pub fn is_in(&self, summary: &StepSummary) -> bool {
         match self {
+            Trigger::Event(word) => summary.events.iter().any(|event| event.is(word)),
             Trigger::Diverge => summary.failure.is_some(),
-            _ => summary.events.iter().any(|event| event.name.starts_with(self.name())),
         }
     }
 }
@@ -149,8 +160,8 @@ pub struct Settings {
 /// An event, as a user specifies it: by any of kind, pair and number.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Around {
-    /// The kind; `None`: any.
-    pub kind: Option<Trigger>,
+    /// The kind, by its [word](Schema::event_words); `None`: any.
+    pub kind: Option<String>,
     /// The pair, as `A~B` in the order of the scene; `None`: any.
     pub pair: Option<String>,
     /// Number among the events of that kind and pair, from 1.
@@ -164,42 +175,42 @@ impl Around {
     /// A word is not the kind, pair or number of an event of this scene; the error names the word and the nearest valid
     /// one.
     pub fn parse(text: &str, schema: &Schema) -> Result<Around, String> {
-        let kinds = || Trigger::ALL.into_iter().filter(|kind| *kind != Trigger::Diverge);
+        let kinds = schema.event_words();
+        // an example in the words of this simulation
+        let example = format!("`{} a~b 2`", kinds.first().unwrap_or(&"event"));
         let mut around = Around { number: 1, ..Around::default() };
         for word in text.split([' ', ':']).filter(|word| !word.is_empty()) {
-            if let Some(kind) = kinds().find(|kind| kind.name() == word) {
-                around.kind = Some(kind);
+            if kinds.contains(&word) {
+                around.kind = Some(word.to_owned());
             } else if let Ok(number @ 1..) = word.parse() {
                 around.number = number;
             } else if word.contains('~') {
                 around.pair = Some(pair(word, schema)?);
             } else {
-                let hint = did_you_mean(word, kinds().map(Trigger::name));
-                let known: Vec<&str> = kinds().map(Trigger::name).collect();
-                let (known, word) = (known.join(", "), printable(word));
+                let hint = did_you_mean(word, kinds.iter().copied());
+                let (known, word) = (kinds.join(", "), printable(word));
                 return Err(format!(
-                    "no event {word:?}{hint} (an event is one of {known}, a pair a~b, a number, or these together: `merge a~b 2`)"
+                    "no event {word:?}{hint} (an event is one of {known}, a pair a~b, a number, or these together: {example})"
                 ));
             }
         }
         if around.kind.is_none() && around.pair.is_none() && around.number == 1 {
-            return Err("name an event: its kind, its pair, its number, or these together: `merge a~b 2`".to_owned());
+            return Err(format!("name an event: its kind, its pair, its number, or these together: {example}"));
         }
         Ok(around)
     }
 
     /// Whether an event is of this kind and pair.
     pub fn is_kind_of(&self, event: &PairEvent, schema: &Schema) -> bool {
-        self.kind.is_none_or(|kind| event.name.starts_with(kind.name()))
+        self.kind.as_ref().is_none_or(|word| event.is(word))
             && self.pair.as_ref().is_none_or(|pair| *pair == schema.pair_name(event.a, event.b))
     }
 }
 
 impl fmt::Display for Around {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let kind = self.kind.map(|kind| kind.name().to_owned());
         let number = (self.number > 1).then(|| self.number.to_string());
-        let words: Vec<String> = kind.into_iter().chain(self.pair.clone()).chain(number).collect();
+        let words: Vec<String> = self.kind.clone().into_iter().chain(self.pair.clone()).chain(number).collect();
         f.write_str(&words.join(" "))
     }
 }
@@ -268,7 +279,7 @@ impl Settings {
     /// # Errors
     /// Describes what is missing or invalid.
     pub fn from_toml(text: &str, bodies: usize) -> Result<Settings, String> {
-        let table = table(text);
+        let table: toml::Table = text.parse().unwrap_or_default();
         let text = |key: &str| table.get(key).and_then(toml::Value::as_str);
         let count = |key: &str| table.get(key).and_then(number);
         let steps = count("steps").ok_or("the settings have no usable number of steps")?;
@@ -290,8 +301,7 @@ impl Settings {
                 Some(toml::Value::String(_)) => Frames::Thin,
                 Some(last) => {
                     let on = last.get("on").and_then(toml::Value::as_array).into_iter().flatten();
-                    let trigger =
-                        |name: &toml::Value| Trigger::ALL.into_iter().find(|on| name.as_str() == Some(on.name()));
+                    let trigger = |name: &toml::Value| name.as_str().filter(|name| is_plain(name)).map(Trigger::of);
                     Frames::Last {
                         most: last.get("last").and_then(number).unwrap_or(1),
                         on: on.filter_map(trigger).collect(),
@@ -308,7 +318,7 @@ impl Settings {
             around: table.get("around").and_then(toml::Value::as_table).map(|around| {
                 let text = |key: &str| around.get(key).and_then(toml::Value::as_str);
                 Around {
-                    kind: text("kind").and_then(|kind| Trigger::ALL.into_iter().find(|known| known.name() == kind)),
+                    kind: text("kind").filter(|kind| is_plain(kind)).map(str::to_owned),
                     pair: text("pair").filter(|pair| is_plain(pair)).map(str::to_owned),
                     number: around.get("number").and_then(number).unwrap_or(1).max(1),
                 }
@@ -336,7 +346,7 @@ impl Settings {
         let only: Vec<String> = self.only.iter().map(|pair| format!("\"{pair}\"")).collect();
         let only = if only.is_empty() { only.concat() } else { format!("only = [{}]\n", only.join(", ")) };
         let around = self.around.as_ref().map_or(String::new(), |Around { kind, pair, number }| {
-            let kind = kind.map_or(String::new(), |kind| format!("kind = \"{}\", ", kind.name()));
+            let kind = kind.as_ref().map_or(String::new(), |kind| format!("kind = \"{kind}\", "));
             let pair = pair.as_ref().map_or(String::new(), |pair| format!("pair = \"{pair}\", "));
             format!("around = {{ {kind}{pair}number = {} }}\n", written(*number))
         });
@@ -349,7 +359,7 @@ impl Settings {
     }
 }
 
-/// Whether a text can be the name of a pair.
+/// Whether a text can be the name of an event or a pair.
 fn is_plain(text: &str) -> bool {
     text.chars().all(|c| c.is_ascii_alphanumeric() || "-_~".contains(c))
 }
@@ -366,28 +376,6 @@ fn number(value: &toml::Value) -> Option<u64> {
         toml::Value::String(text) => text.parse().ok(),
         _ => None,
     }
-}
-
-/// Parses a recording's settings, including those of older versions that did not write numbers from 2^63 as strings;
-/// empty if they are not valid TOML.
-pub(crate) fn table(text: &str) -> toml::Table {
-    with_large_numbers_quoted(text).parse().unwrap_or_default()
-}
-
-fn with_large_numbers_quoted(text: &str) -> String {
-    let mut fixed = String::with_capacity(text.len());
-    let mut rest = text;
-    while let Some(start) = rest.find(|c: char| c.is_ascii_digit()) {
-        let (before, from) = rest.split_at(start);
-        let (digits, after) = from.split_at(from.find(|c: char| !c.is_ascii_digit()).unwrap_or(from.len()));
-        fixed.push_str(before);
-        // whole numbers only: not next to a decimal point, not within a string
-        let is_alone = !before.ends_with(['.', '"']) && !after.starts_with(['.', '"']);
-        let is_large = digits.parse::<u64>().is_ok_and(|number| i64::try_from(number).is_err());
-        fixed.push_str(&if is_alone && is_large { format!("\"{digits}\"") } else { digits.to_owned() });
-        rest = after;
-    }
-    fixed + rest
 }
 
 /// Equal scenes and options give equal ids; if the id does not match its texts, the recording was damaged or edited.

@@ -8,6 +8,7 @@ use std::{
 
 use super::{
     Recorder, Settings,
+    contract::{STACKED, TIMING},
     settings::{Detail, Frames},
 };
 use crate::observe::{Experiment, Frame, Simulation, StepSummary, Want};
@@ -157,7 +158,7 @@ fn timings(message: &LogMsg) -> Option<u64> {
     let LogMsg::ArrowMsg(store, arrow) = message else { return None };
     let schema = arrow.batch.schema();
     let entity = schema.metadata().get("rerun:entity_path")?;
-    let varies = entity.starts_with("/timings") || store.kind() == StoreKind::Blueprint;
+    let varies = TIMING.is(entity) || STACKED.is(entity) || store.kind() == StoreKind::Blueprint;
     varies.then(|| arrow.batch.num_rows() as u64)
 }
 

@@ -297,6 +297,7 @@ pub fn schema(scene: &Scene) -> Schema {
                 is_joined: phase != Phase::Apart,
             })
             .into(),
+        events: crate::sim::events::KINDS.map(Into::into).into(),
         thresholds: thresholds.collect(),
         own_levels,
         surfaces: OwnSurfaces::default(),

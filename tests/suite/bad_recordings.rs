@@ -24,6 +24,7 @@ use meldscope::{
     },
     stream::{
         chunks,
+        contract::GOLDEN_STATES,
         instant::Instant,
         settings::{Entities, Settings},
     },
@@ -525,7 +526,7 @@ fn strange(random: &mut Random, id: &str) -> Vec<Message> {
             let states = AnyValues::default()
                 .with_component_from_data("bodies", bodies)
                 .with_component_from_data("displacements", floats);
-            chunks.log(golden::STATES, at(step), &states);
+            chunks.log(GOLDEN_STATES.path, at(step), &states);
         }
         _ => {
             let format = [f64::NAN, 1.0, 2.0, -0.0, 1e300][random.below(5)];

@@ -1,6 +1,8 @@
 //! Dependences of the checksum of the exact state. (`meldscope bench record` measures its cost.)
 
-use meldscope::{Scene, World, bench::record::scenes, scene::builtin};
+use std::fmt::Write as _;
+
+use meldscope::{Scene, World, scene::builtin};
 
 #[test]
 fn a_checksum_depends_only_on_the_state() {
@@ -64,11 +66,33 @@ fn checksums_do_not_depend_on_threads() {
     }
 }
 
+/// Two bodies that meet and separate, and this many that they do not affect, half of which oscillate after a push.
+fn pair_among(others: usize) -> Scene {
+    let mut text = "duration = 100.0\n[influence]\nsplit_at = 1.2\n[[body]]\nname = \"still\"\nradius = 1.0\n\
+                    motion = { fixed = [0, 0, 0] }\n[[body]]\nname = \"moving\"\nradius = 1.0\n\
+                    motion = { sine = { center = [2.2, 0, 0], amplitude = [0.24, 0, 0], frequency = 0.25 } }\n"
+        .to_owned();
+    for i in 0..others {
+        let _ = write!(
+            text,
+            "[[body]]\nname = \"b{i}\"\nradius = 1.0\nshape = {{ sphere = {{ stacks = 4, slices = 6 }} }}\n\
+             motion = {{ fixed = [{}, 50, 0] }}\n",
+            10 * i
+        );
+        if i % 2 == 0 {
+            let _ = write!(
+                text,
+                "[[push]]\nbody = \"b{i}\"\ndirection = [1, 0, 0]\nstrength = 9.0\nstart = 0.0\nduration = 0.05\n"
+            );
+        }
+    }
+    Scene::parse(&text, "pair").expect("a scene")
+}
+
 /// Bodies at rest and bodies that oscillate after a push contribute to the checksum, as do bodies affected by a sphere.
 #[test]
 fn a_checksum_covers_all_bodies() {
-    let text = scenes::pair_among(40);
-    let base = text.expect("a scene");
+    let base = pair_among(40);
     let checksum = |scene: Scene| {
         let mut world = World::new(scene).expect("enough memory");
         for _ in 0..60 {
@@ -83,5 +107,5 @@ fn a_checksum_covers_all_bodies() {
     let pushed = &mut other.pushes[7];
     pushed.strength = pushed.strength.next_up();
     assert_ne!(plain, checksum(other), "a bit of a push on a body that no sphere reaches");
-    assert_ne!(plain, checksum(scenes::pair_among(41).expect("a scene")), "a body that rests");
+    assert_ne!(plain, checksum(pair_among(41)), "a body that rests");
 }

@@ -833,7 +833,7 @@ fn an_interrupted_check_leaves_nothing() {
         ("INT", &["check", "long.toml", "--bless", "a test"]),
         // the golden recording of the first scene is complete, but nobody knows why it was made
         ("INT", &["check", "small.toml", "long.toml", "--bless", "a test"]),
-        ("TERM", &["bench", "record", "small.toml", "--folder", "."]),
+        ("TERM", &["bench", "error", "small.toml", "--csv", "o.csv"]),
     ];
     for (name, arguments) in cases {
         let mut running = Running::start(&dir, arguments);

@@ -1,5 +1,6 @@
 //! A simulation that shares nothing with this crate's. Two octahedra pass each other; each corner is pulled back to its
-//! rest position and, while the octahedra grip, towards the other octahedron. The second one rotates about z.
+//! rest position and, while the octahedra grip, towards the other octahedron. The second one rotates about z. Any others
+//! rest far away.
 
 use std::{sync::Arc, time::Duration};
 
@@ -20,32 +21,47 @@ const FACES: [[u32; 3]; 8] = [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0,
 const GRIP: f64 = 0.8;
 const SLIP: f64 = 1.1;
 
-/// Strength of the grip [1/s²].
+/// Two octahedra or more.
 #[derive(Clone, Debug)]
-pub struct Octahedra(pub f64);
+pub struct Octahedra {
+    /// Strength of the grip [1/s²].
+    pub pull: f64,
+    /// Their number.
+    pub bodies: usize,
+}
+
+impl Octahedra {
+    /// Two octahedra.
+    pub fn two(pull: f64) -> Octahedra {
+        Octahedra { pull, bodies: 2 }
+    }
+}
 
 struct Projected {
     schema: Schema,
     pull: f64,
     step: u64,
-    moved: [Vectors; 2],
-    velocity: [Vectors; 2],
+    moved: Vec<Vectors>,
+    velocity: Vec<Vectors>,
     phase: usize,
     events: Vec<PairEvent>,
 }
 
 impl Projected {
     fn centre(&self, body: usize) -> DVec3 {
-        if body == 0 { DVec3::ZERO } else { DVec3::new(4.0 * self.time() - 4.0, 1.2, 0.0) }
+        match body {
+            1 => DVec3::new(4.0 * self.time() - 4.0, 1.2, 0.0),
+            _ => 8.0 * body as f64 * DVec3::Y,
+        }
     }
 
     fn rotation(&self, body: usize) -> DQuat {
-        if body == 0 { DQuat::IDENTITY } else { DQuat::from_rotation_z(1.3 * self.time()) }
+        if body == 1 { DQuat::from_rotation_z(1.3 * self.time()) } else { DQuat::IDENTITY }
     }
 
     fn forces(&self, body: usize, i: usize) -> [DVec3; 2] {
-        let grip = if self.phase == 1 { self.pull } else { 0.0 };
-        [-50.0 * self.moved[body].get(i), grip * (self.centre(1 - body) - self.centre(body))]
+        let grip = if self.phase == 1 && body < 2 { self.pull } else { 0.0 };
+        [-50.0 * self.moved[body].get(i), grip * (self.centre(usize::from(body == 0)) - self.centre(body))]
     }
 }
 
@@ -60,7 +76,7 @@ impl Simulation for Projected {
         self.step as f64 * self.schema.dt
     }
     fn step(&mut self) {
-        for (body, i) in (0..2).flat_map(|body| (0..AXES.len()).map(move |i| (body, i))) {
+        for (body, i) in (0..self.moved.len()).flat_map(|body| (0..AXES.len()).map(move |i| (body, i))) {
             let (x, dt) = (self.moved[body].get(i), self.schema.dt);
             let u = 0.98 * self.velocity[body].get(i) + dt * self.forces(body, i).iter().sum::<DVec3>();
             self.velocity[body].set(i, u);
@@ -69,7 +85,7 @@ impl Simulation for Projected {
         self.step += 1;
         let (from, q, time, step) = (self.phase, self.centre(1).length() / 2.0, self.time(), self.step);
         self.phase = usize::from(q < if from == 1 { SLIP } else { GRIP });
-        let name = ["split", "merge"][self.phase];
+        let name = ["slip", "grip"][self.phase];
         let event = PairEvent { name, time, step, a: 0, b: 1, q, rate: 0.0, from, to: self.phase, energy: None };
         self.events = if from == self.phase { Vec::new() } else { vec![event] };
     }
@@ -85,7 +101,7 @@ impl Simulation for Projected {
     fn observe(&self, want: Want, frame: &mut Frame) {
         frame.at = Instant { step: self.step, time: self.time() };
         frame.pairs = vec![PairFrame { a: 0, b: 1, q: self.centre(1).length() / 2.0, phase: self.phase }];
-        frame.bodies.resize_with(2, BodyFrame::default);
+        frame.bodies.resize_with(self.moved.len(), BodyFrame::default);
         for (body, now) in frame.bodies.iter_mut().enumerate() {
             (now.centre, now.rotation) = (self.centre(body), self.rotation(body));
             (now.displacements, now.velocities) = (self.moved[body].clone(), self.velocity[body].clone());
@@ -93,7 +109,7 @@ impl Simulation for Projected {
             if want.forces {
                 let forces: Vec<_> = (0..AXES.len()).map(|i| self.forces(body, i)).collect();
                 let spring = (forces.iter().map(|[spring, _]| *spring).collect(), None);
-                let grip = (forces.iter().map(|[_, grip]| *grip).collect(), Some(1 - body as u32));
+                let grip = (forces.iter().map(|[_, grip]| *grip).collect(), Some(u32::from(body == 0)));
                 let net = (forces.iter().map(|[spring, grip]| *spring + *grip).collect(), None);
                 now.terms =
                     [spring, grip, net].map(|(accelerations, source)| TermFrame { accelerations, source }).into();
@@ -107,18 +123,23 @@ impl Simulation for Projected {
 impl Experiment for Octahedra {
     fn schema(&self) -> Schema {
         let mesh = Arc::new(Mesh::new(AXES.into_iter().collect(), FACES.to_vec()));
-        let body = |name: &str| BodySchema::new(name, "octahedron", Arc::clone(&mesh), 1.0, 2.0);
+        let body = |index: usize| {
+            let name = char::from(b'a' + index as u8).to_string();
+            let body = BodySchema::new(&name, "octahedron", Arc::clone(&mesh), 1.0, 2.0);
+            BodySchema { is_free: index == 1, ..body }
+        };
         let grip = TermSchema { has_source: true, ..TermSchema::new("grip", "Grip", colors::ORANGE) };
         let terms =
             [TermSchema::new("spring", "Spring", colors::GREEN), grip, TermSchema::new("net", "Net", colors::WHITE)];
         Schema {
             name: "octahedra".to_owned(),
-            source: format!("pull = {:?}", self.0),
+            source: format!("{:?} {}", self.pull, self.bodies),
             dt: 0.02,
             steps: 100,
-            bodies: vec![body("a"), BodySchema { is_free: true, ..body("b") }],
+            bodies: (0..self.bodies).map(body).collect(),
             terms: terms.into(),
             labels: vec!["free", "held"],
+            events: [("grip", "They come closer."), ("slip", "They part.")].map(Into::into).into(),
             phases: [("loose", colors::SILVER), ("gripped", colors::ORANGE)].map(Into::into).into(),
             thresholds: [("grip_at", GRIP, colors::ORANGE), ("slip_at", SLIP, colors::SILVER)].map(Into::into).into(),
             scalars: vec![
@@ -130,12 +151,15 @@ impl Experiment for Octahedra {
         }
     }
     fn start(&self) -> Result<Box<dyn Simulation>, String> {
-        let zeros = || [Vectors::zeros(AXES.len()), Vectors::zeros(AXES.len())];
+        let zeros = || vec![Vectors::zeros(AXES.len()); self.bodies];
         let (moved, velocity, schema, events) = (zeros(), zeros(), self.schema(), Vec::new());
-        Ok(Box::new(Projected { schema, pull: self.0, step: 0, moved, velocity, phase: 0, events }))
+        Ok(Box::new(Projected { schema, pull: self.pull, step: 0, moved, velocity, phase: 0, events }))
     }
     fn read(&self, _: &str, text: &str, _: &toml::Table) -> Result<Arc<dyn Experiment>, Refusal> {
-        let number = text.strip_prefix("pull = ").and_then(|number| number.parse().ok());
-        number.map(|pull| Arc::new(Octahedra(pull)) as _).ok_or(Refusal::Source("it has no pull".to_owned()))
+        let octahedra = || {
+            let (pull, bodies) = text.split_once(' ')?;
+            Some(Octahedra { pull: pull.parse().ok()?, bodies: bodies.parse().ok()? })
+        };
+        octahedra().map(|octahedra| Arc::new(octahedra) as _).ok_or(Refusal::Source("it has no pull".to_owned()))
     }
 }

@@ -93,7 +93,7 @@ fn every_kind_of_recording_is_replayed() {
         Settings { every: 7, steps: Some(100), ..own.clone() },
         Settings { frames: Frames::Thin, ..own.clone() },
         Settings { frames: Frames::Last { most: 5, on: vec![], after: 0 }, ..own.clone() },
-        Settings { frames: Frames::Last { most: 5, on: vec![Trigger::Core], after: 2 }, ..own },
+        Settings { frames: Frames::Last { most: 5, on: vec![Trigger::Event("core".to_owned())], after: 2 }, ..own },
     ];
     for settings in kinds {
         record_with(&path, &scene, Options::default(), settings.clone());

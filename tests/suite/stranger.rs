@@ -13,9 +13,11 @@ use meldscope::{
         golden::{self, GoldenOutcome},
         replay::{self, Verdict},
     },
+    sdk::{Chunk, LogMsg, arrow::array::AsArray as _, blueprint::archetypes::ViewContents},
     stream::{
-        self, Settings,
-        settings::{Detail, Entities, Frames, Trigger},
+        self, Recorder, Settings,
+        blueprint::Tab,
+        settings::{Around, Detail, Entities, Frames, Trigger},
         sinks::Destinations,
     },
 };
@@ -26,23 +28,23 @@ use crate::{
 };
 
 /// Records and reads the recording back; also returns the number of frames.
-fn record(path: &Path, pull: f64, settings: Settings) -> (Recorded, u64) {
+fn record(path: &Path, octahedra: &Octahedra, settings: Settings) -> (Recorded, u64) {
     let destinations = Destinations { save: Some(path.to_owned()), ..Destinations::default() };
-    let frames = stream::record(&Octahedra(pull), settings, &destinations).expect("a recording");
-    let recorded = Recorded::open_as(path, &|name, text, run| Octahedra(0.0).read(name, text, run));
+    let frames = stream::record(octahedra, settings, &destinations).expect("a recording");
+    let recorded = Recorded::open_as(path, &|name, text, run| Octahedra::two(0.0).read(name, text, run));
     (recorded.expect("a recording"), frames)
 }
 
 #[test]
 fn any_simulation_is_recorded_replayed_compared_and_checked() {
-    let (dir, own) = (Dir::new(), Settings::of(&Octahedra(3.0)));
-    let with = |name: &str, pull, settings| record(&dir.file(name), pull, settings);
+    let (dir, own, schema) = (Dir::new(), Settings::of(&Octahedra::two(3.0)), Octahedra::two(3.0).schema());
+    let with = |name: &str, pull, settings| record(&dir.file(name), &Octahedra::two(pull), settings);
     let (full, frames) = with("full", 3.0, Settings { detail: Detail::Stages { from: 20, to: 30 }, ..own.clone() });
     let (thin, _) = with("thin", 3.0, Settings { frames: Frames::Thin, ..own.clone() });
     let (other, _) = with("other", 3.1, Settings { entities: Entities::Batch, ..own.clone() });
-    let last = Frames::Last { most: 3, on: vec![Trigger::Merge], after: 0 };
+    let last = Frames::Last { most: 3, on: vec![Trigger::parse("grip", &schema).expect("its event")], after: 0 };
     assert_eq!((frames, with("kept", 3.0, Settings { frames: last, ..own }).1), (101, 3));
-    let phases: Vec<_> = full.events.iter().filter_map(|event| event.phases.clone()).collect();
+    let phases: Vec<_> = full.events.iter().map(|event| event.phases.clone()).collect();
     assert_eq!(phases, [["loose", "gripped"], ["gripped", "loose"]]);
     for recorded in [&full, &thin, &other] {
         assert_eq!(replay::verify(recorded, |_| true).expect("it runs"), Verdict::Identical);
@@ -60,8 +62,8 @@ fn any_simulation_is_recorded_replayed_compared_and_checked() {
     let first = differing.first_beyond.expect("they differ").step;
     assert_eq!((differing.first_bits, differing.bodies.len()), (Some(first), 2));
     let path = dir.file("golden");
-    golden::bless(&Octahedra(3.0), &path, "a test").expect("disk space");
-    let check = |pull| golden::check(&Octahedra(pull), &path, None).expect("it runs");
+    golden::bless(&Octahedra::two(3.0), &path, "a test").expect("disk space");
+    let check = |pull| golden::check(&Octahedra::two(pull), &path, None).expect("it runs");
     assert!(matches!(check(3.0), GoldenOutcome::Identical { events: 2, .. }));
     assert!(
         matches!(check(3.1), GoldenOutcome::Different(found) if found.first.as_ref().is_some_and(|at| at.step == first))
@@ -72,11 +74,11 @@ fn any_simulation_is_recorded_replayed_compared_and_checked() {
 /// and deformed.
 #[test]
 fn rotations_are_recorded_and_read_back() {
-    let (dir, own) = (Dir::new(), Settings::of(&Octahedra(3.0)));
+    let (dir, own) = (Dir::new(), Settings::of(&Octahedra::two(3.0)));
     for (name, entities) in [("body", Entities::Body), ("batch", Entities::Batch)] {
-        let (recorded, _) = record(&dir.file(name), 3.0, Settings { entities, ..own.clone() });
+        let (recorded, _) = record(&dir.file(name), &Octahedra::two(3.0), Settings { entities, ..own.clone() });
         let mut frames = FrameReader::open(&recorded).expect("a recording");
-        let mut simulation = Octahedra(3.0).start().expect("enough memory");
+        let mut simulation = Octahedra::two(3.0).start().expect("enough memory");
         let (schema, mut now, mut expected) = (simulation.schema(), Frame::default(), Vectors::default());
         let mut count = 0;
         while let Some(frame) = frames.next().expect("frames") {
@@ -100,5 +102,58 @@ fn rotations_are_recorded_and_read_back() {
         let entities = Recording::open(&dir.file(name)).entities();
         let has = |entity: &str| entities.contains(&entity.into());
         assert_eq!([has("world/bodies/b"), has("world/resting/octahedron")], [name == "body", name == "batch"]);
+    }
+}
+
+/// Its own events select what the flight recorder writes and where a file opens; those of this crate's simulation mean
+/// nothing to it.
+#[test]
+fn its_own_events_are_triggers() {
+    let schema = Octahedra::two(3.0).schema();
+    assert!(Trigger::parse("diverge", &schema).is_ok());
+    let unknown = Trigger::parse("merge", &schema).expect_err("not its event");
+    assert_eq!(unknown, "no event \"merge\" (known: grip, slip, diverge)");
+    let unknown = Around::parse("slipp a~b", &schema).expect_err("not its event");
+    assert!(unknown.contains("did you mean \"slip\"") && unknown.contains("`grip a~b 2`"), "{unknown}");
+
+    let dir = Dir::new();
+    let around = Around::parse("slip b~a", &schema).expect("its event");
+    assert_eq!(around.to_string(), "slip a~b");
+    let (recorded, _) = record(
+        &dir.file("x"),
+        &Octahedra::two(3.0),
+        Settings { around: Some(around.clone()), ..Settings::of(&Octahedra::two(3.0)) },
+    );
+    assert_eq!(recorded.settings.around, Some(around));
+}
+
+/// With more pairs than can be named at the start, the plots of those that have some are chosen at the end, with their
+/// thresholds.
+#[test]
+fn its_own_thresholds_are_plotted_with_many_bodies() {
+    let many = Octahedra { pull: 3.0, bodies: 17 };
+    let mut simulation = many.start().expect("enough memory");
+    let mut recorder = Recorder::new(&*simulation, Settings::of(&many));
+    for _ in 0..100 {
+        simulation.step();
+        recorder.observe(&*simulation);
+    }
+    recorder.finish(&*simulation);
+    let lines: Vec<String> = recorder
+        .measured_layout(&*simulation, Tab::Scene)
+        .iter()
+        .filter_map(|message| match message {
+            LogMsg::ArrowMsg(_, message) => Chunk::from_arrow_msg(message).ok(),
+            _ => None,
+        })
+        .filter_map(|chunk| chunk.components().get(ViewContents::descriptor_query().component).cloned())
+        .flat_map(|queries| {
+            let lines = queries.list_array.values().as_string::<i32>().iter().flatten().map(str::to_owned);
+            lines.collect::<Vec<_>>()
+        })
+        .collect();
+    for part in ["distance", "grip_at", "slip_at", "phase"] {
+        let line = format!("+ /pairs/a~b/{part}");
+        assert!(lines.contains(&line), "{line} is not in {lines:?}");
     }
 }

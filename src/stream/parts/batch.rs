@@ -16,6 +16,7 @@ use crate::{
     stream::{
         chunks::{Chunks, TrackId},
         columns::Cell,
+        contract::{DEFORMING, LIT, RESTING, VERTEX, VERTEX_BODY},
         extract::{Extractor, Surface},
         light::{self, Light},
         normals::Float3,
@@ -29,8 +30,6 @@ pub const DEFORMED: f64 = 1e-6;
 
 /// An undeformed body: its index, centre and rotation.
 type Instance = (usize, Float3, [f32; 4]);
-
-const DEFORMING: &str = "/world/deforming/surface";
 
 /// All bodies in shared entities, with the last logged values.
 pub struct BatchedBodies {
@@ -59,19 +58,18 @@ impl BatchedBodies {
             let normals = extractor.normals(mesh, mesh.positions());
             // shared by all instances: the light rotates with a rotated instance
             let lit: Vec<u32> = normals.iter().map(|&normal| Light::in_world().white(normal)).collect();
-            let lit = light::unlit().with_component_from_data(light::LIT, Arc::new(UInt32Array::from(lit)));
-            chunks.log_static(&resting_entity(shape), &lit);
+            let lit = light::unlit().with_component_from_data(LIT.0, Arc::new(UInt32Array::from(lit)));
+            chunks.log_static(&RESTING.of(&[shape]), &lit);
             let mesh = Mesh3D::new(mesh.positions().iter().map(|v| v.as_vec3()))
                 .with_vertex_normals(normals)
                 .with_triangle_indices(mesh.triangles().iter().copied())
                 .with_albedo_factor(palette::opaque(palette::RESTING));
-            chunks.log_static(&resting_entity(shape), &mesh);
+            chunks.log_static(&RESTING.of(&[shape]), &mesh);
         }
-        chunks.log_static(DEFORMING, &light::unlit());
-        let components =
-            [Mesh3D::descriptor_vertex_positions(), Mesh3D::descriptor_vertex_normals(), light::descriptor()];
-        let track = chunks.track(DEFORMING, components);
-        let vertices = (detail != Detail::Surface).then(|| Vertices::new(DEFORMING, chunks));
+        chunks.log_static(DEFORMING.path, &light::unlit());
+        let components = [Mesh3D::descriptor_vertex_positions(), Mesh3D::descriptor_vertex_normals(), LIT.descriptor()];
+        let track = chunks.track(DEFORMING.path, components);
+        let vertices = (detail != Detail::Surface).then(|| Vertices::new(DEFORMING.path, chunks));
         let (last, next, numbers) = Default::default();
         let (drawn, resting, torn, has_rotated) = (None, None, Vec::new(), false);
         let (deforming, lit) = (Vec::new(), Vec::new());
@@ -127,7 +125,7 @@ impl BatchedBodies {
             });
             self.lit.clear();
             self.lit.extend(colors.zip(normals).map(|(rgb, &normal)| Light::in_world().on(rgb, normal)));
-            let cells = [Cell::Vectors(positions), Cell::Vectors(normals), Cell::Colors(&self.lit)];
+            let cells: [&dyn Cell; _] = [positions, normals, &self.lit];
             chunks.push(self.track, view.at, &cells);
         }
         self.has_rotated |= resting.iter().any(|&i| now[i].rotation != DQuat::IDENTITY);
@@ -153,9 +151,9 @@ impl BatchedBodies {
             first += count as u32;
         }
         let mesh = Mesh3D::update_fields().with_triangle_indices(triangles).with_vertex_colors(colors);
-        chunks.log(DEFORMING, view.at, &mesh);
-        let identity = body_names(&names).with_component_from_data("vertex", Arc::new(UInt32Array::from(indices)));
-        chunks.log(DEFORMING, view.at, &identity);
+        chunks.log(DEFORMING.path, view.at, &mesh);
+        let identity = body_names(&names).with_component_from_data(VERTEX.0, Arc::new(UInt32Array::from(indices)));
+        chunks.log(DEFORMING.path, view.at, &identity);
     }
 
     /// Logs the triangles that are drawn.
@@ -168,7 +166,7 @@ impl BatchedBodies {
             }
             first += mesh.vertex_count() as u32;
         }
-        chunks.log(DEFORMING, view.at, &drawn(&triangles));
+        chunks.log(DEFORMING.path, view.at, &drawn(&triangles));
     }
 
     /// Logs the instances of the shapes whose instances have changed.
@@ -189,18 +187,13 @@ impl BatchedBodies {
                 poses = poses.with_quaternions(instances.iter().map(|&(.., rotation)| Quaternion::from_xyzw(rotation)));
             }
             let names: Vec<&str> = bodies().map(|body| body.name.as_str()).collect();
-            chunks.log(&resting_entity(shape), view.at, &poses);
-            chunks.log(&resting_entity(shape), view.at, &body_names(&names));
+            chunks.log(&RESTING.of(&[shape]), view.at, &poses);
+            chunks.log(&RESTING.of(&[shape]), view.at, &body_names(&names));
         }
     }
 }
 
 /// The body of each vertex or instance, shown when it is selected.
 fn body_names(names: &[&str]) -> AnyValues {
-    AnyValues::default().with_component::<Text>("body", names.iter().copied())
-}
-
-/// The entity of the undeformed bodies of a shape in a batched scene.
-pub fn resting_entity(shape: &str) -> String {
-    format!("/world/resting/{shape}")
+    AnyValues::default().with_component::<Text>(VERTEX_BODY.0, names.iter().copied())
 }

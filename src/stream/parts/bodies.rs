@@ -15,7 +15,7 @@ use crate::{
     sdk::{Mesh3D, Transform3D},
     stream::{
         chunks::{Chunks, TrackId},
-        columns::Cell,
+        contract::{BODY, BODY_SURFACE, LIT},
         extract::{Extractor, Surface},
         light::{self, Light},
         normals::Float3,
@@ -70,7 +70,7 @@ impl Lit {
         self.next.extend(surface.normals.iter().map(|&normal| light.white(normal)));
         if self.next != self.last {
             std::mem::swap(&mut self.next, &mut self.last);
-            chunks.push(self.track, view.at, &[Cell::Colors(&self.last)]);
+            chunks.push(self.track, view.at, &[&self.last]);
         }
     }
 }
@@ -101,9 +101,9 @@ impl Transform {
         self.has_rotated |= now.rotation != DQuat::IDENTITY;
         let (centre, rotation) = next;
         if self.has_rotated {
-            chunks.push(self.both, view.at, &[Cell::Vectors(&[centre]), Cell::Quaternions(&[rotation])]);
+            chunks.push(self.both, view.at, &[&[centre], &[rotation]]);
         } else {
-            chunks.push(self.translation, view.at, &[Cell::Vectors(&[centre])]);
+            chunks.push(self.translation, view.at, &[&[centre]]);
         }
         self.last = Some(next);
     }
@@ -113,8 +113,7 @@ impl SeparateBodies {
     /// Logs static data.
     pub fn new(schema: &Schema, detail: Detail, chunks: &mut Chunks) -> SeparateBodies {
         let bodies = schema.bodies.iter().enumerate().map(|(index, body)| {
-            let entity = format!("/world/bodies/{}", body.name);
-            let surface = format!("{entity}/surface");
+            let (entity, surface) = (BODY.of(&[&body.name]), BODY_SURFACE.of(&[&body.name]));
             let color = palette::translucent(palette::of_body(schema, index));
             let mesh = Mesh3D::update_fields().with_albedo_factor(color);
             let triangles = body.mesh.triangles().iter().copied();
@@ -132,7 +131,7 @@ impl SeparateBodies {
                 surface: chunks
                     .track(&surface, [Mesh3D::descriptor_vertex_positions(), Mesh3D::descriptor_vertex_normals()]),
                 lit: Lit {
-                    track: chunks.track(&surface, [light::descriptor()]),
+                    track: chunks.track(&surface, [LIT.descriptor()]),
                     rotation: None,
                     last: Vec::new(),
                     next: Vec::new(),
@@ -192,7 +191,7 @@ impl SeparateBodies {
             if has_changed {
                 std::mem::swap(&mut self.next, &mut track.last);
                 let Surface { positions, normals } = &track.last;
-                chunks.push(track.surface, view.at, &[Cell::Vectors(positions), Cell::Vectors(normals)]);
+                chunks.push(track.surface, view.at, &[positions, normals]);
             }
             track.lit.log(view, now.rotation, &track.last, has_changed, chunks);
         }

@@ -9,6 +9,7 @@ use crate::{
     stream::{
         chunks::{Chunks, TrackId},
         columns::Cell,
+        contract::{FORCE, FORCES},
         extract::{Arrows, Extractor},
         normals::Float3,
         palette::color,
@@ -16,8 +17,6 @@ use crate::{
     },
 };
 
-/// The entity that names the pairs of bodies to which the arrows below it belong.
-const SOURCES: &str = "/world/forces";
 /// Upper limit on the number of named pairs.
 const MAX_SOURCES: usize = 256;
 
@@ -42,9 +41,9 @@ struct TermArrows {
 impl Forces {
     /// Logs static data.
     pub fn new(schema: &Schema, entities: Entities, chunks: &mut Chunks) -> Forces {
-        chunks.log_static(SOURCES, &AnnotationContext::new([OTHERS]));
+        chunks.log_static(FORCES.path, &AnnotationContext::new([OTHERS]));
         let terms = schema.terms.iter().map(|term| {
-            let entity = entity(term.name);
+            let entity = FORCE.of(&[term.name]);
             let style = Arrows3D::update_fields()
                 .with_colors([color(term.color)])
                 .with_radii([sdk::Radius::new_ui_points(1.2)])
@@ -106,7 +105,7 @@ impl Forces {
         for (of_schema, TermArrows { track, last, next }) in view.schema.terms.iter().zip(&mut self.terms) {
             if next != last {
                 std::mem::swap(next, last);
-                let cells = [Cell::Vectors(&last.origins), Cell::Vectors(&last.vectors), Cell::Classes(&last.classes)];
+                let cells: [&dyn Cell; _] = [&last.origins, &last.vectors, &last.classes];
                 chunks.push(*track, view.at, if of_schema.has_source { &cells } else { &cells[..2] });
             }
         }
@@ -146,11 +145,6 @@ impl Sources {
         };
         let names: Vec<(u16, String)> = self.classes.iter().map(|(pair, &class)| (class, name(pair))).collect();
         let named = names.iter().map(|(class, name)| (*class, name.as_str()));
-        chunks.log_static(SOURCES, &AnnotationContext::new([OTHERS].into_iter().chain(named)));
+        chunks.log_static(FORCES.path, &AnnotationContext::new([OTHERS].into_iter().chain(named)));
     }
-}
-
-/// The entity of a term's arrows.
-pub fn entity(term: &str) -> String {
-    format!("/world/forces/{term}")
 }

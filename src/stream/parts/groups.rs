@@ -10,13 +10,11 @@ use crate::{
     sdk::{AnyValues, components::Text},
     stream::{
         chunks::Chunks,
+        contract::{BODIES, GROUP, GROUP_LINE, OVERLAPPING},
         palette,
         series::{Interpolation, LineId, Series},
     },
 };
-
-/// Plot of the number of groups that were too expensive or impossible to unite.
-pub const OVERLAPPING: &str = "/diagnostics/overlapping_groups";
 
 /// The groups that have their own entities.
 pub struct GroupPlots {
@@ -65,8 +63,8 @@ impl GroupPlots {
         if merged.overlapping > 0 || self.overlapping.is_some() {
             let line = *self.overlapping.get_or_insert_with(|| {
                 let name = "groups shown as overlapping meshes";
-                Series::style(chunks, OVERLAPPING, name, palette::line(3), 1.5, Interpolation::Step);
-                series.line(chunks, OVERLAPPING, Interpolation::Step)
+                Series::style(chunks, OVERLAPPING.path, name, palette::line(3), 1.5, Interpolation::Step);
+                series.line(chunks, OVERLAPPING.path, Interpolation::Step)
             });
             series.log(chunks, line, merged.overlapping as f64, at);
         }
@@ -93,7 +91,7 @@ impl GroupPlots {
             }
             if plot.bodies != group.bodies {
                 let names = group.bodies.iter().map(|&body| schema.bodies[body].name.as_str());
-                chunks.log(&plot.entity, at, &AnyValues::default().with_component::<Text>("bodies", names));
+                chunks.log(&plot.entity, at, &AnyValues::default().with_component::<Text>(BODIES.0, names));
                 plot.bodies.clone_from(&group.bodies);
             }
         }
@@ -103,10 +101,10 @@ impl GroupPlots {
 impl GroupPlot {
     fn new(schema: &Schema, first: usize, number: usize, series: &mut Series, chunks: &mut Chunks) -> GroupPlot {
         let name = &schema.bodies[first].name;
-        let entity = format!("/groups/{name}");
+        let entity = GROUP.of(&[name]);
         let lines = LINES.iter().take(if has_named_pairs(schema) { LINES.len() } else { LINES_OF_MANY });
         let lines = lines.enumerate().map(|(index, &(of, label, shape))| {
-            let entity = format!("{entity}/{of}");
+            let entity = GROUP_LINE.of(&[name, of]);
             let rgb = palette::line(number * LINES.len() + index);
             Series::style(chunks, &entity, &format!("{label} {name}"), rgb, 1.5, shape);
             series.line(chunks, &entity, shape)

@@ -4,29 +4,22 @@
 //! is logged again when a displacement exceeds its range.
 
 use crate::sdk::{
-    self, AnyValues, ComponentDescriptor, Image, Points2D,
+    self, AnyValues, Image, Points2D,
     components::{ImageBuffer, ImageFormat},
 };
 use crate::stream::{
     blueprint::Mapping,
     chunks::Chunks,
+    contract::{HEAT_FORMAT, HEAT_PLACES, HEAT_TEXTURE, LEGEND},
     light,
     palette::{self, color},
 };
 
-/// The entity of the colour scale.
-pub const LEGEND: &str = "/legend";
-/// The component of a surface with its displacements as texture coordinates.
-const TEXCOORDS: &str = "heat_texcoords";
-/// The components of a surface with the texture.
-const TEXTURE: &str = "heat_texture";
-const FORMAT: &str = "heat_format";
-
 /// Visualizer sources of surfaces in the displacement view, instead of their own colours and normals.
 pub const MAPPINGS: [Mapping; 4] = [
-    Mapping { target: "Mesh3D:vertex_texcoords", source: TEXCOORDS },
-    Mapping { target: "Mesh3D:albedo_texture_buffer", source: TEXTURE },
-    Mapping { target: "Mesh3D:albedo_texture_format", source: FORMAT },
+    Mapping { target: "Mesh3D:vertex_texcoords", source: HEAT_PLACES.0 },
+    Mapping { target: "Mesh3D:albedo_texture_buffer", source: HEAT_TEXTURE.0 },
+    Mapping { target: "Mesh3D:albedo_texture_format", source: HEAT_FORMAT.0 },
     light::NO_LIGHT,
 ];
 
@@ -37,11 +30,6 @@ const WIDTH: usize = 256;
 const END: f32 = 16.0;
 /// Possible ends of the colour range [radii].
 const RANGES: [f64; 14] = [0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0, 2.0, 4.0, 8.0, 16.0];
-
-/// The component with texture coordinates.
-pub fn descriptor() -> ComponentDescriptor {
-    ComponentDescriptor::partial(TEXCOORDS)
-}
 
 /// The texture coordinates of a displacement [radii]. The viewer repeats textures, so this one is mirrored in its
 /// second half, to have the same colour at both ends.
@@ -82,15 +70,15 @@ impl Heat {
             palette::heat(f64::from(END) * share * share / range)
         });
         let texture = AnyValues::default()
-            .with_component::<ImageBuffer>(TEXTURE, [ImageBuffer::from(texels.collect::<Vec<u8>>())])
-            .with_component::<ImageFormat>(FORMAT, [ImageFormat::rgb8([2 * WIDTH as u32, 1])]);
+            .with_component::<ImageBuffer>(HEAT_TEXTURE.0, [ImageBuffer::from(texels.collect::<Vec<u8>>())])
+            .with_component::<ImageFormat>(HEAT_FORMAT.0, [ImageFormat::rgb8([2 * WIDTH as u32, 1])]);
         for surface in &self.surfaces {
             chunks.log_static(surface, &texture);
         }
         const HEIGHT: usize = 10;
         let row: Vec<u8> = (0..WIDTH).flat_map(|i| palette::heat((i as f64 + 0.5) / WIDTH as f64)).collect();
         let bar = Image::from_rgb24(row.repeat(HEIGHT), [WIDTH as u32, HEIGHT as u32]);
-        chunks.log_static(&format!("{LEGEND}/bar"), &bar);
+        chunks.log_static(&LEGEND.of(&["bar"]), &bar);
         let ticks = [0.0, 0.25, 0.5, 0.75, 1.0];
         let digits = if range < 0.1 { 4 } else { 3 };
         let labels = ticks.map(|share| {
@@ -102,6 +90,6 @@ impl Heat {
             .with_radii([sdk::Radius::new_ui_points(2.0)])
             .with_colors([color(palette::DOT)])
             .with_show_labels(true);
-        chunks.log_static(&format!("{LEGEND}/ticks"), &ticks);
+        chunks.log_static(&LEGEND.of(&["ticks"]), &ticks);
     }
 }

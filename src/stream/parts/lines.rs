@@ -12,18 +12,13 @@ use crate::{
     stream::{
         chunks::{Chunks, TrackId},
         columns::Cell,
+        contract::{NAMES, PAIR_LINES, RECENT},
         normals::Float3,
         palette::{self, Rgb, color},
         settings::Settings,
     },
 };
 
-/// The entity of these lines.
-pub(super) const PAIRS: &str = "/world/pairs";
-/// The entity of the names of bodies.
-const NAMES: &str = "/world/names";
-/// The entity of pairs with an event in the last frames.
-const RECENT: &str = "/world/recent";
 /// Number of frames for which an event is recent.
 const RECENT_FRAMES: u64 = 24;
 /// Upper limit on the number of highlighted pairs; those of the latest events are chosen.
@@ -74,16 +69,16 @@ impl Lines {
         let has_labels = schema.bodies.len() <= MAX_LABELS;
         let style =
             LineStrips3D::update_fields().with_radii([sdk::Radius::new_ui_points(1.5)]).with_show_labels(has_labels);
-        chunks.log_static(PAIRS, &style);
+        chunks.log_static(PAIR_LINES.path, &style);
         let components =
             [LineStrips3D::descriptor_strips(), LineStrips3D::descriptor_colors(), LineStrips3D::descriptor_labels()];
-        let track = chunks.track(PAIRS, components);
+        let track = chunks.track(PAIR_LINES.path, components);
         let style = LineStrips3D::update_fields().with_radii([sdk::Radius::new_ui_points(4.0)]).with_show_labels(true);
-        chunks.log_static(RECENT, &style);
+        chunks.log_static(RECENT.path, &style);
         let components =
             [LineStrips3D::descriptor_strips(), LineStrips3D::descriptor_colors(), LineStrips3D::descriptor_labels()];
         let recent = Recent {
-            track: chunks.track(RECENT, components),
+            track: chunks.track(RECENT.path, components),
             events: BTreeMap::new(),
             last: LineRows::default(),
             next: LineRows::default(),
@@ -129,7 +124,7 @@ impl Lines {
         labels.extend(self.closest.iter().map(|pair| format!("q = {:.3}", pair.q)));
         if self.last.as_ref() != Some(&self.next) {
             let LineRows { segments, colors, labels } = &self.next;
-            let cells = [Cell::Segments(segments), Cell::Colors(colors), Cell::Texts(labels)];
+            let cells: [&dyn Cell; _] = [segments, colors, labels];
             chunks.push(self.track, view.at, &cells);
             let last = self.last.get_or_insert_default();
             std::mem::swap(last, &mut self.next);
@@ -148,8 +143,12 @@ impl Names {
             .with_labels(schema.bodies.iter().map(|body| body.name.as_str()))
             .with_colors((0..schema.bodies.len()).map(|index| color(palette::of_body(schema, index))))
             .with_show_labels(true);
-        chunks.log_static(NAMES, &style);
-        Names { track: chunks.track(NAMES, [Points3D::descriptor_positions()]), last: Vec::new(), next: Vec::new() }
+        chunks.log_static(NAMES.path, &style);
+        Names {
+            track: chunks.track(NAMES.path, [Points3D::descriptor_positions()]),
+            last: Vec::new(),
+            next: Vec::new(),
+        }
     }
 
     fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
@@ -169,7 +168,7 @@ impl Names {
         }
         if self.next != self.last {
             std::mem::swap(&mut self.next, &mut self.last);
-            chunks.push(self.track, view.at, &[Cell::Vectors(&self.last)]);
+            chunks.push(self.track, view.at, &[&self.last]);
         }
     }
 }
@@ -193,7 +192,7 @@ impl Recent {
         if self.next != self.last {
             std::mem::swap(&mut self.next, &mut self.last);
             let LineRows { segments, colors, labels } = &self.last;
-            chunks.push(self.track, view.at, &[Cell::Segments(segments), Cell::Colors(colors), Cell::Texts(labels)]);
+            chunks.push(self.track, view.at, &[segments, colors, labels]);
         }
     }
 }

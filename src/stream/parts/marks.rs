@@ -4,15 +4,13 @@ use crate::{
     colors::GREY,
     observe::{PairEvent, Schema},
     sdk::{Scalars, SeriesPoints, components::MarkerShape},
-    stream::{chunks::Chunks, instant::Instant, palette::color},
+    stream::{
+        chunks::Chunks,
+        contract::{Entity, MARKS_AT_Q, MARKS_ON_AXIS},
+        instant::Instant,
+        palette::color,
+    },
 };
-
-/// The entities of markers on the axis, one for each kind of event.
-pub const ON_AXIS: &str = "/marks/axis";
-/// The entities of markers at q, one for each kind of event.
-pub const AT_Q: &str = "/marks/q";
-/// Everything above.
-pub const MARKS: &str = "/marks";
 
 /// The kinds of events that have been marked, whose styles are logged.
 #[derive(Debug, Default)]
@@ -24,7 +22,7 @@ impl Marks {
     /// Logs the markers of an event; `is_plotted`: whether its pair has a plot of q.
     pub fn log(&mut self, schema: &Schema, event: &PairEvent, is_plotted: bool, chunks: &mut Chunks) {
         let rgb = color(schema.phases[event.to].color);
-        let markers = [(ON_AXIS, MarkerShape::Up, 5.0), (AT_Q, MarkerShape::Diamond, 5.0)];
+        let markers = [(&MARKS_ON_AXIS, MarkerShape::Up, 5.0), (&MARKS_AT_Q, MarkerShape::Diamond, 5.0)];
         if !self.styled.contains(&event.name) {
             self.styled.push(event.name);
             for (parent, shape, size) in markers {
@@ -44,17 +42,17 @@ impl Marks {
     }
 }
 
-fn entity(parent: &str, event: &str) -> String {
+fn entity(family: &Entity, event: &str) -> String {
     let name: String = event.chars().map(|c| if c.is_alphanumeric() { c } else { '_' }).collect();
-    format!("{parent}/{name}")
+    family.of(&[&name])
 }
 
 /// Marks the ends of a run in every plot, so that all of them show the same range of time; `level` is any plotted q, if
 /// there is one.
 pub fn log_ends(ends: [Instant; 2], level: Option<f64>, chunks: &mut Chunks) {
-    for (parent, value) in [(ON_AXIS, Some(0.0)), (AT_Q, level)] {
+    for (family, value) in [(&MARKS_ON_AXIS, Some(0.0)), (&MARKS_AT_Q, level)] {
         let Some(value) = value else { continue };
-        let entity = format!("{parent}/ends");
+        let entity = family.of(&["ends"]);
         let style = SeriesPoints::new()
             .with_names(["start, end"])
             .with_colors([color(GREY)])

@@ -16,31 +16,24 @@ use crate::{
         self, Frame, Schema,
         surface::{Group, VertexOrigin},
     },
-    sdk::{self, AnnotationContext, AnyValues, ComponentDescriptor, LineStrips3D, Mesh3D, components::TriangleIndices},
+    sdk::{self, AnnotationContext, AnyValues, LineStrips3D, Mesh3D, components::TriangleIndices},
     stream::{
         chunks::{Chunks, TrackId},
         columns::Cell,
+        contract::{DRAWN, LIT, MERGED, MERGED_SEAMS, MERGED_SURFACE, VERTEX},
         light::{self, Light},
         normals::Float3,
         palette::{self, color},
     },
 };
 
-/// The entity of the mesh.
-pub const SURFACE: &str = "/world/merged/surface";
-const SEAMS: &str = "/world/merged/seams";
-/// The entity that names the bodies of vertices.
-const CLASSES: &str = "/world/merged";
-
-/// Component of a body's own mesh: the triangles drawn beside merged surfaces.
-pub const DRAWN: &str = "drawn_triangles";
 /// The triangles of a body that is drawn as part of a merged surface. (The viewer treats an empty list as unknown
 /// triangles.)
 pub const HIDDEN: [[u32; 3]; 1] = [[0; 3]];
 
 /// The component [`DRAWN`].
 pub fn drawn(triangles: &[[u32; 3]]) -> AnyValues {
-    AnyValues::default().with_component::<TriangleIndices>(DRAWN, triangles.iter().copied())
+    AnyValues::default().with_component::<TriangleIndices>(DRAWN.0, triangles.iter().copied())
 }
 
 /// Merged surfaces, with the last logged values.
@@ -91,29 +84,30 @@ impl MergedEntities {
             Mesh3D::descriptor_vertex_positions(),
             Mesh3D::descriptor_vertex_normals(),
             Mesh3D::descriptor_vertex_colors(),
-            light::descriptor(),
+            LIT.descriptor(),
             Mesh3D::descriptor_class_ids(),
-            ComponentDescriptor::partial("vertex"),
+            VERTEX.descriptor(),
         ];
         if schema.bodies.len() > 1 {
             let names = schema.bodies.iter().zip(1..u16::MAX).map(|(body, class)| (class, body.name.as_str()));
-            chunks.log_static(CLASSES, &AnnotationContext::new(std::iter::once((0, "seam")).chain(names)));
+            chunks.log_static(MERGED.path, &AnnotationContext::new(std::iter::once((0, "seam")).chain(names)));
             let style = LineStrips3D::update_fields()
                 .with_radii([sdk::Radius::new_ui_points(1.0)])
                 .with_colors([color(palette::SEAM)])
                 .with_show_labels(false);
-            chunks.log_static(SEAMS, &style);
+            chunks.log_static(MERGED_SEAMS.path, &style);
             let clear = Mesh3D::update_fields().with_albedo_factor(palette::translucent([0xFF; 3]));
-            chunks.log_static(SURFACE, &clear);
-            chunks.log_static(SURFACE, &light::unlit());
+            chunks.log_static(MERGED_SURFACE.path, &clear);
+            chunks.log_static(MERGED_SURFACE.path, &light::unlit());
         }
         MergedEntities {
             mergers: vec![Merger::new(schema, interrupt)],
             ahead: VecDeque::new(),
             merged: Merged::default(),
             interrupt,
-            surface: chunks.track(SURFACE, components),
-            seams: chunks.track(SEAMS, [LineStrips3D::descriptor_strips(), LineStrips3D::descriptor_labels()]),
+            surface: chunks.track(MERGED_SURFACE.path, components),
+            seams: chunks
+                .track(MERGED_SEAMS.path, [LineStrips3D::descriptor_strips(), LineStrips3D::descriptor_labels()]),
             last: Vec::new(),
             mesh: Mesh::default(),
         }
@@ -171,17 +165,9 @@ impl MergedEntities {
             self.mesh.append(view.schema, group);
         }
         let Mesh { triangles, positions, normals, colors, lit, classes, vertices, seams, names, .. } = &self.mesh;
-        let cells = [
-            Cell::Triangles(triangles),
-            Cell::Vectors(positions),
-            Cell::Vectors(normals),
-            Cell::Colors(colors),
-            Cell::Colors(lit),
-            Cell::Classes(classes),
-            Cell::Indices(vertices),
-        ];
+        let cells: [&dyn Cell; _] = [triangles, positions, normals, colors, lit, classes, vertices];
         chunks.push(self.surface, view.at, &cells);
-        chunks.push(self.seams, view.at, &[Cell::Strips(seams), Cell::Texts(names)]);
+        chunks.push(self.seams, view.at, &[seams, names]);
     }
 
     /// The surfaces and measures of the last frame.

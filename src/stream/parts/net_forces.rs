@@ -2,14 +2,14 @@
 
 use glam::DVec3;
 
-use super::{FrameView, forces};
+use super::FrameView;
 use crate::{
     colors,
     observe::{NetForce, Schema, schema::BodySchema},
     sdk::{self, Arrows3D},
     stream::{
         chunks::{Chunks, TrackId},
-        columns::Cell,
+        contract::FORCE,
         normals::Float3,
         palette::{Rgb, color},
     },
@@ -40,7 +40,7 @@ impl NetForces {
             return None;
         }
         let tracks = KINDS.map(|(name, rgb, _)| {
-            let entity = forces::entity(name);
+            let entity = FORCE.of(&[name]);
             let style = Arrows3D::update_fields()
                 .with_colors([color(rgb)])
                 .with_radii([sdk::Radius::new_ui_points(2.5)])
@@ -64,7 +64,7 @@ impl NetForces {
                 }
             }
             if *last != (origins.clone(), vectors.clone()) {
-                chunks.push(*track, view.at, &[Cell::Vectors(&origins), Cell::Vectors(&vectors)]);
+                chunks.push(*track, view.at, &[&origins, &vectors]);
                 *last = (origins, vectors);
             }
         }

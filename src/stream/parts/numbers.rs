@@ -8,7 +8,7 @@ use crate::{
     sdk::Scalars,
     stream::{
         chunks::{Chunks, TrackId},
-        columns::Cell,
+        contract::{DIAGNOSTIC, LAG, SPEED, STACKED, TIMING},
         instant::Instant,
         palette,
         series::{Interpolation, LineId, Series},
@@ -26,11 +26,6 @@ pub fn timings(schema: &Schema) -> impl Iterator<Item = &'static str> {
     schema.stages.iter().copied().chain(OBSERVING).chain(RECORDING)
 }
 
-/// The entity that plots a stage's duration plus those of all previous stages on the same thread.
-pub fn stacked(stage: &str) -> String {
-    format!("/timings/stacked/{stage}")
-}
-
 /// Whether a stage does work: waiting for a slow disk or viewer is not part of the stacked cost of a step.
 pub fn is_work(stage: &str) -> bool {
     stage != OBSERVING[1]
@@ -44,11 +39,6 @@ pub fn described(stage: &str) -> &str {
         stage => stage,
     }
 }
-
-/// Steps per second since the last frame.
-pub const SPEED: &str = "/timings/speed";
-/// Delay of a run that is limited to real time.
-pub const LAG: &str = "/timings/lag";
 
 /// Scalars aggregated between frames.
 pub struct FrameNumbers {
@@ -99,11 +89,11 @@ impl FrameNumbers {
     pub fn new(schema: &Schema, series: &mut Series, chunks: &mut Chunks) -> FrameNumbers {
         let mut numbered = 0..;
         let timings = timings(schema).map(|name| {
-            let (entity, rgb) = (format!("/timings/{name}"), palette::line(numbered.next().unwrap_or(0)));
+            let (entity, rgb) = (TIMING.of(&[name]), palette::line(numbered.next().unwrap_or(0)));
             Series::style(chunks, &entity, &format!("{name} [ms]"), rgb, 1.5, Interpolation::Step);
             let track = chunks.track(&entity, [Scalars::descriptor_scalars()]);
             let stacked = is_work(name).then(|| {
-                let entity = stacked(name);
+                let entity = STACKED.of(&[name]);
                 let label = format!("{} [ms]", described(name));
                 Series::style(chunks, &entity, &label, rgb, 1.5, Interpolation::Step);
                 chunks.track(&entity, [Scalars::descriptor_scalars()])
@@ -113,7 +103,7 @@ impl FrameNumbers {
         });
         let timings = timings.collect();
         let scalars = schema.scalars.iter().enumerate().map(|(i, scalar)| {
-            let entity = format!("/diagnostics/{}", scalar.name);
+            let entity = DIAGNOSTIC.of(&[scalar.name]);
             let shape = if scalar.is_smooth { Interpolation::Linear } else { Interpolation::Step };
             Series::style(chunks, &entity, scalar.label, palette::line(i), 1.5, shape);
             ScalarLine {
@@ -125,7 +115,7 @@ impl FrameNumbers {
             }
         });
         let scalars = scalars.collect();
-        let speed = run_line(SPEED, "steps per second", 0, chunks);
+        let speed = run_line(SPEED.path, "steps per second", 0, chunks);
         FrameNumbers {
             scalars,
             timings,
@@ -136,7 +126,7 @@ impl FrameNumbers {
             last_frame: None,
             speed,
             lag: None,
-            lag_track: run_line(LAG, "behind real time [ms]", 1, chunks),
+            lag_track: run_line(LAG.path, "behind real time [ms]", 1, chunks),
             total: Spread::default(),
         }
     }
@@ -219,13 +209,13 @@ impl FrameNumbers {
             let milliseconds = 1e3 * std::mem::take(spent).as_secs_f64() / f64::from(steps);
             if steps > 0 {
                 spread.add(milliseconds);
-                chunks.push_apart(*track, at, &[Cell::Scalars(&[milliseconds])]);
+                chunks.push_apart(*track, at, &[&[milliseconds]]);
                 let Some(stacked) = stacked else { continue };
                 stack = if *is_first { milliseconds } else { stack + milliseconds };
                 if *name == OBSERVING[0] {
                     total = stack;
                 }
-                chunks.push_apart(*stacked, at, &[Cell::Scalars(&[stack])]);
+                chunks.push_apart(*stacked, at, &[&[stack]]);
             }
         }
         if steps == 0 {
@@ -234,11 +224,11 @@ impl FrameNumbers {
         self.total.add(total);
         if let (Some(last), Some(end)) = (self.last_frame, self.end) {
             let speed = f64::from(steps) / (end - last).as_secs_f64().max(1e-9);
-            chunks.push_apart(self.speed, at, &[Cell::Scalars(&[speed])]);
+            chunks.push_apart(self.speed, at, &[&[speed]]);
         }
         self.last_frame = self.end;
         if let Some(lag) = self.lag {
-            chunks.push_apart(self.lag_track, at, &[Cell::Scalars(&[1e3 * lag.as_secs_f64()])]);
+            chunks.push_apart(self.lag_track, at, &[&[1e3 * lag.as_secs_f64()]]);
         }
     }
 }

@@ -15,6 +15,10 @@ use crate::{
     },
     stream::{
         chunks::Chunks,
+        contract::{
+            ACCURACY, BODIES, BODY_EVENTS, ENERGY, EVENTS, Entity, PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_LEVEL,
+            PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE, PHASES, Q, RATE, SURFACE_EVENTS, TIME,
+        },
         instant::Instant,
         palette::{self, color},
         series::{Interpolation, LineId, Series},
@@ -108,14 +112,11 @@ impl Contact {
 }
 
 /// The geometric measures of a pair: their entities, names with units, and colours.
-pub const MEASURES: [(&str, &str, palette::Rgb); 3] = [
-    ("gap", "gap [R]", colors::SKY_BLUE),
-    ("overlap", "overlap [R³]", colors::SILVER),
-    ("neck", "neck [R]", colors::GREEN),
+pub const MEASURES: [(&Entity, &str, palette::Rgb); 3] = [
+    (&PAIR_GAP, "gap [R]", colors::SKY_BLUE),
+    (&PAIR_OVERLAP, "overlap [R³]", colors::SILVER),
+    (&PAIR_NECK, "neck [R]", colors::GREEN),
 ];
-
-/// The lane that shows where phase and surfaces disagree.
-pub const CONTACT: &str = "contact";
 
 /// Scenes with more pairs than this initially hide the lines of measures: the layout cannot name them all.
 pub const MOST_NAMED: usize = 120;
@@ -303,12 +304,12 @@ pub fn has_named_pairs(schema: &Schema) -> bool {
     bodies * bodies.saturating_sub(1) / 2 <= MOST_NAMED
 }
 
-/// The entities of this part of every pair of the scene, if the layout names them.
-pub fn named<'a>(schema: &'a Schema, part: &'a str) -> impl Iterator<Item = String> + 'a {
+/// The entities of this family of every pair of the scene, if the layout names them.
+pub fn named<'a>(schema: &'a Schema, family: &'a Entity) -> impl Iterator<Item = String> + 'a {
     let bodies = if has_named_pairs(schema) { schema.bodies.len() } else { 0 };
     (0..bodies)
         .flat_map(move |a| (a + 1..bodies).map(move |b| (a, b)))
-        .map(move |(a, b)| format!("/pairs/{}/{part}", schema.pair_name(a, b)))
+        .map(move |(a, b)| family.of(&[&schema.pair_name(a, b)]))
 }
 
 impl PairPlot {
@@ -321,11 +322,12 @@ impl PairPlot {
         chunks: &mut Chunks,
     ) -> PairPlot {
         let name = schema.pair_name(a, b);
-        let entity = |part: &str| format!("/pairs/{name}/{part}");
-        Series::style(chunks, &entity("distance"), &format!("q {name}"), rgb, 2.0, Interpolation::Linear);
+        let entity = |family: &Entity| family.of(&[&name]);
+        Series::style(chunks, &entity(&PAIR_DISTANCE), &format!("q {name}"), rgb, 2.0, Interpolation::Linear);
         let thresholds = schema.thresholds.iter().enumerate().filter_map(|(index, threshold)| {
             let level = schema.level(index, a, b)?;
-            let (entity, name) = (entity(threshold.name), format!("{} {level}", threshold.label));
+            let entity = PAIR_LEVEL.of(&[&name, threshold.name]);
+            let name = format!("{} {level}", threshold.label);
             Series::style(chunks, &entity, &name, threshold.color, 1.0, Interpolation::Step);
             Some((series.line(chunks, &entity, Interpolation::Step), level))
         });
@@ -335,8 +337,8 @@ impl PairPlot {
             .with_values(names())
             .with_labels(names())
             .with_colors(schema.phases.iter().map(|phase| color(phase.color)));
-        chunks.log_static(&entity("phase"), &lane);
-        let distance = series.line(chunks, &entity("distance"), Interpolation::Linear);
+        chunks.log_static(&entity(&PAIR_PHASE), &lane);
+        let distance = series.line(chunks, &entity(&PAIR_DISTANCE), Interpolation::Linear);
         let measures = MEASURES.map(|(measure, label, rgb)| {
             Series::style(chunks, &entity(measure), &format!("{label} {name}"), rgb, 1.5, Interpolation::Linear);
             if !has_named_pairs(schema) {
@@ -348,26 +350,10 @@ impl PairPlot {
             .with_values(Contact::ALL.map(Contact::name))
             .with_labels(Contact::ALL.map(Contact::name))
             .with_colors(Contact::ALL.map(|contact| color(contact.color())));
-        chunks.log_static(&entity(CONTACT), &lane);
-        let (phase, contact) = (entity("phase"), entity(CONTACT));
+        chunks.log_static(&entity(&PAIR_CONTACT), &lane);
+        let (phase, contact) = (entity(&PAIR_PHASE), entity(&PAIR_CONTACT));
         PairPlot { phase, distance, thresholds, measures, contact, last_contact: None }
     }
-}
-
-/// Components of an event, in the same row as its line.
-pub mod event {
-    /// The two bodies, in the order of the scene.
-    pub const BODIES: &str = "bodies";
-    /// The phases before and after.
-    pub const PHASES: &str = "phases";
-    /// Exact time of the event [s].
-    pub const TIME: &str = "time";
-    /// Centre distance over the sum of the radii [–].
-    pub const Q: &str = "q";
-    /// Energy that free bodies gained [mass · scene unit²/s²]; only with free bodies.
-    pub const ENERGY: &str = "energy";
-    /// Rate of change of q at that time [1/s].
-    pub const RATE: &str = "rate";
 }
 
 /// Logs an event as a line, at its exact time. In a thin recording, surfaces that touch and part are among the phase
@@ -382,17 +368,17 @@ pub fn log_row(schema: &Schema, row: &EventRow<'_>, is_thin: bool, chunks: &mut 
             let at = Instant { step: event.step, time: event.time };
             match event.energy {
                 Some(energy) => {
-                    let energy = AnyValues::default().with_component::<Scalar>(event::ENERGY, [energy]);
-                    chunks.log("/events", at, &Together(&[&line.0, &line.1, &energy]));
+                    let energy = AnyValues::default().with_component::<Scalar>(ENERGY.0, [energy]);
+                    chunks.log(EVENTS.path, at, &Together(&[&line.0, &line.1, &energy]));
                 }
-                None => chunks.log("/events", at, &Together(&[&line.0, &line.1])),
+                None => chunks.log(EVENTS.path, at, &Together(&[&line.0, &line.1])),
             }
         }
         EventRow::Contact(event) if is_thin => {
             let rgb = contact_color(event);
             let line = line(schema, row, event.name(), rgb, [event.a, event.b], &[], [event.time, event.q, f64::NAN]);
             let at = Instant { step: event.step, time: event.time };
-            chunks.log("/events", at, &Together(&[&line.0, &line.1]));
+            chunks.log(EVENTS.path, at, &Together(&[&line.0, &line.1]));
         }
         EventRow::Contact(event) => log_surface_event(schema, event, chunks),
         EventRow::Body(event) => log_body_event(schema, event, chunks),
@@ -411,45 +397,36 @@ fn line(
 ) -> (TextLog, AnyValues) {
     let line = TextLog::new(row.describe(schema)).with_level(name).with_color(color(rgb));
     let typed = AnyValues::default()
-        .with_component::<Text>(event::BODIES, bodies.map(|body| schema.bodies[body].name.as_str()))
-        .with_component::<Text>(event::PHASES, phases.iter().copied())
-        .with_component::<Scalar>(event::TIME, [time])
-        .with_component::<Scalar>(event::Q, [q])
-        .with_component::<Scalar>(event::RATE, [rate]);
+        .with_component::<Text>(BODIES.0, bodies.map(|body| schema.bodies[body].name.as_str()))
+        .with_component::<Text>(PHASES.0, phases.iter().copied())
+        .with_component::<Scalar>(TIME.0, [time])
+        .with_component::<Scalar>(Q.0, [q])
+        .with_component::<Scalar>(RATE.0, [rate]);
     (line, typed)
 }
-
-/// The entity of surfaces that touch and part: separate from phase changes, which they do not cause.
-pub const SURFACE_EVENTS: &str = "/events/surfaces";
 
 /// Logs the line of a surface event.
 fn log_surface_event(schema: &Schema, event: &SurfaceEvent, chunks: &mut Chunks) {
     let at = Instant { step: event.step, time: event.time };
     let line = TextLog::new(event.describe(schema)).with_level(event.name()).with_color(color(contact_color(event)));
-    chunks.log(SURFACE_EVENTS, at, &line);
+    chunks.log(SURFACE_EVENTS.path, at, &line);
 }
 
 fn contact_color(event: &SurfaceEvent) -> palette::Rgb {
     if event.what == Finding::Touch { Contact::Together.color() } else { Contact::Apart.color() }
 }
 
-/// The entity of events of single bodies.
-pub const BODY_EVENTS: &str = "/events/bodies";
-
 /// Logs the line of a body event.
 fn log_body_event(schema: &Schema, event: &BodyEvent, chunks: &mut Chunks) {
     let at = Instant { step: event.step, time: event.time };
     let line = TextLog::new(event.describe(schema)).with_level(event.name).with_color(color(colors::VERMILION));
-    chunks.log(BODY_EVENTS, at, &line);
+    chunks.log(BODY_EVENTS.path, at, &line);
 }
-
-/// The entity of warnings about steps that are less accurate than requested.
-pub const ACCURACY: &str = "/events/accuracy";
 
 /// Logs the line of a step whose error exceeds the tolerance.
 pub fn log_shortfall(schema: &Schema, shortfall: &Shortfall, at: Instant, chunks: &mut Chunks) {
     let line = TextLog::new(shortfall.describe(schema, at)).with_level("warning");
-    chunks.log(ACCURACY, at, &line);
+    chunks.log(ACCURACY.path, at, &line);
 }
 
 /// Several component batches in one row.

@@ -7,11 +7,11 @@ use crate::{
     sdk::{self, LineStrips3D, Mesh3D},
     stream::{
         chunks::Chunks,
+        contract::{PLANE, PLANE_GRID},
         palette::{self, color},
     },
 };
 
-const ENTITY: &str = "/world/planes";
 /// Lines of the grid in each direction.
 const LINES: i32 = 12;
 
@@ -24,7 +24,7 @@ pub fn log(schema: &Schema, spheres: &[(DVec3, f64)], chunks: &mut Chunks) {
         return;
     }
     for (number, plane) in schema.planes.iter().enumerate() {
-        let entity = format!("{ENTITY}/{number}");
+        let name = number.to_string();
         let [centre, along, across] = sheet(plane, middle, half);
         let corner = |x: f64, y: f64| (centre + x * along + y * across).as_vec3();
         let corners = [corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)];
@@ -32,7 +32,7 @@ pub fn log(schema: &Schema, spheres: &[(DVec3, f64)], chunks: &mut Chunks) {
             .with_vertex_normals([plane.normal.as_vec3(); 4])
             .with_triangle_indices([[0, 1, 2], [0, 2, 3]])
             .with_albedo_factor(palette::sheet());
-        chunks.log_static(&entity, &mesh);
+        chunks.log_static(&PLANE.of(&[&name]), &mesh);
         let lines = (0..=LINES).flat_map(|k| {
             let at = 2.0 * f64::from(k) / f64::from(LINES) - 1.0;
             [[corner(at, -1.0), corner(at, 1.0)], [corner(-1.0, at), corner(1.0, at)]]
@@ -43,7 +43,7 @@ pub fn log(schema: &Schema, spheres: &[(DVec3, f64)], chunks: &mut Chunks) {
             .with_colors([color(palette::GRID)])
             .with_labels([format!("plane {number}{friction}")])
             .with_show_labels(false);
-        chunks.log_static(&format!("{entity}/grid"), &grid);
+        chunks.log_static(&PLANE_GRID.of(&[&name]), &grid);
     }
 }
 

@@ -1,19 +1,18 @@
 //! Influence spheres, coloured by the deepest phase of their body.
 
-use super::{FrameView, lines::PAIRS};
+use super::FrameView;
 use crate::{
     observe::Schema,
     sdk::{self, Ellipsoids3D, components::FillMode},
     stream::{
         chunks::{Chunks, TrackId},
-        columns::Cell,
+        contract::{INFLUENCE, PAIR_LINES},
         normals::Float3,
         palette::{self, Rgb, color},
         settings::Entities,
     },
 };
 
-const ENTITY: &str = "/world/influence";
 /// Line width of wireframe spheres [points on the screen].
 const LINE: f32 = 0.6;
 
@@ -58,9 +57,9 @@ impl SphereEntities {
             .with_labels(schema.bodies.iter().map(|body| body.name.as_str()))
             // several bodies have their names beside them instead
             .with_show_labels(schema.bodies.len() == 1);
-        chunks.log_static(ENTITY, &spheres);
+        chunks.log_static(INFLUENCE.path, &spheres);
         SphereEntities {
-            track: chunks.track(ENTITY, [Ellipsoids3D::descriptor_centers()]),
+            track: chunks.track(INFLUENCE.path, [Ellipsoids3D::descriptor_centers()]),
             reaching: (entities == Entities::Batch).then(|| Reaching::new(chunks)),
             idle: match entities {
                 Entities::Body => palette::IDLE_SPHERE,
@@ -87,7 +86,7 @@ impl SphereEntities {
         self.next_centres.extend(view.frame.bodies.iter().map(|body| body.centre.as_vec3().to_array()));
         if self.next_centres != self.centres {
             std::mem::swap(&mut self.next_centres, &mut self.centres);
-            chunks.push(self.track, view.at, &[Cell::Vectors(&self.centres)]);
+            chunks.push(self.track, view.at, &[&self.centres]);
         }
         if let Some(reaching) = &mut self.reaching {
             reaching.log(view, &self.phases, chunks);
@@ -98,7 +97,7 @@ impl SphereEntities {
         if self.next_colors != self.colors {
             std::mem::swap(&mut self.next_colors, &mut self.colors);
             let spheres = Ellipsoids3D::update_fields().with_colors(self.colors.iter().map(|&rgb| color(rgb)));
-            chunks.log(ENTITY, view.at, &spheres);
+            chunks.log(INFLUENCE.path, view.at, &spheres);
         }
     }
 }
@@ -108,13 +107,13 @@ impl Reaching {
         let style = Ellipsoids3D::update_fields()
             .with_fill_mode(FillMode::MajorWireframe)
             .with_line_radii([sdk::Radius::new_ui_points(LINE)]);
-        chunks.log_static(PAIRS, &style);
+        chunks.log_static(PAIR_LINES.path, &style);
         let components = [
             Ellipsoids3D::descriptor_centers(),
             Ellipsoids3D::descriptor_half_sizes(),
             Ellipsoids3D::descriptor_colors(),
         ];
-        Reaching { track: chunks.track(PAIRS, components), last: None, next: SphereRows::default() }
+        Reaching { track: chunks.track(PAIR_LINES.path, components), last: None, next: SphereRows::default() }
     }
 
     fn log(&mut self, view: FrameView<'_>, phases: &[Option<usize>], chunks: &mut Chunks) {
@@ -130,11 +129,7 @@ impl Reaching {
         }
         if self.last.as_ref() != Some(&self.next) {
             let SphereRows { centres, half_sizes, colors } = &self.next;
-            chunks.push(
-                self.track,
-                view.at,
-                &[Cell::Vectors(centres), Cell::Vectors(half_sizes), Cell::Colors(colors)],
-            );
+            chunks.push(self.track, view.at, &[centres, half_sizes, colors]);
             std::mem::swap(self.last.get_or_insert_default(), &mut self.next);
         }
     }

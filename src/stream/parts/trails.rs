@@ -7,14 +7,12 @@ use crate::{
     sdk::{self, LineStrips3D},
     stream::{
         chunks::{Chunks, TrackId},
-        columns::Cell,
+        contract::TRAILS,
         normals::Float3,
         palette::{self, color},
     },
 };
 
-/// The entity of the trails.
-pub const TRAILS: &str = "/world/trails";
 /// Length of the trails in the layout [s].
 pub const SECONDS: f64 = 3.0;
 
@@ -36,8 +34,8 @@ impl Trails {
         let style = LineStrips3D::update_fields()
             .with_colors(bodies.iter().map(|&i| color(palette::of_body(schema, i))))
             .with_radii([sdk::Radius::new_ui_points(1.2)]);
-        chunks.log_static(TRAILS, &style);
-        let track = chunks.track(TRAILS, [LineStrips3D::descriptor_strips()]);
+        chunks.log_static(TRAILS.path, &style);
+        let track = chunks.track(TRAILS.path, [LineStrips3D::descriptor_strips()]);
         Some(Trails { track, bodies, last: Vec::new(), segments: Vec::new() })
     }
 
@@ -48,7 +46,7 @@ impl Trails {
         if !self.last.is_empty() && self.last != now {
             self.segments.clear();
             self.segments.extend(self.last.iter().zip(&now).map(|(&from, &to)| [from, to]));
-            chunks.push(self.track, view.at, &[Cell::Segments(&self.segments)]);
+            chunks.push(self.track, view.at, &[&self.segments]);
         }
         self.last = now;
     }

@@ -6,10 +6,10 @@ use super::heat;
 
 use crate::{
     observe::{BodyFrame, Schema, schema::BodySchema},
-    sdk::{AnyValues, ComponentDescriptor, arrow::array::UInt32Array, components::Text},
+    sdk::{AnyValues, arrow::array::UInt32Array, components::Text},
     stream::{
         chunks::{Chunks, TrackId},
-        columns::Cell,
+        contract::{DISPLACEMENT, HEAT_PLACES, REACH, VERTEX, VERTEX_BODY, VERTEX_NET_FORCE},
         instant::Instant,
     },
 };
@@ -73,10 +73,10 @@ pub struct Vertices {
 impl Vertices {
     /// Starts without logged values.
     pub fn new(entity: &str, chunks: &mut Chunks) -> Vertices {
-        let [displacement, net] = ["displacement_in_radii", "net_force"].map(ComponentDescriptor::partial);
+        let numbers = [DISPLACEMENT, VERTEX_NET_FORCE, HEAT_PLACES].map(|component| component.descriptor());
         Vertices {
-            numbers: chunks.track(entity, [displacement, net, heat::descriptor()]),
-            reach: chunks.track(entity, [ComponentDescriptor::partial("reach")]),
+            numbers: chunks.track(entity, numbers),
+            reach: chunks.track(entity, [REACH.descriptor()]),
             last: VertexNumbers::default(),
         }
     }
@@ -85,12 +85,12 @@ impl Vertices {
     pub fn log(&mut self, at: Instant, next: &VertexNumbers, chunks: &mut Chunks) {
         let VertexNumbers { displacement, net, heat, reach } = next;
         if (displacement, net) != (&self.last.displacement, &self.last.net) {
-            chunks.push(self.numbers, at, &[Cell::Floats(displacement), Cell::Floats(net), Cell::Places(heat)]);
+            chunks.push(self.numbers, at, &[displacement, net, heat]);
             self.last.displacement.clone_from(displacement);
             self.last.net.clone_from(net);
         }
         if *reach != self.last.reach {
-            chunks.push(self.reach, at, &[Cell::Names(reach)]);
+            chunks.push(self.reach, at, &[reach]);
             self.last.reach.clone_from(reach);
         }
     }
@@ -99,6 +99,6 @@ impl Vertices {
 /// The body and the index of each vertex.
 pub fn identity(body: &str, count: usize) -> AnyValues {
     AnyValues::default()
-        .with_component::<Text>("body", [body])
-        .with_component_from_data("vertex", Arc::new(UInt32Array::from_iter_values(0..count as u32)))
+        .with_component::<Text>(VERTEX_BODY.0, [body])
+        .with_component_from_data(VERTEX.0, Arc::new(UInt32Array::from_iter_values(0..count as u32)))
 }

@@ -1,0 +1,287 @@
+//! The contract of a recording: every entity, component and property, once. Writers, the layout, readers, the flight
+//! recorder and comparisons take them from here, and so does `meldscope reference recording`.
+
+use crate::sdk::ComponentDescriptor;
+
+/// An entity, or a family of entities whose paths differ in names.
+#[derive(Debug)]
+pub struct Entity {
+    /// Its path. A part without small letters, such as `NAME` or `A~B`, stands for a name.
+    pub path: &'static str,
+    /// What it holds: archetypes of the SDK, and components of this crate.
+    pub holds: &'static str,
+    /// What it shows.
+    pub about: &'static str,
+}
+
+/// A component that is not part of an archetype of the SDK.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Component(pub &'static str);
+
+impl Component {
+    /// The descriptor under which it is logged.
+    pub fn descriptor(self) -> ComponentDescriptor {
+        ComponentDescriptor::partial(self.0)
+    }
+}
+
+fn is_placeholder(part: &str) -> bool {
+    !part.contains(|c: char| c.is_ascii_lowercase()) && part.contains(|c: char| c.is_ascii_uppercase())
+}
+
+impl Entity {
+    /// The path with these names, in the order of their placeholders.
+    pub fn of(&self, names: &[&str]) -> String {
+        let mut names = names.iter();
+        let mut path = String::with_capacity(self.path.len() + 16);
+        for part in self.path.split('/').skip(1) {
+            path.push('/');
+            path.push_str(if is_placeholder(part) { names.next().copied().unwrap_or(part) } else { part });
+        }
+        path
+    }
+
+    /// The entity below which all of this family are: the path up to its first name, or the entity itself.
+    pub fn family(&self) -> &'static str {
+        let end =
+            self.path.split('/').take_while(|part| !is_placeholder(part)).map(|part| part.len() + 1).sum::<usize>();
+        &self.path[..end - 1]
+    }
+
+    /// The names in a path of this family; `None` if it is another entity. The path of a chunk is escaped: see
+    /// [`path_of`].
+    pub fn names<'p>(&self, path: &'p str) -> Option<Vec<&'p str>> {
+        let (mut names, mut parts) = (Vec::new(), path.split('/'));
+        for expected in self.path.split('/') {
+            let part = parts.next()?;
+            if is_placeholder(expected) {
+                names.push(part);
+            } else if part != expected {
+                return None;
+            }
+        }
+        parts.next().is_none().then_some(names)
+    }
+
+    /// Whether a path is of this family.
+    pub fn is(&self, path: &str) -> bool {
+        self.names(path).is_some()
+    }
+}
+
+/// The path of a chunk's entity as it was logged: the SDK escapes some characters of names.
+pub fn path_of(chunk: &crate::sdk::Chunk) -> String {
+    chunk.entity_path().to_string().replace('\\', "")
+}
+
+macro_rules! entities {
+    ($($(#[$of:meta])* $NAME:ident = $path:literal [$holds:literal] $about:literal;)*) => {
+        $(#[doc = concat!("`", $path, "`: ", $about)]
+        pub static $NAME: Entity = Entity { path: $path, holds: $holds, about: $about };)*
+
+        /// All entities, in the order in which they are listed to users.
+        pub static ENTITIES: &[&Entity] = &[$(&$NAME),*];
+    };
+}
+
+entities! {
+    WORLD = "/world" ["ViewCoordinates"]
+        "Axes: right-handed, z up.";
+    BODY = "/world/bodies/NAME" ["Transform3D"]
+        "Transform to the centre of a body, and of a free one its rotation.";
+    BODY_SURFACE = "/world/bodies/NAME/surface" ["Mesh3D, drawn_triangles, lit_colors, unlit_normals, heat_…; with forces body, vertex, displacement_in_radii, net_force, reach"]
+        "Mesh in the axes of the body. A body in a group keeps its own surface, but draws one degenerate triangle of it.";
+    RESTING = "/world/resting/SHAPE" ["Mesh3D, InstancePoses3D, body"]
+        "With more than 64 bodies: the undeformed ones, as instances of their shape.";
+    DEFORMING = "/world/deforming/surface" ["as the surface of a body"]
+        "With more than 64 bodies: the deformed ones, as one mesh in world coordinates.";
+    MERGED = "/world/merged" ["AnnotationContext"]
+        "Names of the bodies, as classes of the vertices of merged surfaces.";
+    MERGED_SURFACE = "/world/merged/surface" ["Mesh3D, vertex, lit_colors, unlit_normals"]
+        "The surfaces of all groups (two or more bodies connected by joined pairs), as one mesh in world coordinates.";
+    MERGED_SEAMS = "/world/merged/seams" ["LineStrips3D"]
+        "The lines along which bodies meet.";
+    INFLUENCE = "/world/influence" ["Ellipsoids3D"]
+        "All influence spheres, coloured by the deepest phase of their body.";
+    PAIR_LINES = "/world/pairs" ["LineStrips3D; with more than 64 bodies Ellipsoids3D"]
+        "Lines between the centres of the closest pairs within reach, labelled with q; with many bodies also the influence spheres that reach another body.";
+    RECENT = "/world/recent" ["LineStrips3D"]
+        "Pairs that had an event in the last 24 frames.";
+    NAMES = "/world/names" ["Points3D"]
+        "The names of up to 8 bodies.";
+    FORCES = "/world/forces" ["AnnotationContext"]
+        "Names of the pairs of bodies between which forces act, as classes of arrows.";
+    FORCE = "/world/forces/CAUSE" ["Arrows3D"]
+        "Accelerations of vertices by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre.";
+    TRAILS = "/world/trails" ["LineStrips3D"]
+        "The path of the centre of each free body, one segment per frame; not with more than 64 bodies.";
+    PLANE = "/world/planes/N" ["Mesh3D"]
+        "A plane.";
+    PLANE_GRID = "/world/planes/N/grid" ["LineStrips3D"]
+        "Its grid.";
+    PAIR_DISTANCE = "/pairs/A~B/distance" ["Scalars"]
+        "q, for the first 16 pairs within reach, or 5 with more than 64 bodies (--plots), and as many that have events.";
+    PAIR_LEVEL = "/pairs/A~B/LEVEL" ["Scalars"]
+        "A threshold of q, for the same pairs: merge_at, split_at, core_at.";
+    PAIR_PHASE = "/pairs/A~B/phase" ["StateChange, StateConfiguration"]
+        "The phase, for the same pairs.";
+    PAIR_GAP = "/pairs/A~B/gap" ["Scalars"]
+        "Smallest distance of the surfaces, or minus the depth of their overlap [radii of the smaller body].";
+    PAIR_OVERLAP = "/pairs/A~B/overlap" ["Scalars"]
+        "Volume of the intersection [its radius³].";
+    PAIR_NECK = "/pairs/A~B/neck" ["Scalars"]
+        "Radius of the seam [radii of the smaller body].";
+    PAIR_CONTACT = "/pairs/A~B/contact" ["StateChange, StateConfiguration"]
+        "Whether the bodies are joined by their phase, and whether their surfaces touch.";
+    GROUP = "/groups/A" ["bodies"]
+        "The names of the bodies of the group whose first body is A.";
+    GROUP_LINE = "/groups/A/QUANTITY" ["Scalars"]
+        "Volume, area, genus, components, Euler characteristic and number of bodies of the group, of its sharp union.";
+    EVENTS = "/events" ["TextLog, bodies, phases, time, q, rate, energy"]
+        "One line per change of a phase; a thin recording has all events here.";
+    ACCURACY = "/events/accuracy" ["TextLog"]
+        "One line per step in which the error of a body exceeds the tolerance: which body, and by how much.";
+    SURFACE_EVENTS = "/events/surfaces" ["TextLog"]
+        "One line when surfaces touch or part.";
+    BODY_EVENTS = "/events/bodies" ["TextLog"]
+        "One line per event of a single body, with its position.";
+    MARKS_ON_AXIS = "/marks/axis/KIND" ["Scalars, SeriesPoints"]
+        "Events as markers on the axis of plots.";
+    MARKS_AT_Q = "/marks/q/KIND" ["Scalars, SeriesPoints"]
+        "Events as markers in plots of q.";
+    TIMING = "/timings/STAGE" ["Scalars"]
+        "What a stage of the step or of the recording costs [ms per step].";
+    STACKED = "/timings/stacked/STAGE" ["Scalars"]
+        "The same, with the stages before it on the same thread.";
+    SPEED = "/timings/speed" ["Scalars"]
+        "Steps per second.";
+    LAG = "/timings/lag" ["Scalars"]
+        "How far a run in real time is behind [ms].";
+    DIAGNOSTIC = "/diagnostics/SCALAR" ["Scalars"]
+        "Energy, error, counts.";
+    OVERLAPPING = "/diagnostics/overlapping_groups" ["Scalars"]
+        "Groups that could not be united in time and are drawn as overlapping meshes.";
+    LEGEND = "/legend/PART" ["Image; Points2D"]
+        "The colour scale of displacements, and its numbers.";
+    STAGES = "/stages" ["TextLog"]
+        "One line per stage of the steps recorded in detail, on the timeline stage, which the entities under /world have too.";
+    CHECKSUM = "/checksum" ["checksum"]
+        "A hash of the exact state after every step; a thin recording has several steps per row, at the time of the last one.";
+    ABOUT = "/about" ["TextDocument"]
+        "The text of the panel.";
+    RECORDING_INFO = "/__properties" ["RecordingInfo"]
+        "The name of the recording.";
+    PROPERTIES = "/__properties/meldscope" ["the properties below"]
+        "What a replay needs, and how the recording was made.";
+    GOLDEN_VERTICES = "/golden/vertices" ["bodies, hashes"]
+        "In a golden recording: a hash of two bytes for every vertex of every body that is free or not at rest, at every step.";
+    GOLDEN_STATES = "/golden/states" ["bodies, displacements, frames"]
+        "In a golden recording: displacements of these bodies every 20 steps, and the centres and rotations of the free ones.";
+    GOLDEN_SURFACES = "/golden/surfaces" ["names, values"]
+        "In a golden recording: the quantities of pairs and groups every 20 steps, by the entity that plots them.";
+    COMPARED_SURFACE = "/world/SIDE/NAME" ["Mesh3D"]
+        "In a comparison: the surface of a body in the first or the second run.";
+    COMPARED_ERROR = "/world/error" ["Arrows3D"]
+        "In a comparison: arrows between equal vertices.";
+    DIFFERENCE = "/difference/NAME" ["Scalars"]
+        "In a comparison: the largest difference of a body [radii].";
+    MAP = "/map/LAYER" ["Image, LineStrips2D, Points2D"]
+        "In the map of a sweep: its regions, their boundaries, every run as a point, and ticks; on the timeline slice, if there are several maps.";
+    MEASURE = "/along/COLUMN/LINE" ["Scalars"]
+        "In the map of a sweep: a measure along the first axis, on the timeline along.";
+}
+
+macro_rules! components {
+    ($(#[$of:meta])* $ALL:ident: $($NAME:ident = $name:literal $about:literal;)*) => {
+        $(#[doc = $about]
+        pub const $NAME: Component = Component($name);)*
+
+        $(#[$of])*
+        pub static $ALL: &[(Component, &str)] = &[$(($NAME, $about)),*];
+    };
+}
+
+components! {
+    /// All components that are not part of an archetype of the SDK, each with what it holds.
+    COMPONENTS:
+    CHECKSUMS = "checksum" "Hashes of the exact state.";
+    DRAWN = "drawn_triangles" "Triangles of a body's own surface that are drawn beside merged surfaces.";
+    LIT = "lit_colors" "Colours of vertices with baked lighting.";
+    UNLIT = "unlit_normals" "The normal that receives no light.";
+    HEAT_PLACES = "heat_texcoords" "Displacements, as coordinates in the texture of colours.";
+    HEAT_TEXTURE = "heat_texture" "The texture of colours.";
+    HEAT_FORMAT = "heat_format" "Its format.";
+    VERTEX_BODY = "body" "Name of the body of a vertex or an instance.";
+    VERTEX = "vertex" "Index of a vertex in its body.";
+    DISPLACEMENT = "displacement_in_radii" "Displacement of a vertex from rest [radii].";
+    VERTEX_NET_FORCE = "net_force" "Acceleration of a vertex [scene unit/s²].";
+    REACH = "reach" "What acts on a vertex.";
+    BODIES = "bodies" "Names or indices of bodies.";
+    PHASES = "phases" "The phases of a pair before and after an event.";
+    TIME = "time" "Exact time of an event [s].";
+    Q = "q" "Centre distance over the sum of the radii at an event.";
+    RATE = "rate" "Rate of change of q at an event [1/s].";
+    ENERGY = "energy" "Energy that free bodies gained by an event [mass · scene unit²/s²].";
+    HASHES = "hashes" "Hashes of vertices.";
+    DISPLACEMENTS = "displacements" "Displacements of vertices [scene unit].";
+    FRAMES = "frames" "Centres and rotations of free bodies.";
+    QUANTITIES = "names" "Entities that plot quantities.";
+    VALUES = "values" "Values of these quantities.";
+}
+
+components! {
+    /// The components of [`PROPERTIES`], each with what it holds.
+    ALL_PROPERTIES:
+    SCENE = "scene" "Text of the scene, with its meshes.";
+    SETTINGS = "settings" "Resolved settings of the run and of the recording.";
+    OVERRIDES = "overrides" "What the run overrides of the scene.";
+    VERSION = "version" "Version of the program.";
+    FORMAT = "format" "Version of the format of recordings.";
+    MACHINE = "machine" "Machine that made the recording.";
+    INTEGRATOR = "integrator" "Name of the integrator.";
+    MODEL = "model" "Name of the model, unless it is the default one.";
+    STEPS = "steps" "Number of steps.";
+    DIGEST = "digest" "Hash of all checksums.";
+    FAILURE = "failure" "Why the run ended before its last step.";
+    BLESSED = "blessed" "Reason of a golden recording.";
+    COUNTS = "counts" "Vertices and triangles of a golden recording.";
+}
+
+/// Name of the timeline of steps.
+pub const STEP: &str = "step";
+/// Name of the timeline of simulated time.
+pub const SIM_TIME: &str = "sim_time";
+/// Name of the timeline of stages inside steps.
+pub const STAGE: &str = "stage";
+/// Name of the timeline of maps in the map of a sweep.
+pub const SLICE: &str = "slice";
+/// Name of the timeline of indices on the first axis in the map of a sweep.
+pub const ALONG: &str = "along";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_are_made_and_recognised() {
+        assert_eq!(BODY_SURFACE.of(&["a"]), "/world/bodies/a/surface");
+        assert_eq!(PAIR_LEVEL.of(&["a~b", "grip_at"]), "/pairs/a~b/grip_at");
+        assert_eq!([BODY_SURFACE.family(), EVENTS.family()], ["/world/bodies", "/events"]);
+        assert_eq!(PAIR_PHASE.names("/pairs/a~b/phase"), Some(vec!["a~b"]));
+        for other in ["/pairs/a~b", "/pairs/a~b/phase/more", "/groups/a~b/phase"] {
+            assert!(!PAIR_PHASE.is(other), "{other}");
+        }
+        assert!(EVENTS.is("/events") && !EVENTS.is("/events/bodies"));
+    }
+
+    #[test]
+    fn the_documentation_has_every_entity() {
+        let docs = include_str!("mod.rs");
+        for entity in ENTITIES {
+            let row = format!("//! | `{}` | {} | {} |", entity.path, entity.holds, entity.about);
+            assert!(docs.lines().any(|line| line == row), "stream/mod.rs lacks\n{row}");
+        }
+        let rows = docs.lines().filter(|line| line.starts_with("//! | `/")).count();
+        assert_eq!(rows, ENTITIES.len(), "stream/mod.rs has rows of no entity");
+    }
+}
