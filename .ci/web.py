@@ -33,7 +33,7 @@ ESCAPE = """new Promise(resolve => {
 
 def served(program):
     """Starts the program; returns its process once it serves, and the address to open."""
-    command = [program, "run", "two", "--serve", "--web-port", "0", "--grpc-port", "0"]
+    command = [program, "run", "two", "--serve", "--bind", "127.0.0.1:0"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     address = None
     for line in process.stderr:

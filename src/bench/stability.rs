@@ -431,7 +431,7 @@ pub fn report(rows: &[Row], drifts: &[drift::Drift], free: &[Judged]) -> Report 
         tables: vec![sweep, drift::table(drifts), by_axis(free)],
         notes: format!(
             "passed: finite after every step, and within {MARGIN} times the energy bound; exponential also as close to the exact \
-             solution, where there is one, as its tolerance promises\n--case N shows one case and its scene"
+             solution, where there is one, as its tolerance promises\n`meldscope bench stability N` shows case N and its scene"
         ),
         chart: None,
         failure: defects(&judged).or(lost).or_else(|| defects(free)),

@@ -124,20 +124,24 @@ fn best(mut work: impl FnMut()) -> f64 {
     best
 }
 
+/// The columns of a measurement.
+pub fn columns() -> Vec<Column> {
+    let time = |heading, name| Column::number(heading, name, |seconds| format!("{:.3}", 1e3 * seconds));
+    vec![
+        Column::text("spheres", "spheres"),
+        Column::count("bodies", "bodies"),
+        Column::count("vertices", "vertices"),
+        time("union [ms]", "union_s"),
+        time("drawn [ms]", "drawn_s"),
+        time("measures [ms]", "measures_s"),
+        Column::text("χ", "euler_characteristic"),
+    ]
+}
+
 /// The measured arrangements.
 pub fn report(rows: &[Row]) -> Report {
-    let milliseconds = |seconds: f64| format!("{:.3}", 1e3 * seconds);
-    let time = |heading| Column::number(heading, "", milliseconds);
     let unions = Table {
-        columns: vec![
-            Column::text("spheres", ""),
-            Column::count("bodies", ""),
-            Column::count("vertices", ""),
-            time("union [ms]"),
-            time("drawn [ms]"),
-            time("measures [ms]"),
-            Column::text("χ", ""),
-        ],
+        columns: columns(),
         rows: rows
             .iter()
             .map(|row| {
@@ -149,13 +153,14 @@ pub fn report(rows: &[Row]) -> Report {
             .collect(),
         ..Table::default()
     };
+    let rows = unions.rows.clone();
     Report {
-        columns: vec![],
+        columns: columns(),
         tables: vec![unions],
         notes: "union: the closed surface alone; drawn: with its mesh, components and smooth seams; measures: gap, overlap and \
                 neck;\nbest of several runs"
             .to_owned(),
-        rows: vec![],
+        rows,
         chart: None,
         failure: None,
     }

@@ -10,7 +10,9 @@ use std::{
 use rayon::prelude::*;
 
 use super::{
-    Failure, announce, may_save, print, print_lines,
+    Failure, announce, may_save,
+    overrides::Overrides,
+    print, print_lines,
     progress::{Progress, Work},
     run::scene,
     say,
@@ -27,143 +29,70 @@ use crate::{
     models::{need_oscillators, side_by_side::SideBySide},
     observe::Experiment as _,
     recording::existing::{Existing, Kind},
-    scene::{Integrator, Model, Scene},
+    scene::{Integrator, Model, Scene, template::Override},
     sim::{Options, memory},
     stream::{self, Settings, settings::application, sinks::Destinations},
     table::{self, TableError},
     text::counted,
 };
 
-#[derive(clap::Args)]
+#[derive(clap::Args, Clone)]
 pub struct Arguments {
-    #[command(subcommand)]
+    /// What to measure.
     what: What,
-}
-
-// To add a benchmark: a variant here, a function below, and a module in `bench`.
-#[derive(clap::Subcommand)]
-enum What {
-    /// Error against run time: every integrator, over a range of step sizes, against an independent solution.
-    Error(ErrorArguments),
-    /// Step cost against scene size: 2 to 100,000 bodies, of which all, one in a hundred, or two are in contact.
-    Scale(ScaleArguments),
-    /// Recording cost: frames per second, bytes per frame, cost of verification.
-    Record(RecordArguments),
-    /// Models of a soft body side by side: cost, error, stability, volume, and when two bodies merged.
-    Models(ModelsArguments),
-    /// Merged surfaces: time of unions of 2 to 300 bodies.
-    Surface,
-    /// Stress sweep: thousands of small scenes at the limits of every setting, with every integrator.
-    Stability(StabilityArguments),
-}
-
-/// Where measurements are written besides standard output.
-#[derive(clap::Args, Default)]
-struct Files {
+    /// Scene files, or names of built-in scenes; of `scale`, numbers of bodies; of `stability`, a case, to show it.
+    #[arg(value_name = "SCENE")]
+    of: Vec<String>,
+    /// Another value for a key of the scenes, such as tolerance=1e-9; may be repeated.
+    #[arg(long, value_name = "KEY=VALUE", value_parser = Override::parse)]
+    set: Vec<Override>,
+    /// Number of random cases: of `stability` [default: 4000], or of `error`, instead of scenes.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=MAX_CASES))]
+    random: Option<u64>,
+    /// Run the cases of `stability` with this model instead of the integrators.
+    #[arg(long, value_parser = other_model, value_name = "metaballs|lattice|fem")]
+    model: Option<Model>,
+    /// Record the first scene of `models` with all of them side by side.
+    #[arg(long, value_name = "F.rrd")]
+    save: Option<PathBuf>,
     /// Write the measurements to a table: .csv, .json or .parquet.
     #[arg(long, value_name = "F.csv")]
     csv: Option<PathBuf>,
-    /// Draw the measurements as an SVG diagram.
+    /// Draw the measurements of `error`, `scale` or `models` as an SVG diagram.
     #[arg(long, value_name = "F.svg")]
     svg: Option<PathBuf>,
 }
 
-#[derive(clap::Args)]
-struct ErrorArguments {
-    /// Scene files, or names of built-in scenes (see `meldscope scenes`).
-    #[arg(default_values = ["push", "two", "three", "size_ratio", "collide", "orbit", "drop"])]
-    scene: Vec<String>,
-    /// Instead of scenes, compare the errors of N random short ones with what was asked: contacts, rims, cores, planes up
-    /// to 1e5, sizes to 1:50, masses to 1:1000, free bodies and paths.
-    #[arg(long, value_name = "N", conflicts_with_all = ["scene", "csv", "svg"],
-          value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
-    random: Option<u64>,
-    /// Seed of the random scenes.
-    #[arg(long, value_name = "S", requires = "random", default_value_t = 1)]
-    seed: u64,
-    /// Tolerance of the random scenes, radii per second.
-    #[arg(long, value_name = "T", requires = "random", default_value_t = Scene::DEFAULT_TOLERANCE, value_parser = tolerance)]
-    tolerance: f64,
-    /// Write the random scenes that miss to files in this folder, for `meldscope bench error FILE`.
-    #[arg(long, value_name = "DIR", requires = "random")]
-    out: Option<PathBuf>,
-    #[command(flatten)]
-    files: Files,
+// To add a benchmark: a variant here, a function below, and a module in `bench`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum What {
+    /// Error against run time: every integrator, over a range of step sizes, against an independent solution.
+    Error,
+    /// Step cost against scene size: 2 to 100,000 bodies, of which all, one in a hundred, or two are in contact.
+    Scale,
+    /// Recording cost: frames per second, bytes per frame, cost of verification.
+    Record,
+    /// Models of a soft body side by side: cost, error, stability, volume, and when two bodies merged.
+    Models,
+    /// Merged surfaces: time of unions of 2 to 300 bodies.
+    Surface,
+    /// Stress sweep: thousands of small scenes at the limits of every setting, with every integrator.
+    Stability,
 }
 
-#[derive(clap::Args)]
-struct ScaleArguments {
-    /// Numbers of bodies, each from 2 to a million.
-    #[arg(long, value_name = "N", num_args = 1.., default_values = ["2", "10", "100", "1000", "10000", "100000"],
-          value_parser = clap::value_parser!(u32).range(2..=1_000_000))]
-    bodies: Vec<u32>,
-    /// Seconds of timed steps per combination of body count, scene family, and one core or all.
-    #[arg(long, value_name = "S", default_value = "0.5", value_parser = seconds)]
-    seconds: f64,
-    #[command(flatten)]
-    files: Files,
-}
-
-#[derive(clap::Args)]
-struct RecordArguments {
-    /// Scene files, or names of built-in scenes (see `meldscope scenes`).
-    #[arg(default_values = ["two", "crowd"])]
-    scene: Vec<String>,
-    /// Write the rates and sizes to a table: .csv, .json or .parquet.
-    #[arg(long, value_name = "F.csv")]
-    csv: Option<PathBuf>,
-}
-
-#[derive(clap::Args)]
-struct ModelsArguments {
-    /// Scene files, or names of built-in scenes (see `meldscope scenes`).
-    #[arg(default_values = ["two"])]
-    scene: Vec<String>,
-    /// Record all models of the first scene side by side, aligned in time.
-    #[arg(long, value_name = "F.rrd")]
-    save: Option<PathBuf>,
-    #[command(flatten)]
-    files: Files,
-}
-
-#[derive(clap::Args)]
-struct StabilityArguments {
-    /// Number of cases to run.
-    #[arg(long, value_name = "N", default_value_t = 4000, value_parser = clap::value_parser!(u64).range(1..=MAX_CASES))]
-    cases: u64,
-    /// Run this integrator only.
-    #[arg(long, value_parser = super::run::parse_integrator, value_name = "thesis|mps|euler|verlet|rk4|exponential")]
-    integrator: Option<Integrator>,
-    /// Run the cases with this model instead of the integrators.
-    #[arg(long, value_parser = other_model, value_name = "metaballs|lattice|fem",
-          conflicts_with_all = ["integrator", "case", "csv"])]
-    model: Option<Model>,
-    /// Run a single case, and show its scene and its details.
-    #[arg(long, value_name = "N", conflicts_with_all = ["cases", "csv"],
-          value_parser = clap::value_parser!(u64).range(0..MAX_CASES))]
-    case: Option<u64>,
-    /// Write the outcome of every case to a table: .csv, .json or .parquet.
-    #[arg(long, value_name = "F.csv")]
-    csv: Option<PathBuf>,
-}
-
-/// Maximum number of cases of the stress sweep.
+/// Maximum number of random cases.
 const MAX_CASES: u64 = 1_000_000;
-
-fn tolerance(text: &str) -> Result<f64, String> {
-    let number = text.parse::<f64>().ok().filter(|number| (1e-12..=1e-2).contains(number));
-    number.ok_or_else(|| "expected radii per second, from 1e-12 to 1e-2".to_owned())
-}
-
-fn seconds(text: &str) -> Result<f64, String> {
-    let number = text.parse::<f64>().ok().filter(|number| (0.001..=60.0).contains(number));
-    number.ok_or_else(|| "expected 0.001 to 60 seconds".to_owned())
-}
+/// Cases of the stress sweep, unless a number is given.
+const CASES: u64 = 4000;
+/// Duration of timed steps of `bench scale`, for each number of bodies, family and number of threads.
+const TIMED: Duration = Duration::from_millis(500);
+/// Seed of the random scenes of `bench error`.
+const SEED: u64 = 1;
 
 fn other_model(text: &str) -> Result<Model, String> {
     match crate::models::parse(text)? {
         Model::Oscillators => {
-            Err("the oscillators are what the integrators solve: leave --model out, or name an --integrator".to_owned())
+            Err("the oscillators are what the integrators solve: leave --model out to run all of them".to_owned())
         }
         model => Ok(model),
     }
@@ -171,22 +100,79 @@ fn other_model(text: &str) -> Result<Model, String> {
 
 /// Runs a benchmark.
 pub fn bench(arguments: Arguments) -> Result<(), Failure> {
+    check(&arguments)?;
     match arguments.what {
-        What::Error(ErrorArguments { random: Some(count), seed, tolerance, out, .. }) => {
-            random(&random::Settings { count, seed, tolerance }, out.as_deref())
-        }
-        What::Error(arguments) => error(arguments),
-        What::Scale(arguments) => scale(arguments),
-        What::Record(arguments) => record(arguments),
-        What::Models(arguments) => models(arguments),
-        What::Surface => Claimed::default().finish(&surface::report(&surface::measure()), &Machine::detect()),
-        What::Stability(arguments) => stability(arguments),
+        What::Error => match arguments.random {
+            Some(count) => random(&arguments, count),
+            None => error(&arguments),
+        },
+        What::Scale => scale(&arguments),
+        What::Record => record(&arguments),
+        What::Models => models(&arguments),
+        What::Surface => surface(&arguments),
+        What::Stability => stability(&arguments),
     }
 }
 
-fn error(arguments: ErrorArguments) -> Result<(), Failure> {
-    let scenes = oscillators(&arguments.scene, "bench error")?;
-    let claimed = arguments.files.claim(&error::columns())?;
+/// Rejects options that a benchmark does not have.
+fn check(arguments: &Arguments) -> Result<(), Failure> {
+    use What::{Error, Models, Record, Scale, Stability, Surface};
+    let Arguments { what, of, set, random, model, save, csv, svg } = arguments;
+    let options = [
+        (!of.is_empty(), "SCENE", &[Error, Scale, Record, Models, Stability][..]),
+        (!set.is_empty(), "--set", &[Error, Record, Models]),
+        (random.is_some(), "--random", &[Error, Stability]),
+        (model.is_some(), "--model", &[Stability]),
+        (save.is_some(), "--save", &[Models]),
+        (csv.is_some(), "--csv", &[Error, Scale, Record, Models, Surface, Stability]),
+        (svg.is_some(), "--svg", &[Error, Scale, Models]),
+    ];
+    let name =
+        |what: &What| clap::ValueEnum::to_possible_value(what).map_or(String::new(), |v| v.get_name().to_owned());
+    let (bench, is_random_error) = (name(what), *what == Error && random.is_some());
+    if let Some((_, option, has)) = options.iter().find(|(is_given, _, has)| *is_given && !has.contains(what)) {
+        let has = has.iter().map(name).collect::<Vec<_>>().join(", ");
+        return Err(Failure::Input(format!("`bench {bench}` has no {option}: it is for {has}")));
+    }
+    let conflicts = [
+        (is_random_error && !of.is_empty(), "--random measures random scenes: leave SCENE out"),
+        (is_random_error && csv.is_some(), "`bench error --random` has no --csv"),
+        (is_random_error && svg.is_some(), "`bench error --random` has no --svg"),
+        (*what == Stability && of.len() > 1, "`bench stability` shows one case: give one number"),
+        (
+            !of.is_empty() && (random.is_some() || model.is_some() || csv.is_some()) && *what == Stability,
+            "a single case of `bench stability` is only shown: leave the other options out",
+        ),
+        (model.is_some() && csv.is_some(), "`bench stability --model` has no --csv"),
+    ];
+    match conflicts.into_iter().find(|(is_given, _)| *is_given) {
+        Some((_, why)) => Err(Failure::Input(why.to_owned())),
+        None => Ok(()),
+    }
+}
+
+/// Numbers that are given in place of scenes.
+fn numbers(of: &[String], range: std::ops::RangeInclusive<u64>, what: &str) -> Result<Vec<u64>, Failure> {
+    let number = |text: &String| {
+        let number = text.parse().ok().filter(|number| range.contains(number));
+        let expected = || format!("{text:?}: expected {what}, from {} to {}", range.start(), range.end());
+        number.ok_or_else(|| Failure::Input(expected()))
+    };
+    of.iter().map(number).collect()
+}
+
+/// The scenes of a benchmark: those given, or the usual ones, with the values that are set.
+fn scenes(arguments: &Arguments, usual: &[&str]) -> Result<Vec<Scene>, Failure> {
+    let overrides = Overrides { set: arguments.set.clone(), ..Overrides::default() };
+    let usual = usual.iter().map(|name| (*name).to_owned()).collect();
+    let names: Vec<String> = if arguments.of.is_empty() { usual } else { arguments.of.clone() };
+    names.iter().map(|name| overrides.apply(scene(name)?, name)).collect()
+}
+
+fn error(arguments: &Arguments) -> Result<(), Failure> {
+    let usual = ["push", "two", "three", "size_ratio", "collide", "orbit", "drop"];
+    let scenes = oscillators(scenes(arguments, &usual)?, "bench error")?;
+    let claimed = Claimed::new(arguments, &error::columns())?;
     let mut measured = vec![];
     for scene in &scenes {
         let progress = Progress::new(format!("measuring {}", scene.name), Work::Share);
@@ -200,25 +186,30 @@ fn error(arguments: ErrorArguments) -> Result<(), Failure> {
     claimed.finish(&error::report(&measured, &machine), &machine)
 }
 
-fn random(settings: &random::Settings, folder: Option<&Path>) -> Result<(), Failure> {
-    if let Some(folder) = folder {
-        std::fs::create_dir_all(folder).map_err(|error| unwritable(folder, &error))?;
+/// Errors of random scenes against what is asked: `--set tolerance=R`.
+fn random(arguments: &Arguments, count: u64) -> Result<(), Failure> {
+    let other = arguments.set.iter().find(|one| one.key() != "tolerance");
+    if let Some(other) = other {
+        return Err(Failure::Input(format!("--set {other}: of random scenes, only the tolerance can be set")));
     }
-    let progress = Progress::new("random scenes", Work::Units("scene", Some(settings.count)));
-    let outcomes = random::measure(settings, &|| progress.add(1)).map_err(|error| Failure::Run(error.to_string()))?;
+    let tolerance = match arguments.set.is_empty() {
+        true => Scene::DEFAULT_TOLERANCE,
+        false => scenes(&Arguments { of: vec!["two".to_owned()], ..arguments.clone() }, &[])?
+            .first()
+            .map_or(Scene::DEFAULT_TOLERANCE, |scene| scene.tolerance),
+    };
+    if tolerance > 1e-2 {
+        return Err(Failure::Input("--set tolerance: above 1e-2, no error is asked for".to_owned()));
+    }
+    let settings = random::Settings { count, seed: SEED, tolerance };
+    let progress = Progress::new("random scenes", Work::Units("scene", Some(count)));
+    let outcomes = random::measure(&settings, &|| progress.add(1)).map_err(|error| Failure::Run(error.to_string()))?;
     drop(progress);
     for outcome in outcomes.iter().filter(|outcome| outcome.is_listed()) {
         print(&outcome.to_string());
-        if let Some(folder) = folder {
-            let path = folder.join(format!("{}.toml", outcome.scene.name));
-            let mut file = claim(&path, WRITTEN)?;
-            let text = format!("{WRITTEN} error`.\n{}", outcome.scene.source);
-            let written = file.write_all(text.as_bytes()).and_then(|()| file.commit());
-            written.map_err(|error| unwritable(&path, &error))?;
-        }
     }
     let counts = random::Counts::of(&outcomes);
-    print(&format!("tolerance {:.0e}, seed {}: {counts}", settings.tolerance, settings.seed));
+    print(&format!("tolerance {tolerance:.0e}, seed {SEED}: {counts}"));
     if counts.are_met() {
         return Ok(());
     }
@@ -228,12 +219,16 @@ fn random(settings: &random::Settings, folder: Option<&Path>) -> Result<(), Fail
     ))
 }
 
-fn scale(arguments: ScaleArguments) -> Result<(), Failure> {
-    let claimed = arguments.files.claim(&scale::columns())?;
-    let mut bodies: Vec<usize> = arguments.bodies.iter().map(|&n| n as usize).collect();
+fn scale(arguments: &Arguments) -> Result<(), Failure> {
+    let mut bodies = match arguments.of.as_slice() {
+        [] => vec![2, 10, 100, 1000, 10_000, 100_000],
+        of => numbers(of, 2..=1_000_000, "a number of bodies")?,
+    };
     bodies.sort_unstable();
     bodies.dedup();
-    let settings = scale::Settings { bodies, time: Duration::from_secs_f64(arguments.seconds) };
+    let claimed = Claimed::new(arguments, &scale::columns())?;
+    let bodies = bodies.into_iter().map(|n| n as usize).collect();
+    let settings = scale::Settings { bodies, time: TIMED };
     let progress = Progress::new("measuring scenes of all sizes", Work::Share);
     let measured = scale::measure(&settings, &mut |share| progress.set_share(share));
     drop(progress);
@@ -241,9 +236,9 @@ fn scale(arguments: ScaleArguments) -> Result<(), Failure> {
     claimed.finish(&measured.map_err(|error| Failure::Run(error.to_string()))?.report(&machine), &machine)
 }
 
-fn record(arguments: RecordArguments) -> Result<(), Failure> {
-    let scenes = oscillators(&arguments.scene, "bench record")?;
-    let claimed = Files { csv: arguments.csv, svg: None }.claim(&record::columns())?;
+fn record(arguments: &Arguments) -> Result<(), Failure> {
+    let scenes = oscillators(scenes(arguments, &["two", "crowd"])?, "bench record")?;
+    let claimed = Claimed::new(arguments, &record::columns())?;
     let (mut measurements, mut verifications) = (vec![], vec![]);
     for scene in &scenes {
         let _progress = Progress::new(format!("measuring {}", scene.name), Work::Uncounted);
@@ -253,9 +248,15 @@ fn record(arguments: RecordArguments) -> Result<(), Failure> {
     claimed.finish(&record::report(&measurements, &verifications), &Machine::detect())
 }
 
-fn models(arguments: ModelsArguments) -> Result<(), Failure> {
-    let scenes = arguments.scene.iter().map(|name| scene(name)).collect::<Result<Vec<_>, _>>()?;
-    let claimed = arguments.files.claim(&models::columns())?;
+fn surface(arguments: &Arguments) -> Result<(), Failure> {
+    let claimed = Claimed::new(arguments, &surface::columns())?;
+    let _progress = Progress::new("uniting spheres", Work::Uncounted);
+    claimed.finish(&surface::report(&surface::measure()), &Machine::detect())
+}
+
+fn models(arguments: &Arguments) -> Result<(), Failure> {
+    let scenes = scenes(arguments, &["two"])?;
+    let claimed = Claimed::new(arguments, &models::columns())?;
     if let (Some(path), [first, ..]) = (&arguments.save, scenes.as_slice()) {
         record_models(first, path)?;
     }
@@ -284,25 +285,24 @@ fn record_models(scene: &Scene, path: &Path) -> Result<(), Failure> {
     Ok(())
 }
 
-fn stability(arguments: StabilityArguments) -> Result<(), Failure> {
+fn stability(arguments: &Arguments) -> Result<(), Failure> {
     let failed = |error: MeasureError| Failure::Run(error.to_string());
-    let machine = Machine::detect();
-    let progress = || Progress::new("stability", Work::Units("case", Some(arguments.cases)));
+    let (machine, cases) = (Machine::detect(), arguments.random.unwrap_or(CASES));
+    let progress = || Progress::new("stability", Work::Units("case", Some(cases)));
     if let Some(model) = arguments.model {
         let progress = progress();
-        let judged = stability::models::measure(model, arguments.cases, &|| progress.add(1)).map_err(failed)?;
+        let judged = stability::models::measure(model, cases, &|| progress.add(1)).map_err(failed)?;
         drop(progress);
         return Claimed::default().finish(&stability::of_model(&judged), &machine);
     }
-    let integrators = arguments.integrator.map_or(Integrator::ALL.to_vec(), |integrator| vec![integrator]);
-    let settings = stability::Settings { cases: arguments.cases, integrators, most_steps: u64::MAX };
-    if let Some(index) = arguments.case {
+    let settings = stability::Settings { cases, integrators: Integrator::ALL.to_vec(), most_steps: u64::MAX };
+    if let [index] = numbers(&arguments.of, 0..=MAX_CASES - 1, "the number of a case")?[..] {
         let case = Case::new(index).map_err(|error| Failure::Run(error.to_string()))?;
         print_lines(&case.scene.source);
         let row = stability::run(case, &settings).map_err(failed)?;
         return Claimed::default().finish(&stability::of_case(&row), &machine);
     }
-    let claimed = Files { csv: arguments.csv, svg: None }.claim(&stability::columns())?;
+    let claimed = Claimed::new(arguments, &stability::columns())?;
     let swept = progress();
     let rows = stability::sweep(&settings, &|| swept.add(1)).map_err(failed)?;
     drop(swept);
@@ -314,9 +314,8 @@ fn stability(arguments: StabilityArguments) -> Result<(), Failure> {
     claimed.finish(&stability::report(&rows, &drifts, &free), &machine)
 }
 
-/// Scenes that the benchmark `what` can run: of the default model, within the memory that there is.
-fn oscillators(names: &[String], what: &str) -> Result<Vec<Scene>, Failure> {
-    let scenes = names.iter().map(|name| scene(name)).collect::<Result<Vec<_>, _>>()?;
+/// Refuses scenes that the benchmark `what` cannot run: of another model, or larger than the memory that there is.
+fn oscillators(scenes: Vec<Scene>, what: &str) -> Result<Vec<Scene>, Failure> {
     for scene in &scenes {
         memory::check(scene).map_err(Failure::input)?;
         need_oscillators(scene, what).map_err(Failure::input)?;
@@ -324,8 +323,6 @@ fn oscillators(names: &[String], what: &str) -> Result<Vec<Scene>, Failure> {
     Ok(scenes)
 }
 
-/// First words of the scene files that benchmarks write.
-const WRITTEN: &str = "# Written by `meldscope bench";
 /// What an SVG file of this program has near its beginning.
 const DRAWN: &str = "<desc>meldscope</desc>";
 /// Number of bytes within which a file has its mark.
@@ -339,9 +336,9 @@ struct Claimed {
     svg: Option<(PathBuf, AtomicFile)>,
 }
 
-impl Files {
-    fn claim(self, columns: &[Column]) -> Result<Claimed, Failure> {
-        if let (Some(csv), Some(svg)) = (&self.csv, &self.svg)
+impl Claimed {
+    fn new(arguments: &Arguments, columns: &[Column]) -> Result<Claimed, Failure> {
+        if let (Some(csv), Some(svg)) = (&arguments.csv, &arguments.svg)
             && atomic::is_same_destination(csv, svg)
         {
             return Err(Failure::Input("--csv and --svg name the same file: give each its own".to_owned()));
@@ -351,13 +348,11 @@ impl Files {
             Err(TableError::Refused(why)) => Err(Failure::Input(why)),
             Err(TableError::Failed(why)) => Err(Failure::Run(why)),
         };
-        let csv = self.csv.map(table).transpose()?;
-        let svg = self.svg.map(|path| claim(&path, DRAWN).map(|file| (path, file))).transpose()?;
+        let csv = arguments.csv.clone().map(table).transpose()?;
+        let svg = arguments.svg.clone().map(|path| claim(&path, DRAWN).map(|file| (path, file))).transpose()?;
         Ok(Claimed { csv, svg })
     }
-}
 
-impl Claimed {
     /// Prints the results and writes them to the files. A benchmark that fails has printed and written them all.
     fn finish(self, report: &Report, machine: &Machine) -> Result<(), Failure> {
         for table in &report.tables {

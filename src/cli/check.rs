@@ -44,10 +44,7 @@ pub struct Arguments {
     tolerant: bool,
     /// The folder for recordings of failed checks, SCENE.check.rrd [default: the current one].
     #[arg(long, value_name = "DIR", conflicts_with = "bless")]
-    save: Option<PathBuf>,
-    /// Number of threads [default: one per core].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
-    threads: Option<u16>,
+    out: Option<PathBuf>,
 }
 
 fn parse_reason(text: &str) -> Result<String, String> {
@@ -65,10 +62,6 @@ struct Script {
 
 /// Checks the scenes, or blesses them.
 pub fn check(arguments: Arguments) -> Result<(), Failure> {
-    if let Some(threads) = arguments.threads {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads)).build_global();
-        pool.map_err(|error| Failure::Run(format!("cannot start {threads} threads: {error}")))?;
-    }
     let scripts = scripts(&arguments.paths)?;
     match &arguments.bless {
         Some(reason) => bless(&scripts, reason),
@@ -77,9 +70,10 @@ pub fn check(arguments: Arguments) -> Result<(), Failure> {
 }
 
 fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
-    let folder = arguments.save.clone().unwrap_or_default();
-    if !folder.as_os_str().is_empty() && !folder.is_dir() {
-        return Err(Failure::Input(format!("there is no folder {}: create it first", folder.display())));
+    let folder = arguments.out.clone().unwrap_or_default();
+    if !folder.as_os_str().is_empty() {
+        let failed = |error| Failure::Input(format!("cannot create the folder {}: {error}", folder.display()));
+        fs::create_dir_all(&folder).map_err(failed)?;
     }
     let progress = Progress::new("", Work::Units("scene", Some(scripts.len() as u64)));
     let results: Vec<_> = scripts

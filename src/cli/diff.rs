@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use super::{
     Failure, announce, may_print, may_save, print,
     progress::{Progress, Work},
-    run::parse_tolerance,
     sink_failure, vector,
 };
 use crate::{
@@ -28,8 +27,13 @@ pub struct Arguments {
     #[arg(long, value_name = "D.rrd")]
     save: Option<PathBuf>,
     /// Ignore differences up to this, in radii [default: the larger tolerance of the two scenes].
-    #[arg(long, value_name = "R", value_parser = parse_tolerance)]
-    tolerance: Option<f64>,
+    #[arg(long, value_name = "R", value_parser = parse_radii)]
+    within: Option<f64>,
+}
+
+fn parse_radii(text: &str) -> Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|number| (0.0..=1e15).contains(number));
+    number.ok_or_else(|| "expected a number of radii, from 0 to 1e15".to_owned())
 }
 
 /// Compares two recordings. The exit status is 0 if no difference exceeds the tolerance, 1 otherwise.
@@ -37,7 +41,7 @@ pub fn diff(arguments: Arguments) -> Result<(), Failure> {
     [&arguments.first, &arguments.second].into_iter().try_for_each(|path| may_print(path))?;
     let [a, b] = [Recorded::open(&arguments.first), Recorded::open(&arguments.second)];
     let (a, b) = (a.map_err(Failure::input)?, b.map_err(Failure::input)?);
-    let tolerance = arguments.tolerance.unwrap_or_else(|| a.schema.tolerance.max(b.schema.tolerance));
+    let tolerance = arguments.within.unwrap_or_else(|| a.schema.tolerance.max(b.schema.tolerance));
     if let Some(save) = &arguments.save {
         let what = "one of the recordings to be compared";
         may_save(save, &[(&arguments.first, what), (&arguments.second, what)], &Existing::comparison())?;

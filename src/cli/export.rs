@@ -11,17 +11,19 @@ use std::{
 };
 
 use super::{
-    Failure, expense, one_of, print,
+    Failure, expense, one_of,
+    overrides::Overrides,
+    print,
     progress::{Progress, Work},
     run, say,
 };
 use crate::{
     analysis::{surface::Merger, touch::Touches},
     atomic::{self, AtomicFile},
-    models::{self, SceneRun},
+    models::SceneRun,
     observe::{Experiment as _, Frame, Simulation, StepSummary, Want, row::rows},
     recording::{Recorded, existing::Existing},
-    scene::Model,
+    scene::template::Override,
     sim::Options,
     stream::settings::file_stem,
     text::{bytes, counted},
@@ -37,9 +39,9 @@ const TABLE: &str = "F.csv|F.json|F.parquet";
 pub struct Arguments {
     /// A scene file, the name of a built-in scene, or a recording.
     scene: String,
-    /// Override the scene's soft-body model; not for a recording, which has its own.
-    #[arg(long, value_parser = models::parse, value_name = "oscillators|metaballs|lattice|fem")]
-    model: Option<Model>,
+    /// Another value for a key of the scene, such as model=lattice; may be repeated.
+    #[arg(long, value_name = "KEY=VALUE", value_parser = Override::parse)]
+    set: Vec<Override>,
     /// Write the surfaces to this folder, one file per step: one closed mesh per group of merged bodies, and one per
     /// single body.
     #[arg(long, value_name = "DIR", group = "what")]
@@ -181,15 +183,15 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
 fn source(arguments: &Arguments) -> Result<Source, Failure> {
     let path = Path::new(&arguments.scene);
     if Existing::is_recording(path) {
-        if arguments.model.is_some() {
-            return Err(Failure::Input("--model is for scenes: a recording is exported as it was made".to_owned()));
+        if !arguments.set.is_empty() {
+            return Err(Failure::Input("--set is for scenes: a recording is exported as it was made".to_owned()));
         }
         let recorded = Recorded::open(path).map_err(Failure::input)?;
         let simulation = recorded.start()?;
         return Ok(Source { simulation, last: recorded.last(), recorded: Some(recorded) });
     }
-    let mut scene = run::scene(&arguments.scene)?;
-    scene.model = arguments.model.unwrap_or(scene.model);
+    let overrides = Overrides { set: arguments.set.clone(), ..Overrides::default() };
+    let scene = overrides.apply(run::scene(&arguments.scene)?, &arguments.scene)?;
     let last = scene.steps();
     expense::announce(&scene, None)?;
     let simulation = SceneRun { scene, options: Options::default() }.start().map_err(Failure::Input)?;

@@ -9,6 +9,7 @@ mod diff;
 mod expense;
 mod export;
 mod interrupt;
+mod overrides;
 mod progress;
 mod reference;
 mod replay;
@@ -21,7 +22,10 @@ use std::{
     io::{self, Write},
     path::Path,
     process::ExitCode,
-    sync::Mutex,
+    sync::{
+        Mutex,
+        atomic::{AtomicBool, Ordering},
+    },
 };
 
 use crate::recording::ReadError;
@@ -49,6 +53,12 @@ use crate::{
 struct Arguments {
     #[command(subcommand)]
     command: Command,
+    /// Print errors and warnings only.
+    #[arg(short, long, global = true)]
+    quiet: bool,
+    /// Number of threads [default: one per core].
+    #[arg(short = 'j', long, value_name = "N", global = true, value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
 }
 
 #[derive(Subcommand)]
@@ -116,7 +126,7 @@ pub fn main() -> ExitCode {
         }
     }));
     let result = match Arguments::try_parse() {
-        Ok(arguments) => run(arguments.command),
+        Ok(arguments) => prepare(&arguments).and_then(|()| run(arguments.command)),
         // help and version are results; everything else is a usage error
         Err(error) if error.use_stderr() => {
             let text = escaped(error).render().to_string();
@@ -164,6 +174,16 @@ fn escaped(mut error: clap::Error) -> clap::Error {
     error
 }
 
+/// Applies the options that all commands have.
+fn prepare(arguments: &Arguments) -> Result<(), Failure> {
+    // a list is all that these commands are for
+    let is_list = matches!(arguments.command, Command::Scenes(_) | Command::Reference(_));
+    QUIET.store(arguments.quiet && !is_list, Ordering::Relaxed);
+    let Some(threads) = arguments.threads else { return Ok(()) };
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads)).build_global();
+    pool.map_err(|error| Failure::Run(format!("cannot start {threads} threads: {error}")))
+}
+
 fn run(command: Command) -> Result<(), Failure> {
     match command {
         Command::Run(arguments) => run::run(*arguments),
@@ -189,6 +209,13 @@ fn record(scene: &Path, recording: &Path, steps: u64) -> Result<(), Failure> {
     run(Arguments::try_parse_from(line).map_err(Failure::input)?.command)
 }
 
+/// Whether only errors and warnings are printed.
+static QUIET: AtomicBool = AtomicBool::new(false);
+
+fn is_quiet() -> bool {
+    QUIET.load(Ordering::Relaxed)
+}
+
 /// The first error in writing results to standard output.
 static UNPRINTED: Mutex<Option<io::Error>> = Mutex::new(None);
 
@@ -204,6 +231,9 @@ fn note_unprinted(printed: io::Result<()>) {
 
 /// Prints a line to standard output, escaped. If it cannot be written, the program ends with status 1.
 fn print(line: &str) {
+    if is_quiet() {
+        return;
+    }
     note_unprinted(writeln!(io::stdout(), "{}", printable(line)));
 }
 

@@ -13,7 +13,7 @@ use std::{
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use super::say;
+use super::{is_quiet, say};
 use crate::text::{bytes, significant, thousands};
 
 /// Work is reported on a terminal once it takes this long.
@@ -74,6 +74,9 @@ struct Text {
 impl Progress {
     /// Starts to report; `what` names the work, and may be empty if its unit does.
     pub fn new(what: impl Into<String>, work: Work) -> Progress {
+        if is_quiet() {
+            return Progress::hidden();
+        }
         let bar = match work.total() {
             Some(total) => ProgressBar::new(total),
             None => ProgressBar::new_spinner(),

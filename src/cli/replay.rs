@@ -3,9 +3,10 @@
 use std::path::PathBuf;
 
 use super::{
-    Failure, announce, may_print, may_save, one_of, print,
+    Failure, announce, may_print, may_save, one_of,
+    overrides::Overrides,
+    print,
     progress::{Progress, Work},
-    run::{parse_integrator, parse_step, parse_tolerance},
     say, sink_failure, vector,
 };
 use crate::{
@@ -17,7 +18,7 @@ use crate::{
         read::End,
         replay::{self, Verdict},
     },
-    scene::{Integrator, Model},
+    scene::Scene,
     stream::{
         Recorder,
         blueprint::Tab,
@@ -48,34 +49,15 @@ pub struct Arguments {
     /// Level of detail of each frame.
     #[arg(long, default_value = Detail::Forces.name(), value_parser = one_of(&Detail::ALL, Detail::name), requires = "save")]
     detail: Detail,
-    /// Accept a truncated recording, such as that of a killed run [default for F.rrd.partial].
-    #[arg(long)]
-    partial: bool,
-    /// Use another integrator to see how the result changes; verifies nothing.
-    #[arg(long, value_parser = parse_integrator, value_name = "thesis|mps|euler|verlet|rk4|exponential")]
-    integrator: Option<Integrator>,
-    /// Use another model to see how the result changes; verifies nothing.
-    #[arg(long, value_parser = models::parse, value_name = "oscillators|metaballs|lattice|fem")]
-    model: Option<Model>,
-    /// Use another step size, in seconds; verifies nothing.
-    #[arg(long, value_name = "S", value_parser = parse_step)]
-    dt: Option<f64>,
-    /// Use another error tolerance of the exponential integrator, in radii per unit of scene time; verifies nothing.
-    #[arg(long, value_name = "R", value_parser = parse_tolerance)]
-    tolerance: Option<f64>,
+    #[command(flatten)]
+    overrides: Overrides,
 }
 
-impl Arguments {
-    fn has_overrides(&self) -> bool {
-        self.integrator.is_some() || self.model.is_some() || self.dt.is_some() || self.tolerance.is_some()
-    }
-}
-
-/// Replays and verifies a recording.
+/// Replays and verifies a recording, or runs its scene with other settings and verifies nothing.
 pub fn replay(arguments: Arguments) -> Result<(), Failure> {
     may_print(&arguments.recording)?;
     let recorded = Recorded::open(&arguments.recording).map_err(Failure::input)?;
-    if arguments.has_overrides() {
+    if !arguments.overrides.is_empty() {
         return vary(&arguments, &recorded);
     }
     let (from, to) = range(&arguments, recorded.last())?;
@@ -111,7 +93,7 @@ pub fn replay(arguments: Arguments) -> Result<(), Failure> {
                 print(&format!("  and it fails as it did: {failure}"));
             }
             saver.finish()?;
-            check_end(&arguments, &recorded)
+            check_end(&recorded)
         }
         Verdict::OtherEnd { replayed } => {
             let recorded = recorded.failure.as_deref().unwrap_or("nothing");
@@ -169,7 +151,7 @@ pub fn replay(arguments: Arguments) -> Result<(), Failure> {
 }
 
 /// Rejects a truncated recording unless one is expected.
-fn check_end(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
+fn check_end(recorded: &Recorded) -> Result<(), Failure> {
     if recorded.end == End::Whole {
         return Ok(());
     }
@@ -185,30 +167,36 @@ fn check_end(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> 
             format!("{path} is cut short after step {last}{planned}: the run was killed, or the file is incomplete")
         }
     };
-    let is_expected = arguments.partial || recorded.path.extension().is_some_and(|extension| extension == "partial");
-    if is_expected {
+    if recorded.path.extension().is_some_and(|extension| extension == "partial") {
         say(&format!("note: {what}"));
         return Ok(());
     }
-    Err(Failure::Input(format!("{what}; --partial accepts it")))
+    Err(Failure::Input(format!("{what}; name it {path}.partial to accept what it has")))
 }
 
 /// Runs the scene with changed settings, to answer "does it go away?". Lists its events beside the number of recorded
 /// ones.
 fn vary(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
+    let (was, overrides) = (&recorded.schema, &arguments.overrides);
     let mut run = recorded.run.clone();
-    if let Some(integrator) = arguments.integrator {
-        run.insert("integrator".to_owned(), integrator.name().into());
+    let scene = Scene::parse(&was.source, &was.name).map_err(Failure::input)?;
+    let scene = overrides.apply(scene, &was.name)?;
+    let sets = |key: &str| overrides.set.iter().any(|one| one.key() == key);
+    if overrides.integrator.is_some() || sets("integrator") {
+        run.insert("integrator".to_owned(), scene.integrator.name().into());
     }
-    if let Some(model) = arguments.model {
-        run.insert("model".to_owned(), model.name().into());
+    if overrides.model.is_some() || sets("model") {
+        run.insert("model".to_owned(), scene.model.name().into());
     }
-    for (key, number) in [("dt", arguments.dt), ("tolerance", arguments.tolerance)] {
-        if let Some(number) = number {
+    for (key, number) in [("dt", scene.dt), ("tolerance", scene.tolerance)] {
+        if sets(key) {
             run.insert(key.to_owned(), number.into());
         }
     }
-    let was = &recorded.schema;
+    let set = run.entry("set").or_insert_with(|| toml::Value::Array(Vec::new()));
+    if let toml::Value::Array(set) = set {
+        set.extend(overrides.set.iter().map(|one| one.to_string().into()));
+    }
     let named = |schema: &Schema| match schema.non_default_model() {
         None => schema.integrator.clone(),
         Some(model) => format!("{} of {model}", schema.integrator),

@@ -4,7 +4,7 @@ use std::{
     collections::HashMap,
     fs::File,
     io::Read as _,
-    net::{IpAddr, Ipv4Addr},
+    net::{IpAddr, SocketAddr},
     path::{Path, PathBuf},
     sync::atomic::{AtomicBool, Ordering},
     time::{Duration, Instant},
@@ -13,15 +13,17 @@ use std::{
 use super::{
     Failure, announce, expense,
     interrupt::{self, HAS_STEPPED, STOP},
-    may_print, may_save, one_of, print,
+    is_quiet, may_print, may_save, one_of,
+    overrides::Overrides,
+    print,
     progress::{Progress, Work},
     say, sink_failure,
 };
 use crate::{
-    models::{self, SceneRun},
+    models::SceneRun,
     observe::{self, EventRow, Experiment as _, Schema, Shortfall, Simulation, StepFailure, StepSummary, row::rows},
     recording::existing::{Existing, Kind},
-    scene::{Integrator, Model, Scene, builtin},
+    scene::{Scene, builtin},
     sdk,
     sim::Options,
     stream::{
@@ -38,6 +40,8 @@ use crate::{
     text::{bytes, counted, did_you_mean, step_size, thousands},
 };
 
+/// The port of the page with the web viewer.
+const PAGE: u16 = 9090;
 /// Notes are printed, and a watched file is checked, at this interval, but only every few steps.
 const CHECK_INTERVAL: Duration = Duration::from_millis(50);
 const STEPS_BETWEEN_CHECKS: u64 = 16;
@@ -58,7 +62,7 @@ pub struct Arguments {
     #[arg(long, help_heading = "Destinations")]
     spawn: bool,
     /// Stream to a running viewer.
-    #[arg(long, value_name = "URL", num_args = 0..=1, default_missing_value = sdk::DEFAULT_CONNECT_URL, help_heading = "Destinations")]
+    #[arg(long, value_name = "URL", num_args = 0..=1, require_equals = true, default_missing_value = sdk::DEFAULT_CONNECT_URL, help_heading = "Destinations")]
     connect: Option<String>,
     /// Serve the recording with a web viewer; nothing to install. Runs until Ctrl-C.
     #[arg(long, help_heading = "Destinations")]
@@ -66,34 +70,17 @@ pub struct Arguments {
     /// Write the recording to standard output.
     #[arg(long, help_heading = "Destinations")]
     stdout: bool,
-    /// The address that --serve listens on. At any but this machine's own, others can read all that is served, unencrypted.
-    #[arg(long, value_name = "IP", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST), requires = "serve",
+    /// The address that --serve listens on, and the port of its page, 0 for any free one. The data is on port 9876, or with
+    /// a port, on the next one. Beyond this machine's own addresses, others can read all that is served, unencrypted.
+    #[arg(long, value_name = "IP[:PORT]", default_value = "127.0.0.1", value_parser = parse_bind, requires = "serve",
           help_heading = "Destinations")]
-    bind: IpAddr,
-    /// The port of the web viewer for --serve; 0 for any free port.
-    #[arg(long, value_name = "PORT", default_value_t = 9090, requires = "serve", help_heading = "Destinations")]
-    web_port: u16,
-    /// The data port for --serve; 0 for any free port.
-    #[arg(long, value_name = "PORT", default_value_t = sdk::DEFAULT_SERVER_PORT, requires = "serve",
-          help_heading = "Destinations")]
-    grpc_port: u16,
+    bind: Bind,
     /// Also accept requests to --serve under this host name or address, not only this machine's own; may be repeated.
     #[arg(long, value_name = "HOST", requires = "serve", help_heading = "Destinations")]
     allow_host: Vec<Host>,
 
-    /// Override the scene's integrator.
-    #[arg(long, value_parser = parse_integrator, value_name = "thesis|mps|euler|verlet|rk4|exponential",
-          help_heading = "Scene")]
-    integrator: Option<Integrator>,
-    /// Override the scene's soft-body model.
-    #[arg(long, value_parser = models::parse, value_name = "oscillators|metaballs|lattice|fem", help_heading = "Scene")]
-    model: Option<Model>,
-    /// Override the scene's step size, in seconds.
-    #[arg(long, value_name = "S", value_parser = parse_step, help_heading = "Scene")]
-    dt: Option<f64>,
-    /// Override the scene's error tolerance for the exponential integrator, in radii per unit of scene time.
-    #[arg(long, value_name = "R", value_parser = parse_tolerance, help_heading = "Scene")]
-    tolerance: Option<f64>,
+    #[command(flatten)]
+    overrides: Overrides,
     /// Number of steps, instead of the scene's duration; 0: run until Ctrl-C.
     #[arg(long, value_name = "N", help_heading = "Scene")]
     steps: Option<u64>,
@@ -118,7 +105,7 @@ pub struct Arguments {
     /// or 5 above 64 bodies].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(..=1000),
           help_heading = "What to record")]
-    pairs: Option<u64>,
+    plots: Option<u64>,
     /// Show plots, lanes and lines of this pair only, and open a file at its first event; may be repeated.
     #[arg(long, value_name = "A~B", conflicts_with = "thin", help_heading = "What to record")]
     pair: Vec<String>,
@@ -154,34 +141,29 @@ pub struct Arguments {
     #[arg(long, default_value = Tab::Scene.name(), value_parser = one_of(&Tab::ALL, Tab::name),
           help_heading = "Viewer")]
     tab: Tab,
-    /// Number of threads [default: one per core].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
-    threads: Option<u16>,
-    /// Print errors only.
-    #[arg(long)]
-    quiet: bool,
 }
 
-pub(super) fn parse_integrator(text: &str) -> Result<Integrator, String> {
-    let known = Integrator::ALL.into_iter().find(|integrator| integrator.name() == text);
-    known.ok_or_else(|| format!("expected one of {}", Integrator::ALL.map(Integrator::name).join(", ")))
+/// What a server listens on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Bind {
+    address: IpAddr,
+    /// Port of the page with the web viewer.
+    page: u16,
+    /// Port of the data.
+    data: u16,
 }
 
-pub(super) fn parse_step(text: &str) -> Result<f64, String> {
-    parse_positive(text, "seconds")
-}
-
-pub(super) fn parse_tolerance(text: &str) -> Result<f64, String> {
-    parse_positive(text, "radii per unit of scene time")
-}
-
-/// Parses a number in the range that scene files allow for positive numbers.
-fn parse_positive(text: &str, unit: &str) -> Result<f64, String> {
-    let range = Scene::POSITIVE;
-    match text.parse::<f64>() {
-        Ok(number) if range.contains(&number) => Ok(number),
-        _ => Err(format!("expected a number of {unit}, between {:e} and {:e}", range.start(), range.end())),
+fn parse_bind(text: &str) -> Result<Bind, String> {
+    if let Ok(address) = text.parse() {
+        return Ok(Bind { address, page: PAGE, data: sdk::DEFAULT_SERVER_PORT });
     }
+    let address: Option<SocketAddr> = text.parse().ok();
+    let of = |address: SocketAddr| {
+        let page = address.port();
+        let data = if page == 0 { 0 } else { page.checked_add(1)? };
+        Some(Bind { address: address.ip(), page, data })
+    };
+    address.and_then(of).ok_or_else(|| "expected an IP address, and a port below 65535 after a colon".to_owned())
 }
 
 /// Simulates a scene and records it.
@@ -189,10 +171,6 @@ pub fn run(mut arguments: Arguments) -> Result<(), Failure> {
     check(&arguments)?;
     may_print(Path::new(&arguments.scene))?;
     let scene = load(&arguments)?;
-    if let Some(threads) = arguments.threads {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads)).build_global();
-        pool.map_err(|error| Failure::Run(format!("cannot start {threads} threads: {error}")))?;
-    }
     let destinations = destinations(&arguments, &scene);
     expense::announce(&scene, (!arguments.thin).then_some(arguments.detail))?;
     // Check the scene first, then the destinations; only then start any work.
@@ -218,7 +196,7 @@ pub fn run(mut arguments: Arguments) -> Result<(), Failure> {
 
     let mut console = Console::new(&arguments);
     if destinations.save.is_some() || arguments.stdout {
-        let _progress = console.work("estimating the size of the recording", Work::Uncounted);
+        let _progress = Progress::new("estimating the size of the recording", Work::Uncounted);
         arguments.every = console.say_size(&experiment, &settings, arguments.every);
     }
     drop(experiment);
@@ -641,7 +619,8 @@ impl Changes {
             }
             self.text = text;
             let scene = Scene::parse_beside(&self.text, path).map_err(|error| error.to_string());
-            scene.map(|scene| with_overrides(arguments, scene))
+            let overridden = |scene| arguments.overrides.apply(scene, &arguments.scene);
+            scene.and_then(|scene| overridden(scene).map_err(|error| error.to_string()))
         };
         match scene {
             Ok(scene) => {
@@ -678,23 +657,7 @@ fn wait_until(due: Instant, stop: &AtomicBool) {
 
 /// Loads the scene and applies the command line's overrides.
 fn load(arguments: &Arguments) -> Result<Scene, Failure> {
-    Ok(with_overrides(arguments, scene(&arguments.scene)?))
-}
-
-fn with_overrides(arguments: &Arguments, mut scene: Scene) -> Scene {
-    if let Some(integrator) = arguments.integrator {
-        scene.integrator = integrator;
-    }
-    if let Some(model) = arguments.model {
-        scene.model = model;
-    }
-    if let Some(dt) = arguments.dt {
-        scene.dt = dt;
-    }
-    if let Some(tolerance) = arguments.tolerance {
-        scene.tolerance = tolerance;
-    }
-    scene
+    arguments.overrides.apply(scene(&arguments.scene)?, &arguments.scene)
 }
 
 /// Builds the bodies of a scene, with a progress message: factoring a large stiffness matrix may take long.
@@ -768,7 +731,7 @@ fn settings(arguments: &Arguments, schema: &Schema) -> Result<Settings, Failure>
             (false, Some(most)) => Frames::Last { most, on, after: arguments.after },
             (false, None) => own.frames,
         },
-        pairs: arguments.pairs.map_or(own.pairs, |pairs| pairs as usize),
+        pairs: arguments.plots.map_or(own.pairs, |plots| plots as usize),
         only,
         around,
     })
@@ -786,9 +749,9 @@ fn destinations(arguments: &Arguments, scene: &Scene) -> Destinations {
         spawn: arguments.spawn.then(Spawn::default),
         connect: arguments.connect.clone(),
         serve: arguments.serve.then(|| Serve {
-            bind: arguments.bind,
-            web_port: arguments.web_port,
-            grpc_port: arguments.grpc_port,
+            bind: arguments.bind.address,
+            web_port: arguments.bind.page,
+            grpc_port: arguments.bind.data,
             allow: arguments.allow_host.clone(),
         }),
         ..Destinations::default()
@@ -873,24 +836,18 @@ fn shell_word(path: &str) -> String {
 /// Reports the progress of a run, and prints its results.
 struct Console {
     progress: Progress,
-    quiet: bool,
     /// Standard output carries the recording, so results go to standard error.
     piped: bool,
 }
 
 impl Console {
     fn new(arguments: &Arguments) -> Console {
-        Console { progress: Progress::hidden(), quiet: arguments.quiet, piped: arguments.stdout }
-    }
-
-    /// Reports the progress of this work until it is dropped.
-    fn work(&self, what: &str, work: Work) -> Progress {
-        if self.quiet { Progress::hidden() } else { Progress::new(what, work) }
+        Console { progress: Progress::hidden(), piped: arguments.stdout }
     }
 
     /// Begins to report the steps of a run.
     fn begin(&mut self, settings: &Settings, save: Option<&Path>) {
-        let progress = self.work("recording the first frame", Work::Units("step", settings.steps));
+        let progress = Progress::new("recording the first frame", Work::Units("step", settings.steps));
         self.progress = match save {
             Some(save) => progress.with_file(save),
             None => progress,
@@ -914,7 +871,7 @@ impl Console {
         let size = size::project(experiment, settings, size::LARGE).filter(|size| size.bytes > size::LARGE);
         let Some(size) = size else { return asked };
         let every = size.every(settings);
-        if self.quiet {
+        if is_quiet() {
             return asked.or(Some(every));
         }
         let about = |bytes: u64| format!("about {} MB", thousands(bytes / 1_000_000));
@@ -946,7 +903,7 @@ impl Console {
     }
 
     fn say(&self, line: &str) {
-        if !self.quiet {
+        if !is_quiet() {
             say(line);
         }
     }
@@ -957,11 +914,7 @@ impl Console {
     }
 
     fn print(&self, line: &str) {
-        match (self.quiet, self.piped) {
-            (true, _) => {}
-            (false, true) => say(line),
-            (false, false) => print(line),
-        }
+        if self.piped { self.say(line) } else { print(line) }
     }
 }
 

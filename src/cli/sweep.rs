@@ -64,9 +64,6 @@ pub struct Arguments {
     /// Record the run of a row to DIR/row-ROW.rrd, and compare its checksum.
     #[arg(long, value_name = "ROW", conflicts_with = "shard")]
     open: Option<u64>,
-    /// Number of threads [default: one per core].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
-    threads: Option<u16>,
 }
 
 fn parse_shard(text: &str) -> Result<Shard, String> {
@@ -124,10 +121,6 @@ pub fn sweep(arguments: Arguments) -> Result<(), Failure> {
                 arguments.refine
             )));
         }
-    }
-    if let Some(threads) = arguments.threads {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads)).build_global();
-        pool.map_err(|error| Failure::Run(format!("cannot start {threads} threads: {error}")))?;
     }
     let template = sweep.template().map_err(Failure::input)?;
     models::need_oscillators(template.base(), "a sweep").map_err(Failure::input)?;

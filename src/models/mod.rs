@@ -78,7 +78,7 @@ use std::sync::Arc;
 
 use crate::{
     observe::{Experiment, Refusal, Schema, Simulation},
-    scene::{Integrator, Model, Scene},
+    scene::{Integrator, Model, Scene, template::Override},
     sim::{Options, World},
     text::did_you_mean,
     view,
@@ -159,7 +159,11 @@ impl Experiment for Scene {
 /// # Errors
 /// The text is not a valid scene, or the settings are unknown here.
 pub fn read(name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experiment>, Refusal> {
-    let mut scene = Scene::parse(text, name).map_err(|error| Refusal::Source(error.to_string()))?;
+    let scene = Scene::parse(text, name).map_err(|error| Refusal::Source(error.to_string()))?;
+    let set = run.get("set").and_then(toml::Value::as_array).into_iter().flatten();
+    let set = set.map(|one| Override::parse(one.as_str().unwrap_or_default())).collect::<Result<Vec<_>, _>>();
+    let set = set.map_err(|error| Refusal::Run(format!("a key that its settings set: {error}")))?;
+    let mut scene = scene.with(&set, name).map_err(|error| Refusal::Run(error.to_string()))?;
     let positive = |key: &str| {
         let number = run.get(key).and_then(toml::Value::as_float).filter(|number| Scene::POSITIVE.contains(number));
         number.ok_or_else(|| Refusal::Run(format!("the settings have no usable {key}")))

@@ -145,6 +145,7 @@ const fn number(
 }
 
 /// The key of a group with this name; a build without it fails.
+#[allow(clippy::panic)] // only when the program is built
 pub(crate) const fn find(keys: &'static [Key], name: &str) -> &'static Key {
     let name = name.as_bytes();
     let mut i = 0;
@@ -171,6 +172,8 @@ pub(super) const SMALLEST: f64 = 1e-12;
 pub(super) const POSITIVE: Range = Range { min: SMALLEST, max: LARGEST };
 pub(super) const NON_NEGATIVE: Range = Range { min: 0.0, max: LARGEST };
 pub(crate) const ANY: Range = Range { min: -LARGEST, max: LARGEST };
+/// The length of a direction does not matter.
+pub(super) const FINITE: Range = Range { min: f64::MIN, max: f64::MAX };
 /// Blending by more than half a radius would also change the surface away from the seam.
 const BLEND: Range = Range { min: 0.0, max: 0.5 };
 /// At zero, springs at rest would tear; springs that may stretch a thousandfold never tear.
@@ -544,7 +547,7 @@ pub(super) static SINES: [Key; 4] = [
     vector("center", "scene unit", Required, "Centre of the oscillation."),
     vector("amplitude", "scene unit", Required, "Amplitude along each axis."),
     number("frequency", NON_NEGATIVE, "1/s", [0.0, 4.0], Required, "Frequency."),
-    number("phase", ANY, "rad", [-3.1416, 3.1416], Number(0.0), "Phase at t = 0."),
+    number("phase", ANY, "rad", [-3.2, 3.2], Number(0.0), "Phase at t = 0."),
 ];
 
 /// What is expected of the keys of a path.

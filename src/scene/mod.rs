@@ -211,6 +211,8 @@ pub struct Scene {
     pub pushes: Vec<Push>,
     /// The text that this scene was parsed from. Recordings store it, so that the scene can be created again.
     pub source: String,
+    /// Values that replace those of the text; see [`Scene::with`].
+    pub set: Vec<template::Override>,
 }
 
 /// A soft body: a shape whose vertices are damped oscillators about their rest positions.
@@ -427,10 +429,11 @@ impl Scene {
         (self.duration / self.dt).round() as u64 // saturates
     }
 
-    /// The settings in which a run of this scene differs from its text, as lines of TOML: model, integrator, step,
-    /// tolerance, and the number of steps (`None`: until stopped).
+    /// What a run of this scene changes in its text, as lines of TOML: the keys that were [set](Scene::set), then the
+    /// model, the integrator, the step, the tolerance, and the number of steps (`None`: until stopped).
     pub fn overrides(&self, steps: Option<u64>) -> String {
-        let Ok(own) = Scene::parse(&self.source, &self.name) else { return String::new() };
+        let own = Scene::parse(&self.source, &self.name).and_then(|own| own.with(&self.set, &self.name));
+        let Ok(own) = own else { return String::new() };
         let changed = [
             (own.model != self.model).then(|| format!("model = \"{}\"\n", self.model)),
             (own.integrator != self.integrator).then(|| format!("integrator = \"{}\"\n", self.integrator)),
@@ -438,7 +441,7 @@ impl Scene {
             (own.tolerance != self.tolerance).then(|| format!("tolerance = {:?}\n", self.tolerance)),
             (Some(own.steps()) != steps).then(|| format!("steps = {}\n", steps.unwrap_or(0))),
         ];
-        changed.into_iter().flatten().collect()
+        self.set.iter().map(|one| format!("{one}\n")).chain(changed.into_iter().flatten()).collect()
     }
 
     /// The settings of a run, as lines of TOML: what a recording needs besides the scene's text. The default model is
@@ -451,8 +454,12 @@ impl Scene {
         let all = std::iter::once(self.common_law()).chain(self.pairs.laws().iter().copied());
         let cores =
             if all.into_iter().any(|law| law.for_free != ForFree::Nothing) { "free_cores = true\n" } else { "" };
+        let set = match self.set.as_slice() {
+            [] => String::new(),
+            set => format!("set = {}\n", toml::Value::from(set.iter().map(ToString::to_string).collect::<Vec<_>>())),
+        };
         let Scene { integrator, dt, tolerance, .. } = self;
-        format!("integrator = \"{integrator}\"\ndt = {dt:?}\ntolerance = {tolerance:?}\n{model}{cores}")
+        format!("integrator = \"{integrator}\"\ndt = {dt:?}\ntolerance = {tolerance:?}\n{model}{cores}{set}")
     }
 
     /// The same scene without any force: pairs on the same paths, with the same thresholds, change phase at the same

@@ -257,6 +257,7 @@ pub(super) fn read_document(
         points,
         pushes,
         source: String::new(),
+        set: Vec::new(),
     })
 }
 

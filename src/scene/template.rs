@@ -96,6 +96,64 @@ impl fmt::Display for Setting {
     }
 }
 
+/// Another value for a key of a scene, as `--set KEY=VALUE` gives it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Override {
+    key: KeyPath,
+    /// TOML.
+    value: String,
+}
+
+impl fmt::Display for Override {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} = {}", self.key, self.value)
+    }
+}
+
+impl Override {
+    /// Parses `KEY=VALUE`. The value is TOML; what is not TOML is a string without its quotes.
+    ///
+    /// # Errors
+    /// The text is not a key and a value; the error says what was expected.
+    pub fn parse(text: &str) -> Result<Override, String> {
+        let expected = || "expected KEY=VALUE, such as influence.merge_at=1.1".to_owned();
+        let (key, value) = text.split_once('=').ok_or_else(expected)?;
+        let (key, value) = (KeyPath::parse(key.trim())?, value.trim());
+        if value.is_empty() {
+            return Err(expected());
+        }
+        let value = match DeValue::parse(value) {
+            Ok(_) => value.to_owned(),
+            Err(_) => toml::Value::String(value.to_owned()).to_string(),
+        };
+        Ok(Override { key, value })
+    }
+
+    /// The path of the key.
+    pub fn key(&self) -> &str {
+        &self.key.text
+    }
+}
+
+impl Scene {
+    /// The scene with other values at some keys, beside those that it has [already](Scene::set). Its text stays. `file`
+    /// is its name in errors.
+    ///
+    /// # Errors
+    /// A key does not exist, or the resulting scene is invalid.
+    pub fn with(self, overrides: &[Override], file: &str) -> Result<Scene, SceneError> {
+        if overrides.is_empty() {
+            return Ok(self);
+        }
+        let set = [&self.set, overrides].concat();
+        let scene = on_deep_stack(|| {
+            let settings: Vec<_> = set.iter().map(|one| (&one.key, one.value.clone())).collect();
+            Template::new(&self.source, file, None)?.varied_scene(&settings)
+        })?;
+        Ok(Scene { source: self.source, set, ..scene })
+    }
+}
+
 /// A scene that can be varied.
 pub struct Template<'a> {
     source: Source<'a>,
@@ -141,7 +199,11 @@ impl<'a> Template<'a> {
     ) -> Result<Scene, SceneError> {
         let settings: Vec<(&KeyPath, String)> =
             settings.into_iter().map(|(key, setting)| (key, setting.to_string())).collect();
-        let document = self.varied(&settings)?;
+        self.varied_scene(&settings)
+    }
+
+    fn varied_scene(&self, settings: &[(&KeyPath, String)]) -> Result<Scene, SceneError> {
+        let document = self.varied(settings)?;
         // a mesh that the text does not name may be read from its file
         read_document(&self.source, &document, &mut self.meshes.clone()).map_err(|error| {
             // the position would be inside the replaced value, not in the text
@@ -303,6 +365,33 @@ mod tests {
             panic!("a free body")
         };
         assert_eq!(free.velocity.x, 3.0);
+    }
+
+    #[test]
+    fn overrides_are_toml_or_bare_words() {
+        let set = |text: &str| {
+            let scene = Scene::builtin("two").unwrap();
+            scene.with(&[Override::parse(text)?], "two").map_err(|error| error.to_string())
+        };
+        assert_eq!(set("influence.merge_at = 1.1").unwrap().thresholds.merge_at, 1.1);
+        assert_eq!(set("material.response=rigid").unwrap().bodies[0].material.response, crate::scene::Response::Rigid);
+        assert_eq!(set("gravity=[0, 0, -9.5]").unwrap().gravity.z, -9.5);
+        assert_eq!(set("name=\"other\"").unwrap().name, "other");
+        let scene = set("dt=0.01").unwrap();
+        let twice = scene.with(&[Override::parse("influence.alpha=5").unwrap()], "two").unwrap();
+        assert_eq!((twice.dt, twice.influence.alpha, twice.set.len()), (0.01, 5.0, 2));
+        assert_eq!(twice.source, Scene::builtin("two").unwrap().source);
+        for (text, why) in [
+            ("influence.merge_a=1", "did you mean \"merge_at\"?"),
+            ("influence.merge_at", "expected KEY=VALUE"),
+            ("influence.merge_at=", "expected KEY=VALUE"),
+            ("=1", "expected the path of a key"),
+            ("influence.merge_at=nan", "merge_at"),
+            ("influence.merge_at=high", "merge_at"),
+        ] {
+            let error = set(text).unwrap_err();
+            assert!(error.contains(why), "{text}: {error}");
+        }
     }
 
     #[test]

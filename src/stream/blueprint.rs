@@ -921,7 +921,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
         let max = settings.pairs;
         format!(
             "The first {max} pairs that come within reach have plots and lanes, and so do the first that have events; the closest \
-             {max} have lines (`--pairs`, `--pair a~b`); events list them all.\n"
+             {max} have lines (`--plots`, `--pair a~b`); events list them all.\n"
         )
     } else {
         String::new()

@@ -542,9 +542,11 @@ fn the_command_rejects_bad_input_first_and_writes_last() {
         (&["small.toml", "--svg", "."], 1, "cannot write ."),
         (&["small.toml", "--svg", "small.toml"], 2, "is not replaced"),
         (&["small.toml", "--svg", "o.csv", "--csv", "o.csv"], 2, "the same file"),
-        (&["small.toml", "--random", "3"], 2, "cannot be used with"),
-        (&["--seed", "3"], 2, "--random"),
-        (&["--random", "3", "--tolerance", "0.1"], 2, "from 1e-12 to 1e-2"),
+        (&["small.toml", "--random", "3"], 2, "leave SCENE out"),
+        (&["--model", "lattice"], 2, "it is for stability"),
+        (&["small.toml", "--set", "dt=x"], 2, "dt"),
+        (&["--random", "3", "--set", "dt=0.1"], 2, "only the tolerance"),
+        (&["--random", "3", "--set", "tolerance=0.1"], 2, "above 1e-2"),
     ] {
         let (code, out, err) = bench_error(&directory, arguments);
         assert_eq!(code, status, "{arguments:?}: {err}");
@@ -571,9 +573,9 @@ fn the_command_rejects_bad_input_first_and_writes_last() {
     texts_of_well_formed(&std::fs::read_to_string(directory.join("o.svg")).expect("written"));
     assert_eq!(std::fs::read_dir(&directory).expect("a directory").count(), 3);
 
-    let (code, out, err) = bench_error(&directory, &["--random", "2", "--seed", "9", "--tolerance", "1e-3"]);
+    let (code, out, err) = bench_error(&directory, &["--random", "2", "--set", "tolerance=1e-3"]);
     assert!(code == 0 || code == 1, "{err}");
-    assert!(out.lines().last().is_some_and(|line| line.starts_with("tolerance 1e-3, seed 9: ")), "{out}{err}");
+    assert!(out.lines().last().is_some_and(|line| line.starts_with("tolerance 1e-3, seed 1: ")), "{out}{err}");
     std::fs::remove_dir_all(&directory).ok();
 }
 

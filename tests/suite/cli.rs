@@ -347,18 +347,8 @@ fn help_and_version_are_results() {
     let help = run(&dir, &["--help"]).succeeded();
     assert!(help.out.contains("run") && help.out.contains("scenes"), "{}", help.out);
     let help = run(&dir, &["run", "--help"]).succeeded();
-    let options = [
-        "--save",
-        "--spawn",
-        "--connect",
-        "--serve",
-        "--stdout",
-        "--integrator",
-        "--dt",
-        "--tolerance",
-        "--steps",
-        "--every",
-    ];
+    let options =
+        ["--save", "--spawn", "--connect", "--serve", "--stdout", "--integrator", "--set", "--steps", "--every"];
     for option in options.into_iter().chain(["--detail", "--realtime", "--threads", "--quiet", "--bind"]) {
         assert!(help.out.contains(option), "{option}: {}", help.out);
     }
@@ -381,16 +371,19 @@ fn usage_errors_have_status_2_and_leave_nothing() {
     assert_eq!(run(&dir, &[]).status, 2);
 
     for bad in [
-        "--dt 0",
-        "--dt=-0.01",
-        "--dt nan",
-        "--dt inf",
-        "--dt 1e999",
-        "--dt x",
-        "--dt",
-        "--tolerance 0",
-        "--tolerance nan",
-        "--tolerance=-1e-3",
+        "--set dt=0",
+        "--set dt=-0.01",
+        "--set dt=nan",
+        "--set dt=inf",
+        "--set dt=1e999",
+        "--set dt=x",
+        "--set dt",
+        "--set",
+        "--set tolerance=0",
+        "--set tolerance=-1e-3",
+        "--set influence.merge_a=1",
+        "--set influence.merge_at=1.3",
+        "--set body.c.radius=1",
         "--every 0",
         "--every=-1",
         "--every 1.5",
@@ -404,17 +397,16 @@ fn usage_errors_have_status_2_and_leave_nothing() {
         "--threads 0",
         "--threads x",
         "--save",
-        "--connect http://127.0.0.1:1/proxy",
-        "--connect nonsense",
+        "--connect=http://127.0.0.1:1/proxy",
+        "--connect=nonsense",
+        "--connect rerun+http://127.0.0.1:1/proxy",
         "--serve --bind localhost",
         "--serve --allow-host http://studio.example",
         "--serve --allow-host *",
-        "--serve --web-port 70000",
-        "--serve --web-port 81 --grpc-port 81",
+        "--serve --bind 127.0.0.1:70000",
+        "--serve --bind 127.0.0.1:65535",
         "--bind 127.0.0.1",
         "--allow-host studio.example",
-        "--web-port 8080",
-        "--grpc-port 8080",
         "--quiet=yes",
         "--realtime 2",
         "--watch",
@@ -423,7 +415,7 @@ fn usage_errors_have_status_2_and_leave_nothing() {
         "--from 3",
         "--detail stages --from 5 --to 2",
         "--tab other",
-        "--pairs 1001",
+        "--plots 1001",
     ] {
         let arguments: Vec<&str> = ["run", "two"].into_iter().chain(bad.split(' ')).collect();
         let error = run(&dir, &arguments).failed(2);
@@ -439,9 +431,7 @@ fn a_broken_file_is_rejected_with_its_position_and_nothing_is_written() {
     let line = broken.lines().position(|line| line.contains("radios")).expect("it exists") + 1;
     fs::write(dir.file("bad.toml"), &broken).expect("disk space");
     fs::write(dir.file("kept.rrd"), "RRF2: precious").expect("disk space");
-    for destination in
-        [&[][..], &["--save", "kept.rrd"], &["--stdout"], &["--serve", "--web-port", "0", "--grpc-port", "0"]]
-    {
+    for destination in [&[][..], &["--save", "kept.rrd"], &["--stdout"], &["--serve", "--bind", "127.0.0.1:0"]] {
         let arguments: Vec<&str> = ["run", "bad.toml"].into_iter().chain(destination.iter().copied()).collect();
         let error = run(&dir, &arguments).failed(2);
         for part in [format!("bad.toml:{line}:"), "radios".to_owned(), "\"radius\"".to_owned()] {
@@ -529,7 +519,8 @@ fn unwritable_destinations_are_rejected_before_the_run() {
     let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a port");
     let port = taken.local_addr().expect("an address").port().to_string();
     fs::write(dir.file("kept.rrd"), "RRF2: precious").expect("disk space");
-    let arguments = ["run", "small.toml", "--save", "kept.rrd", "--serve", "--web-port", "0", "--grpc-port", &port];
+    let bind = format!("127.0.0.1:{port}");
+    let arguments = ["run", "small.toml", "--save", "kept.rrd", "--serve", "--bind", &bind];
     let error = run(&dir, &arguments).failed(1);
     assert!(error.contains(&port), "{error}");
     assert_eq!(dir.names(), ["kept.rrd", "small.toml"]);
@@ -595,12 +586,12 @@ fn options_have_their_documented_effect() {
     assert_eq!((recording.steps(), frames(&recording).last()), (10.0, Some(&10)));
     assert!(out.contains("10 steps") && out.contains("11 frames") && forces(&recording) > 0, "{out}");
 
-    let (recording, out) = recorded("--dt 0.01");
+    let (recording, out) = recorded("--set dt=0.01");
     assert_eq!(settings(&recording)["dt"], toml::Value::from(0.01));
     assert_eq!(recording.steps(), 200.0);
     assert!(recording.changes("/timings/log").iter().all(|row| row.time == row.step * 10_000_000), "{out}");
 
-    let (recording, _) = recorded("--tolerance 1e-4");
+    let (recording, _) = recorded("--set tolerance=1e-4");
     assert_eq!(settings(&recording)["tolerance"], toml::Value::from(1e-4));
 
     let (recording, out) = recorded("--every 3 --steps 20");
@@ -700,7 +691,7 @@ fn a_closed_pipe_ends_the_run() {
 #[test]
 fn a_diverging_run_is_reported_and_saved_up_to_that_step() {
     let dir = scene_dir();
-    let options = ["--integrator", "euler", "--dt", "1", "--steps", "1000"];
+    let options = ["--integrator", "euler", "--set", "dt=1", "--steps", "1000"];
     let arguments = [&["run", "small.toml", "--save", "x.rrd"], &options[..]].concat();
     let error = run(&dir, &arguments).failed(1);
     assert!(error.contains("diverged at step ") && error.contains("x.rrd"), "{error}");
@@ -828,8 +819,8 @@ fn an_interrupted_check_leaves_nothing() {
     fs::write(dir.file("long.toml"), SCENE.replace("duration = 2.0", "duration = 1e6")).expect("disk space");
     let names = dir.names();
     let cases: [(&str, &[&str]); 5] = [
-        ("INT", &["replay", "x.rrd", "--dt", "1e-8", "--save", "y.rrd"]),
-        ("TERM", &["replay", "x.rrd", "--dt", "1e-8", "--save", "y.rrd"]),
+        ("INT", &["replay", "x.rrd", "--set", "dt=1e-8", "--save", "y.rrd"]),
+        ("TERM", &["replay", "x.rrd", "--set", "dt=1e-8", "--save", "y.rrd"]),
         ("INT", &["check", "long.toml", "--bless", "a test"]),
         // the golden recording of the first scene is complete, but nobody knows why it was made
         ("INT", &["check", "small.toml", "long.toml", "--bless", "a test"]),
@@ -854,12 +845,13 @@ fn an_interrupted_check_leaves_nothing() {
 fn a_missing_viewer_is_an_error_only_without_another_destination() {
     let dir = scene_dir();
     let url = unused_viewer_url();
-    let error = run(&dir, &["run", "small.toml", "--steps", "0", "--connect", &url]).failed(1);
+    let connect = format!("--connect={url}");
+    let error = run(&dir, &["run", "small.toml", "--steps", "0", &connect]).failed(1);
     assert!(error.contains(&url) && error.contains("--spawn"), "{error}");
     assert_eq!(dir.names(), ["small.toml"]);
 
     for quiet in [&[][..], &["--quiet"]] {
-        let arguments = ["run", "small.toml", "--connect", &url, "--save", "x.rrd"];
+        let arguments = ["run", "small.toml", &connect, "--save", "x.rrd"];
         let ran = run(&dir, &[&arguments[..], quiet].concat());
         assert_eq!(ran.status, 0, "{}", ran.err);
         assert_eq!(ran.err.lines().count(), 1, "{}", ran.err);
@@ -872,7 +864,7 @@ fn a_missing_viewer_is_an_error_only_without_another_destination() {
 #[cfg(unix)]
 #[test]
 fn a_browser_is_served_until_the_run_is_interrupted() {
-    const PORTS: [&str; 5] = ["--serve", "--web-port", "0", "--grpc-port", "0"];
+    const PORTS: [&str; 3] = ["--serve", "--bind", "127.0.0.1:0"];
     for steps in ["0", "30"] {
         let dir = scene_dir();
         let arguments = ["run", "small.toml", "--steps", steps, "--realtime", "--save", "x.rrd"];
@@ -904,9 +896,9 @@ fn a_browser_is_served_until_the_run_is_interrupted() {
 #[test]
 fn destinations_can_be_combined() {
     let dir = scene_dir();
-    let url = unused_viewer_url();
-    let arguments = ["run", "small.toml", "--save", "x.rrd", "--stdout", "--connect", &url];
-    let serve = ["--serve", "--web-port", "0", "--grpc-port", "0"];
+    let connect = format!("--connect={}", unused_viewer_url());
+    let arguments = ["run", "small.toml", "--save", "x.rrd", "--stdout", &connect];
+    let serve = ["--serve", "--bind", "127.0.0.1:0"];
     let mut running = Running::start(&dir, &[&arguments[..], &serve].concat());
     let stdout = running.child().stdout.take().expect("a pipe");
     let reader = std::thread::spawn(move || {
@@ -930,8 +922,7 @@ fn a_valid_edit_restarts_the_run_and_a_broken_one_does_not() {
     let scene = dir.file("small.toml");
     for steps in ["0", "30"] {
         fs::write(&scene, SCENE).expect("disk space");
-        let arguments =
-            ["run", "small.toml", "--steps", steps, "--watch", "--serve", "--web-port", "0", "--grpc-port", "0"];
+        let arguments = ["run", "small.toml", "--steps", steps, "--watch", "--serve", "--bind", "127.0.0.1:0"];
         let mut running = Running::start(&dir, &arguments);
         let lines = running.lines();
         wait_for_line(&lines, "serving at");
@@ -1009,8 +1000,34 @@ fn the_help_lists_the_accepted_names() {
     for values in [details, "body, batch]", "scene, surface, forces, displacement, pairs, timings, energy, stages]"] {
         assert!(run.contains(values), "{values}: {run}");
     }
-    assert!(run.contains("[possible values: merge, split, core, diverge]"), "{run}");
+    assert!(run.contains("--on <merge,split,core,diverge>"), "{run}");
     assert!(help("replay").contains(details));
+}
+
+#[test]
+fn the_reference_explains_scenes_that_a_user_can_start_from() {
+    let dir = Dir::new();
+    for (of, words) in [
+        ("scene", &["merge_at", "[[pair]]", "[[grid]]", "[[plane]]", "[[push]]", "rad/s", "[1.05]"][..]),
+        ("sweep", &["[[axis]]", "influence.merge_at", "latin"]),
+        ("recording", &["/world/bodies/NAME/surface", "Mesh3D", "/pairs/A~B/distance", "overrides", "sim_time"]),
+        ("tables", &["outcome", "first_merge", "threshold", "momentum_x", "displacement from rest"]),
+        ("events", &["core left", "touch", "would tear", "diverge", "bounced"]),
+    ] {
+        // -q does not hide what the command is for
+        let out = run(&dir, &["reference", of, "-q"]).succeeded().out;
+        for word in words {
+            assert!(out.contains(word), "{of} lacks {word}: {out}");
+        }
+        assert!(out.lines().all(|line| line == line.trim_end()), "{out}");
+    }
+    assert!(run(&dir, &["reference", "scenes"]).failed(2).contains("scene"));
+    for builtin in builtin::ALL {
+        let shown = run(&dir, &["scenes", "--show", builtin.name]).succeeded().out;
+        let scene = Scene::parse(&shown, builtin.name).expect("a scene");
+        assert_eq!(Scene::builtin(builtin.name).map(|own| own.bodies.len()), Some(scene.bodies.len()));
+    }
+    assert!(run(&dir, &["scenes", "--show", "collid"]).failed(2).contains("did you mean \"collide\"?"));
 }
 
 /// The messages sent to a viewer, as a file: a scene's recordings without their ends.
@@ -1036,9 +1053,8 @@ fn recording_of(message: &Message) -> Option<String> {
 fn a_viewer_beside_a_file_gets_every_row_once() {
     let dir = scene_dir();
     let viewer = Viewer::start();
-    let url = viewer.url();
-    let arguments =
-        ["run", "small.toml", "--steps", "40", "--realtime", "--quiet", "--save", "x.rrd", "--connect", &url];
+    let connect = format!("--connect={}", viewer.url());
+    let arguments = ["run", "small.toml", "--steps", "40", "--realtime", "--quiet", "--save", "x.rrd", &connect];
     assert_eq!(run(&dir, &arguments).status, 0);
     fs::write(dir.file("seen.rrd"), file(&seen(&viewer))).expect("disk space");
     let rows = |name: &str| {
@@ -1062,8 +1078,8 @@ fn a_viewer_beside_a_file_gets_every_row_once() {
 fn a_reverted_edit_is_a_new_run() {
     let dir = scene_dir();
     let viewer = Viewer::start();
-    let url = viewer.url();
-    let arguments = ["run", "small.toml", "--steps", "3", "--watch", "--connect", &url];
+    let connect = format!("--connect={}", viewer.url());
+    let arguments = ["run", "small.toml", "--steps", "3", "--watch", &connect];
     let mut running = Running::start(&dir, &arguments);
     let lines = running.lines();
     for text in [format!("# other\n{SCENE}"), SCENE.to_owned()] {
@@ -1084,7 +1100,7 @@ fn only_regular_files_are_watched() {
     let dir = scene_dir();
     let scene = dir.file("small.toml");
     assert!(Command::new("mkfifo").arg(dir.file("pipe")).status().expect("mkfifo").success());
-    let serve = ["--watch", "--serve", "--web-port", "0", "--grpc-port", "0"];
+    let serve = ["--watch", "--serve", "--bind", "127.0.0.1:0"];
     for name in ["pipe", "/dev/zero"] {
         let error = run(&dir, &[&["run", name], &serve[..]].concat()).failed(2);
         assert!(error.contains("--watch needs a scene file"), "{error}");

@@ -177,6 +177,15 @@ fn a_thin_recording_leads_to_the_steps_in_question() {
     succeeds(&dir, &["run", "two", "--thin", "--integrator", "verlet", "--save", "plain.rrd"]);
     let output = succeeds(&dir, &["replay", "plain.rrd"]);
     assert_eq!(output, "plain.rrd: identical, 300 steps (run with integrator = \"verlet\")\n");
+    let set = ["--set", "influence.merge_at=1.1", "--set", "dt=0.02"];
+    succeeds(&dir, &[&["run", "two", "--thin", "--save", "set.rrd"], &set[..]].concat());
+    let output = succeeds(&dir, &["replay", "set.rrd", "--save", "again.rrd"]);
+    let with = "(run with influence.merge_at = 1.1, dt = 0.02)";
+    assert!(output.starts_with(&format!("set.rrd: identical, 250 steps {with}")), "{output}");
+    let output = succeeds(&dir, &["replay", "again.rrd"]);
+    assert!(output.contains(with), "{output}");
+    let output = succeeds(&dir, &["replay", "set.rrd", "--set", "dt=0.01"]);
+    assert!(output.contains("500 steps of 0.01 s") && output.contains("instead of 250 of 0.02 s"), "{output}");
     let output = succeeds(&dir, &["replay", "bug.rrd", "--integrator", "rk4"]);
     assert!(output.contains("with rk4") && output.contains("merge a~b") && output.contains("not verified"), "{output}");
 }
@@ -207,7 +216,7 @@ fn replay_usage_errors_have_status_2() {
         &["diff", "a.rrd"],
         &["diff", "a.rrd", "missing.rrd"],
         &["diff", "a.rrd", "a.rrd", "--save", "a.rrd"],
-        &["diff", "a.rrd", "a.rrd", "--tolerance", "-1"],
+        &["diff", "a.rrd", "a.rrd", "--within", "-1"],
         &["check", "missing"],
         &["check", "--bless"],
         &["check", "--bless", " "],
@@ -437,7 +446,7 @@ fn diff_compares_two_runs_of_a_scene() {
     let dir = Dir::new();
     succeeds(&dir, &["run", "two", "--quiet", "--save", "a.rrd"]);
     succeeds(&dir, &["run", "two", "--quiet", "--integrator", "rk4", "--every", "2", "--save", "b.rrd"]);
-    succeeds(&dir, &["run", "two", "--quiet", "--dt", "0.008333333333333333", "--save", "c.rrd"]);
+    succeeds(&dir, &["run", "two", "--quiet", "--set", "dt=0.008333333333333333", "--save", "c.rrd"]);
     succeeds(&dir, &["run", "two", "--quiet", "--thin", "--save", "thin.rrd"]);
     succeeds(&dir, &["run", "push", "--quiet", "--save", "push.rrd"]);
 
@@ -457,7 +466,7 @@ fn diff_compares_two_runs_of_a_scene() {
     {
         assert!(output.contains(part), "{part}: {output}");
     }
-    succeeds(&dir, &["diff", "a.rrd", "b.rrd", "--tolerance", "0.1"]);
+    succeeds(&dir, &["diff", "a.rrd", "b.rrd", "--within", "0.1"]);
     let both = Recording::open(&dir.file("d.rrd"));
     assert_eq!(both.changes("/world/a/a").len(), 151);
     assert_eq!(both.changes("/difference/b").len(), 151);
@@ -596,7 +605,7 @@ fn diff_compares_surfaces() {
     }
     let output = fails(&dir, 1, &["diff", "a.rrd", "b.rrd"]);
     assert!(output.contains("surfaces: gap of a~b: 0.33") && output.contains(" at step "), "{output}");
-    let output = succeeds(&dir, &["diff", "a.rrd", "fine.rrd", "--tolerance", "1e-6"]);
+    let output = succeeds(&dir, &["diff", "a.rrd", "fine.rrd", "--within", "1e-6"]);
     assert!(output.contains("surfaces: gap, overlap, neck, volume, area and topology are the same"), "{output}");
 }
 

@@ -719,11 +719,11 @@ fn a_browser_is_served_the_whole_run_until_serving_ends() {
 fn a_port_in_use_is_rejected_with_the_option_that_changes_it() {
     let taken = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a port");
     let port = taken.local_addr().expect("an address").port();
-    for (destinations, option) in [(serving(port, 0), "--web-port"), (serving(0, port), "--grpc-port")] {
+    for destinations in [serving(port, 0), serving(0, port)] {
         let err = rejected(Sinks::open(&destinations));
         let message = err.to_string();
         assert!(matches!(err, SinkError::Listen { .. }) && !err.is_usage(), "{message}");
-        assert!(message.contains(&format!("is using port {port}")) && message.contains(option), "{message}");
+        assert!(message.contains(&format!("is using port {port}")) && message.contains("--bind"), "{message}");
     }
     let err = rejected(Sinks::open(&serving(port, port)));
     assert!(matches!(err, SinkError::SamePort { .. }) && err.is_usage(), "{err}");

@@ -10,7 +10,7 @@ use toml::de::{DeTable, DeValue};
 
 use super::error::{Place, SceneError, clip, one_line};
 use crate::{
-    scene::keys::{ANY, Fallback, Key, Kind, Range as Limits, Section, sections},
+    scene::keys::{ANY, FINITE, Fallback, Key, Kind, Range as Limits, Section, sections},
     text::did_you_mean,
 };
 
@@ -464,6 +464,7 @@ impl Key {
     fn limits(&self) -> Limits {
         match self.kind {
             Kind::Number(limits) | Kind::Vector(limits) => limits,
+            Kind::Direction => FINITE,
             _ => ANY,
         }
     }

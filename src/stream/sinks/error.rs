@@ -35,7 +35,7 @@ pub enum SinkError {
     )]
     Terminal,
     /// The web page and its data server cannot share a port.
-    #[error("the web viewer and its data cannot both use port {port}; give another --web-port or --grpc-port")]
+    #[error("the web viewer and its data cannot both use port {port}; give each its own")]
     SamePort {
         /// The port.
         port: u16,

@@ -70,7 +70,7 @@ impl Server {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(start)?;
         let entered = runtime.enter();
         let (web_listener, web_address) = listen(WEB, bind, web_port)?;
-        let (data_listener, data_address) = listen(DATA, bind, grpc_port)?;
+        let (data_listener, data_address) = listen(NAME, bind, grpc_port)?;
         drop(entered);
 
         let guard = Arc::new(Guard::new(allow.clone()));
@@ -178,31 +178,22 @@ impl Serving {
 /// Name of the server in messages to users.
 const NAME: &str = "the data server";
 
-/// One of the two ports, for messages to users.
-#[derive(Clone, Copy)]
-struct Kind {
-    what: &'static str,
-    option: &'static str,
-}
-
-const WEB: Kind = Kind { what: "the web viewer", option: "--web-port" };
-const DATA: Kind = Kind { what: NAME, option: "--grpc-port" };
+/// What listens on the port of the page.
+const WEB: &str = "the web viewer";
 
 /// Listens on a port, or on any free one for port 0. Must be called within a runtime.
-fn listen(kind: Kind, ip: IpAddr, port: u16) -> Result<(TcpListener, SocketAddr), SinkError> {
+fn listen(what: &'static str, ip: IpAddr, port: u16) -> Result<(TcpListener, SocketAddr), SinkError> {
     let listen_error = |source: io::Error| {
         let help = match source.kind() {
             io::ErrorKind::AddrInUse => {
-                format!(
-                    "something else is using port {port}, maybe another run or viewer: end it, or give another {}",
-                    kind.option
-                )
+                let other = "maybe another run or viewer: end it, or give others with --bind IP:PORT (0: any)";
+                format!("something else is using port {port}, {other}")
             }
             io::ErrorKind::AddrNotAvailable => format!("{ip} is not an address of this machine: give one with --bind"),
-            io::ErrorKind::PermissionDenied => format!("ports below 1024 are reserved: give another {}", kind.option),
-            _ => format!("give another {} or --bind", kind.option),
+            io::ErrorKind::PermissionDenied => "ports below 1024 are reserved: give another with --bind".to_owned(),
+            _ => "give another address or port with --bind".to_owned(),
         };
-        SinkError::Listen { what: kind.what, address: SocketAddr::new(ip, port), source: Arc::new(source), help }
+        SinkError::Listen { what, address: SocketAddr::new(ip, port), source: Arc::new(source), help }
     };
     let listener = bound(SocketAddr::new(ip, port)).and_then(|socket| TcpListener::from_std(socket.into()));
     let listener = listener.map_err(listen_error)?;
@@ -233,7 +224,7 @@ fn files(address: SocketAddr) -> Result<&'static WebViewerData, SinkError> {
     if let Some(files) = FILES.get() {
         return Ok(files);
     }
-    let serve_error = |reason: String| SinkError::Serve { what: WEB.what, address, reason };
+    let serve_error = |reason: String| SinkError::Serve { what: WEB, address, reason };
     let files = WebViewerData::load(None).map_err(|err| serve_error(err.to_string()))?;
     Ok(FILES.get_or_init(|| files))
 }

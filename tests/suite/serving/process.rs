@@ -21,7 +21,7 @@ impl Server {
     /// Serves the scene `two`; with `--steps 0`, it never ends.
     fn start(dir: &Dir, options: &[&str]) -> Server {
         let mut command = Command::new(env!("CARGO_BIN_EXE_meldscope"));
-        command.args(["run", "two", "--serve", "--web-port", "0", "--grpc-port", "0"]).args(options);
+        command.args(["run", "two", "--serve", "--bind", "127.0.0.1:0"]).args(options);
         command.current_dir(dir.path()).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
         let mut child = command.spawn().expect("it starts");
         let stderr = BufReader::new(child.stderr.take().expect("a pipe"));
