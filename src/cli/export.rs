@@ -29,7 +29,7 @@ use crate::{
     text::{bytes, counted},
 };
 use formats::{Format, GENERATOR};
-use tables::{Events, Pairs, Scalars, States};
+use tables::{Events, Forces, Pairs, Scalars, States};
 
 /// Placeholder for the path of a table; its extension selects the format.
 const TABLE: &str = "F.csv|F.json|F.parquet";
@@ -58,6 +58,9 @@ pub struct Arguments {
     /// Write a table of exact states: position, displacement and velocity of every vertex, by step.
     #[arg(long, value_name = TABLE, group = "what")]
     states: Option<PathBuf>,
+    /// Write a table of forces: acceleration of every vertex by cause, by step.
+    #[arg(long, value_name = TABLE, group = "what")]
+    forces: Option<PathBuf>,
     /// The format of the meshes.
     #[arg(long, requires = "mesh", default_value = Format::Glb.name(), value_parser = one_of(&Format::ALL, Format::name))]
     format: Format,
@@ -94,7 +97,7 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
     let (stem, format) = (file_stem(&schema.name), arguments.format);
     let folder = arguments.mesh.as_ref().map(|path| Folder { path, stem, format });
     folder.iter().try_for_each(|folder| folder.prepare(is_wanted))?;
-    let paths = [&arguments.events, &arguments.pairs, &arguments.scalars, &arguments.states];
+    let paths = [&arguments.events, &arguments.pairs, &arguments.scalars, &arguments.states, &arguments.forces];
     let given: Vec<&PathBuf> = paths.into_iter().flatten().collect();
     let is_twice = |i: &usize| given[..*i].iter().any(|other| atomic::is_same_destination(other, given[*i]));
     if let Some(twice) = (0..given.len()).find(is_twice).map(|i| given[i]) {
@@ -104,8 +107,9 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
     let mut pairs = arguments.pairs.as_deref().map(Pairs::create).transpose()?;
     let mut scalars = arguments.scalars.as_deref().map(|path| Scalars::create(path, &schema)).transpose()?;
     let mut states = arguments.states.as_deref().map(States::create).transpose()?;
-    let want = Want { scalars: scalars.is_some(), ..Want::default() };
-    let needs_frames = folder.is_some() || pairs.is_some() || scalars.is_some() || states.is_some();
+    let mut forces = arguments.forces.as_deref().map(Forces::create).transpose()?;
+    let want = Want { scalars: scalars.is_some(), forces: forces.is_some() };
+    let needs_frames = folder.is_some() || pairs.is_some() || scalars.is_some() || states.is_some() || forces.is_some();
 
     let (mut merger, mut frame, mut summary) = (Merger::new(&schema, None), Frame::default(), StepSummary::default());
     let (mut files, mut size, mut overlapping) = (0, 0, 0);
@@ -136,6 +140,9 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
             table.add(&schema, &frame, &summary)?;
         }
         if let Some(table) = states.as_mut().filter(|_| is_wanted(step)) {
+            table.add(&schema, &frame)?;
+        }
+        if let Some(table) = forces.as_mut().filter(|_| is_wanted(step)) {
             table.add(&schema, &frame)?;
         }
         if step >= to {
@@ -170,6 +177,7 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
         pairs.map(|pairs| pairs.0),
         scalars.map(|scalars| scalars.0),
         states.map(|states| states.table),
+        forces.map(|forces| forces.0),
     ];
     for (table, path) in tables.into_iter().zip(paths) {
         if let (Some(table), Some(path)) = (table, path) {

@@ -7,6 +7,7 @@ mod bench;
 mod check;
 mod diff;
 mod expense;
+mod explain;
 mod export;
 mod interrupt;
 mod overrides;
@@ -69,6 +70,8 @@ enum Command {
     Replay(replay::Arguments),
     /// Run scripted scenes and compare them with their golden recordings.
     Check(check::Arguments),
+    /// Explain a step: forces by cause on a body or a vertex, and why a pair is in its phase.
+    Explain(explain::Arguments),
     /// Compare two recordings of the same scene.
     Diff(diff::Arguments),
     /// Write the surfaces of a run to mesh files, for other programs.
@@ -194,6 +197,7 @@ fn run(command: Command) -> Result<(), Failure> {
         }
         Command::Replay(arguments) => interrupt::end().and_then(|()| replay::replay(arguments)),
         Command::Check(arguments) => interrupt::end().and_then(|()| check::check(arguments)),
+        Command::Explain(arguments) => interrupt::end().and_then(|()| explain::explain(&arguments)),
         Command::Diff(arguments) => interrupt::end().and_then(|()| diff::diff(arguments)),
         Command::Export(arguments) => interrupt::end().and_then(|()| export::export(arguments)),
         Command::Sweep(arguments) => sweep::sweep(arguments),

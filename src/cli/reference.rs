@@ -143,6 +143,10 @@ fn tables() -> String {
     let scalars: Vec<Column> = export::tables::SCALARS.into_iter().chain(scalars).collect();
     section("Scalars (`meldscope export --scalars`), those that the scene has", &scalars);
     section("States (`meldscope export --states`), a row for each vertex", &export::tables::STATES);
+    section(
+        "Forces (`meldscope export --forces`), a row for each cause that acts on a vertex",
+        &export::tables::FORCES,
+    );
     text.truncate(text.trim_end().len());
     text
 }

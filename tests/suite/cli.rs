@@ -1286,6 +1286,75 @@ fn exported_tables_match_the_run_bit_by_bit() {
 }
 
 #[test]
+fn exported_forces_are_those_of_the_world_and_add_up() {
+    let dir = Dir::new();
+    let options = ["--forces", "forces.csv", "--from", "90", "--to", "90"];
+    run(&dir, &[&["export", "two"][..], &options].concat()).succeeded();
+    let mut world = World::new(Scene::builtin("two").expect("a scene")).expect("enough memory");
+    while world.steps_taken() < 90 {
+        world.step();
+    }
+    let mut reader = csv::Reader::from_path(dir.path().join("forces.csv")).expect("a table");
+    let mut sums = std::collections::BTreeMap::<(String, usize), [glam::DVec3; 2]>::new();
+    let mut forces = meldscope::sim::BodyForces::default();
+    let mut found = 0;
+    for row in reader.records().map(|row| row.expect("a row")) {
+        let number = |i: usize| row[i].parse::<f64>().expect("a number");
+        let (vertex, acceleration) =
+            (row[3].parse().expect("a vertex"), glam::DVec3::new(number(6), number(7), number(8)));
+        let [causes, net] = sums.entry((row[2].to_owned(), vertex)).or_default();
+        if &row[4] == "net" {
+            *net += acceleration
+        } else {
+            *causes += acceleration
+        }
+        if &row[4] == "attraction" {
+            let body = usize::from(&row[2] == "b");
+            world.forces(body, &mut forces);
+            assert_eq!(acceleration, forces.of(meldscope::sim::Cause::Attraction).get(vertex));
+            assert_eq!(&row[5], ["b", "a"][body]);
+            found += 1;
+        }
+    }
+    // vertices at rest have no row
+    assert_eq!((found, sums.len()), (42, 42));
+    assert!(sums.values().all(|[causes, net]| causes.distance(*net) < 1e-9));
+}
+
+#[test]
+fn a_step_is_explained() {
+    let dir = Dir::new();
+    let explain = |options: &[&str]| run(&dir, &[&["explain"], options].concat());
+    let text = explain(&["two", "--step", "150"]).succeeded().out;
+    for part in [
+        "two, step 150 of 300, t = 2.500000 s",
+        "pair a~b: merged since t = 1.397447 s (step 84: merge, q = 1.050000)",
+        "split at 1.2: q is 0.1992 below",
+        "next: split at t = 3.314918 s (step 199)",
+        "Attraction",
+    ] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    // a thin recording is simulated again
+    run(&dir, &["run", "two", "--thin", "--save", "thin.rrd", "--quiet"]).succeeded();
+    assert_eq!(explain(&["thin.rrd", "--step", "150"]).succeeded().out, text);
+    let vertex = explain(&["two", "--step", "150", "--vertex", "a:167"]).succeeded().out;
+    assert!(vertex.contains("in the influence sphere of b") && !vertex.contains("pair"), "{vertex}");
+    let pair = explain(&["two", "--step", "0", "--pair", "b~a"]).succeeded().out;
+    assert!(pair.contains("pair a~b: apart since the start") && pair.contains("next: merge"), "{pair}");
+    for (options, part) in [
+        (&["two", "--step", "301"][..], "--step 301 is beyond the last step of two, 300"),
+        (&["two", "--step", "1", "--body", "c"], "--body: there is no body \"c\""),
+        (&["two", "--step", "1", "--vertex", "a:266"], "body \"a\" has vertices 0 to 265"),
+        (&["two", "--step", "1", "--vertex", "a"], "expected BODY:INDEX"),
+        (&["two", "--step", "1", "--pair", "a~a"], "expected two bodies"),
+    ] {
+        let error = explain(options).failed(2);
+        assert!(error.contains(part), "{part}: {error}");
+    }
+}
+
+#[test]
 fn exported_states_match_the_world_bit_by_bit() {
     use meldscope::sdk::arrow::array::{AsArray as _, Float64Array};
     use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;

@@ -63,6 +63,19 @@ pub const STATES: [Column; 13] = [
     Column::required("vz", Kind::Float, ""),
 ];
 
+/// The columns of a table of forces.
+pub const FORCES: [Column; 9] = [
+    STEP,
+    TIME,
+    Column::required("body", Kind::Text, "body"),
+    Column::required("vertex", Kind::Count, "index of the vertex"),
+    Column::required("cause", Kind::Text, "cause of the acceleration; net: the sum of all others"),
+    Column::new("source", Kind::Text, "the body whose sphere causes it, if it is a single one"),
+    Column::required("x", Kind::Float, "acceleration [scene unit/s²]"),
+    Column::required("y", Kind::Float, ""),
+    Column::required("z", Kind::Float, ""),
+];
+
 /// A table of events.
 pub struct Events(pub Table);
 
@@ -158,6 +171,34 @@ impl States {
                 let [vx, vy, vz] = velocity.to_array().map(Cell::Float);
                 let vertex = Cell::Count(i as u64);
                 self.table.row(&[step, time, body(schema, index), vertex, x, y, z, dx, dy, dz, vx, vy, vz])?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A table of forces: a row for each cause that acts on a vertex.
+pub struct Forces(pub Table);
+
+impl Forces {
+    /// An empty table.
+    pub fn create(path: &Path) -> Result<Forces, Failure> {
+        Ok(Forces(Table::create(path, FORCES.into())?))
+    }
+
+    /// Adds the forces of a frame. A force of zero has no row.
+    pub fn add(&mut self, schema: &Schema, frame: &Frame) -> Result<(), Failure> {
+        let [step, time] = instant(frame.at);
+        for (index, now) in frame.bodies.iter().enumerate() {
+            for (of, term) in schema.terms.iter().zip(&now.terms) {
+                let source = term.source.map_or(Cell::Null, |source| body(schema, source as usize));
+                for (i, acceleration) in term.accelerations.iter().enumerate() {
+                    if acceleration != glam::DVec3::ZERO {
+                        let [x, y, z] = acceleration.to_array().map(Cell::Float);
+                        let (vertex, cause) = (Cell::Count(i as u64), Cell::Text(of.name));
+                        self.0.row(&[step, time, body(schema, index), vertex, cause, source, x, y, z])?;
+                    }
+                }
             }
         }
         Ok(())

@@ -1,0 +1,400 @@
+//! `meldscope explain`: the numbers of a step, and why a pair is in its phase.
+
+use std::{fmt::Write as _, path::Path};
+
+use glam::DVec3;
+
+use super::{
+    Failure, interrupt, print, print_lines,
+    progress::{Progress, Work},
+    run,
+};
+use crate::{
+    analysis::{Approaches, surface::Merger},
+    models::SceneRun,
+    observe::{BodyFrame, Experiment as _, Frame, PairEvent, PairFrame, Schema, Simulation, StepSummary, Want},
+    recording::{Recorded, existing::Existing},
+    sim,
+    text::{counted, did_you_mean, thousands},
+};
+
+/// Bodies and pairs that are listed unless some are named.
+const LISTED: usize = 12;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// A recording, a scene file, or the name of a built-in scene. It is simulated again, so a thin recording will do.
+    #[arg(value_name = "F.rrd|SCENE")]
+    subject: String,
+    /// The step to explain; 0 is the initial state.
+    #[arg(long, value_name = "N")]
+    step: u64,
+    /// Explain this body; may be repeated.
+    #[arg(long, value_name = "NAME")]
+    body: Vec<String>,
+    /// Explain this vertex of a body; may be repeated.
+    #[arg(long, value_name = "BODY:INDEX")]
+    vertex: Vec<String>,
+    /// Explain this pair; may be repeated.
+    #[arg(long, value_name = "A~B")]
+    pair: Vec<String>,
+}
+
+/// Simulates a run and explains one of its steps.
+pub fn explain(arguments: &Arguments) -> Result<(), Failure> {
+    let path = Path::new(&arguments.subject);
+    let (simulation, last) = if Existing::is_recording(path) {
+        let recorded = Recorded::open(path).map_err(Failure::input)?;
+        (recorded.start().map_err(Failure::input)?, recorded.last())
+    } else {
+        let scene = run::scene(&arguments.subject)?;
+        let options = sim::Options { interrupt: Some(&interrupt::STOP), ..sim::Options::default() };
+        let simulation = SceneRun { scene, options }.start().map_err(Failure::Input)?;
+        let last = simulation.schema().steps;
+        (simulation, last)
+    };
+    if arguments.step > last {
+        return Err(Failure::Input(format!(
+            "--step {} is beyond the last step of {}, {last}",
+            arguments.step, arguments.subject
+        )));
+    }
+    let schema = simulation.schema();
+    let wanted = Wanted::of(arguments, &schema)?;
+    let history = History::of(simulation, &schema, arguments.step, last)?;
+    let explained = Explained { schema: &schema, history: &history };
+    let time = history.frame.at.time;
+    print(&format!("{}, step {} of {}, t = {time:.6} s", schema.name, arguments.step, thousands(last)));
+    let mut pairs = wanted.pairs.clone();
+    if wanted.is_default {
+        pairs.extend(history.frame.pairs.iter().take(LISTED).map(|pair| [pair.a, pair.b]));
+    }
+    let mut text = String::new();
+    for body in &wanted.bodies {
+        text += &explained.body(*body);
+    }
+    for &(body, vertex) in &wanted.vertices {
+        text += &explained.vertex(body, vertex);
+    }
+    text += &explained.pairs(&pairs);
+    let (bodies, found) = (schema.bodies.len(), history.frame.pairs.len());
+    if wanted.is_default && bodies > LISTED {
+        let _ = write!(text, "\n… and {} more bodies: name them with --body", bodies - LISTED);
+    }
+    if wanted.is_default && found > LISTED {
+        let _ = write!(text, "\n… and {} more pairs within reach: name them with --pair", found - LISTED);
+    }
+    print_lines(text.trim_end());
+    match &history.failure {
+        Some(failure) => Err(Failure::Run(failure.clone())),
+        None => Ok(()),
+    }
+}
+
+/// What is to be explained.
+struct Wanted {
+    bodies: Vec<usize>,
+    vertices: Vec<(usize, usize)>,
+    pairs: Vec<[usize; 2]>,
+    /// Whether nothing is named: an overview.
+    is_default: bool,
+}
+
+impl Wanted {
+    fn of(arguments: &Arguments, schema: &Schema) -> Result<Wanted, Failure> {
+        let find = |option: &str, name: &str| {
+            let found = schema.bodies.iter().position(|body| body.name == name);
+            found.ok_or_else(|| {
+                let hint = did_you_mean(name, schema.bodies.iter().map(|body| body.name.as_str()));
+                Failure::Input(format!("{option}: there is no body {name:?}{hint}"))
+            })
+        };
+        let bodies = arguments.body.iter().map(|name| find("--body", name)).collect::<Result<Vec<_>, _>>()?;
+        let vertices = arguments.vertex.iter().map(|text| {
+            let expected = || Failure::Input(format!("--vertex {text}: expected BODY:INDEX, such as a:100"));
+            let (name, index) = text.rsplit_once(':').ok_or_else(expected)?;
+            let (body, index) = (find("--vertex", name)?, index.parse::<usize>().map_err(|_| expected())?);
+            let count = schema.bodies[body].mesh.vertex_count();
+            // a body that tears has more vertices later
+            if index >= count && !schema.bodies[body].can_tear {
+                return Err(Failure::Input(format!("--vertex {text}: body {name:?} has vertices 0 to {}", count - 1)));
+            }
+            Ok((body, index))
+        });
+        let vertices = vertices.collect::<Result<Vec<_>, _>>()?;
+        let pairs = arguments.pair.iter().map(|text| {
+            let expected = || Failure::Input(format!("--pair {text}: expected two bodies, such as a~b"));
+            let (a, b) = text.split_once('~').ok_or_else(expected)?;
+            let (a, b) = (find("--pair", a)?, find("--pair", b)?);
+            if a == b { Err(expected()) } else { Ok([a.min(b), a.max(b)]) }
+        });
+        let pairs = pairs.collect::<Result<Vec<_>, _>>()?;
+        let is_default = bodies.is_empty() && vertices.is_empty() && pairs.is_empty();
+        let bodies = if is_default { (0..schema.bodies.len().min(LISTED)).collect() } else { bodies };
+        Ok(Wanted { bodies, vertices, pairs, is_default })
+    }
+}
+
+/// A run: the state of the explained step, and the events before and after it.
+struct History {
+    frame: Frame,
+    events: Vec<PairEvent>,
+    approaches: Approaches,
+    /// When the run ends [s].
+    end: f64,
+    /// Why it ended early.
+    failure: Option<String>,
+}
+
+impl History {
+    fn of(mut simulation: Box<dyn Simulation>, schema: &Schema, step: u64, last: u64) -> Result<History, Failure> {
+        let progress = Progress::new("simulating", Work::Units("step", Some(last)));
+        let mut approaches = Approaches::new(&*simulation, schema);
+        let (mut frame, mut events, mut failure) = (Frame::default(), Vec::new(), None);
+        let mut summary = StepSummary::default();
+        loop {
+            progress.step(simulation.steps_taken(), simulation.time());
+            if simulation.steps_taken() == step {
+                simulation.observe(Want::ALL, &mut frame);
+            }
+            if simulation.steps_taken() == last || failure.is_some() {
+                break;
+            }
+            simulation.step();
+            simulation.summary(&mut summary);
+            failure = summary.failure.as_ref().map(|failure| format!("the run ends early: {failure}"));
+            if summary.failure.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
+                break;
+            }
+            approaches.step(&*simulation, schema, &summary.events);
+            events.extend_from_slice(&summary.events);
+        }
+        if let Some(failure) = failure.as_ref().filter(|_| simulation.steps_taken() < step) {
+            return Err(Failure::Run(format!("step {step} is not reached: {failure}")));
+        }
+        Ok(History { frame, events, approaches, end: simulation.time(), failure })
+    }
+}
+
+struct Explained<'a> {
+    schema: &'a Schema,
+    history: &'a History,
+}
+
+impl Explained<'_> {
+    fn body(&self, index: usize) -> String {
+        let (body, now) = (&self.schema.bodies[index], &self.history.frame.bodies[index]);
+        let mut text =
+            format!("\nbody {}: {}", body.name, counted(vertices(now, body.mesh.vertex_count()) as u64, "vertex"));
+        text += &if body.is_free { format!(", free, mass {}", short(body.mass)) } else { ", on a path".to_owned() };
+        let _ = write!(text, "\n  radius {}, influence sphere {}", short(body.radius), short(body.reach));
+        let _ = write!(text, "\n  centre {}", vector(now.centre));
+        if let Some(motion) = now.motion {
+            let _ = write!(text, ", velocity {}, spin {}", vector(motion.velocity), vector(motion.spin));
+        }
+        match (0..now.lengths.len()).max_by(|&i, &j| now.lengths[i].total_cmp(&now.lengths[j])) {
+            Some(most) if now.max_displacement > 0.0 => {
+                let share = now.max_displacement / body.radius;
+                let _ = write!(text, "\n  largest displacement {} R, of vertex {most}", short(share));
+            }
+            _ => text += "\n  no vertex is displaced",
+        }
+        let rows = self.schema.terms.iter().zip(&now.terms).filter_map(|(term, frame)| {
+            let (mean, most, at) = resultant(frame.accelerations.len(), |i| frame.accelerations.get(i))?;
+            let cells = [mean.x, mean.y, mean.z, mean.length(), most].map(short);
+            Some(std::iter::once(term.label.to_owned()).chain(cells).chain([at.to_string()]).collect())
+        });
+        let header = ["acceleration [unit/s²]", "mean x", "y", "z", "length", "largest", "of vertex"];
+        text += &table(&header, rows.collect(), "no force acts");
+        text + "\n"
+    }
+
+    fn vertex(&self, index: usize, i: usize) -> String {
+        let (body, now) = (&self.schema.bodies[index], &self.history.frame.bodies[index]);
+        let mesh = now.mesh_of(body);
+        if i >= mesh.vertex_count() {
+            return format!("\nvertex {}:{i}: there is none in this step\n", body.name);
+        }
+        let displacement = now.displacement(i);
+        let rest = now.centre + now.rotation * (body.radius * mesh.positions().get(i));
+        let velocity = if now.is_at_rest { DVec3::ZERO } else { now.velocities.get(i) };
+        let mut text = format!("\nvertex {}:{i}", body.name);
+        let _ = write!(text, "\n  position {}, at rest {}", vector(rest + displacement), vector(rest));
+        let length = displacement.length();
+        let _ = write!(
+            text,
+            "\n  displacement {}, length {} = {} R",
+            vector(displacement),
+            short(length),
+            short(length / body.radius)
+        );
+        let _ = write!(text, "\n  velocity {}, {}", vector(velocity), short(velocity.length()));
+        for (other, source) in self.schema.bodies.iter().enumerate().filter(|&(other, _)| other != index) {
+            let distance = (rest + displacement - self.history.frame.bodies[other].centre).length();
+            if distance < source.reach {
+                let share = short(distance / source.reach);
+                let _ = write!(text, "\n  in the influence sphere of {}, at {share} of its radius", source.name);
+            }
+        }
+        let rows = self.schema.terms.iter().zip(&now.terms).filter(|(_, frame)| !frame.accelerations.is_empty());
+        let rows = rows.map(|(term, frame)| {
+            let force = frame.accelerations.get(i);
+            let source = frame.source.map_or(String::new(), |source| self.schema.bodies[source as usize].name.clone());
+            let cells = [force.x, force.y, force.z, force.length()].map(short);
+            std::iter::once(term.label.to_owned()).chain(cells).chain([source]).collect()
+        });
+        text += &table(&["acceleration [unit/s²]", "x", "y", "z", "length", "from"], rows.collect(), "no force acts");
+        text + "\n"
+    }
+
+    fn pairs(&self, pairs: &[[usize; 2]]) -> String {
+        let mut merger = Merger::new(self.schema, Some(&interrupt::STOP));
+        let merged = merger.merge(self.schema, &self.history.frame, pairs);
+        let texts = pairs.iter().enumerate().map(|(index, &[a, b])| {
+            let mut text = self.phase(a, b);
+            if let Some(Some(measures)) = merged.pairs.get(index) {
+                let smaller = self.schema.bodies[a].radius.min(self.schema.bodies[b].radius);
+                let [gap, neck] = [measures.gap, measures.neck].map(|length| short(length / smaller));
+                let touching = if measures.gap > 0.0 { "apart" } else { "touching" };
+                let overlap = short(measures.overlap);
+                let _ = write!(
+                    text,
+                    "\n  surfaces: {touching}, gap {gap} R, neck {neck} R, overlap {overlap} unit³ (R: the smaller radius)"
+                );
+            }
+            text + &self.between(a, b) + "\n"
+        });
+        texts.collect()
+    }
+
+    /// Why a pair is in its phase, and when that changes.
+    fn phase(&self, a: usize, b: usize) -> String {
+        let Explained { schema, history: History { frame, events, end, .. } } = self;
+        let name = schema.pair_name(a, b);
+        let [one, other] = [a, b].map(|body| &schema.bodies[body]);
+        let distance = (frame.bodies[b].centre - frame.bodies[a].centre).length();
+        let found = frame.pairs.iter().find(|pair| [pair.a, pair.b] == [a, b]).copied();
+        let q = distance / (one.radius + other.radius);
+        let pair = found.unwrap_or(PairFrame { a, b, q, phase: 0 });
+        let of_pair = || events.iter().filter(|event| [event.a, event.b] == [a, b]);
+        let before = of_pair().rfind(|event| event.step <= frame.at.step);
+        let after = of_pair().find(|event| event.step > frame.at.step);
+        let mut text = format!("\npair {name}: {}", schema.phases[pair.phase].name);
+        match before {
+            Some(event) => {
+                let _ = write!(
+                    text,
+                    " since t = {:.6} s (step {}: {}, q = {:.6})",
+                    event.time, event.step, event.name, event.q
+                );
+            }
+            None if found.is_none() => text += " since the start, out of reach",
+            None => text += " since the start",
+        }
+        let _ = write!(
+            text,
+            "\n  q = {:.6}: centre distance {} over {} + {}",
+            pair.q,
+            exact(distance),
+            exact(one.radius),
+            exact(other.radius)
+        );
+        for (index, threshold) in schema.thresholds.iter().enumerate() {
+            if let Some(level) = schema.level(index, a, b).filter(|&level| level > 0.0) {
+                let side = if pair.q < level { "below" } else { "above" };
+                let off = short((pair.q - level).abs());
+                let _ = write!(text, "\n  {} {}: q is {off} {side}", threshold.label, exact(level));
+            }
+        }
+        match after {
+            Some(event) => {
+                let later = short(event.time - frame.at.time);
+                let _ = write!(
+                    text,
+                    "\n  next: {} at t = {:.6} s (step {}), {later} s later",
+                    event.name, event.time, event.step
+                );
+            }
+            None => {
+                let _ = write!(
+                    text,
+                    "\n  it stays {} until the end of the run, t = {end:.6} s",
+                    schema.phases[pair.phase].name
+                );
+                if let Some(closest) = self.history.approaches.closest().iter().find(|near| [near.a, near.b] == [a, b])
+                {
+                    let _ = write!(text, "; the closest is q = {:.6} at t = {:.6} s", closest.q, closest.time);
+                }
+            }
+        }
+        text
+    }
+
+    /// The forces along the line between the centres.
+    fn between(&self, a: usize, b: usize) -> String {
+        let bodies = &self.history.frame.bodies;
+        let towards = (bodies[b].centre - bodies[a].centre).normalize_or_zero();
+        let along = |body: usize, term: usize, sign: f64| {
+            let accelerations = &bodies[body].terms.get(term)?.accelerations;
+            let (mean, ..) = resultant(accelerations.len(), |i| accelerations.get(i))?;
+            Some(sign * mean.dot(towards))
+        };
+        let rows = self.schema.terms.iter().enumerate().filter_map(|(index, term)| {
+            let [one, other] = [along(a, index, 1.0), along(b, index, -1.0)];
+            (one.is_some() || other.is_some())
+                .then(|| vec![term.label.to_owned(), short(one.unwrap_or(0.0)), short(other.unwrap_or(0.0))])
+        });
+        let [one, other] = [a, b].map(|body| format!("of {}", self.schema.bodies[body].name));
+        let header = ["mean acceleration towards each other [unit/s²]", &one, &other];
+        table(&header, rows.collect(), "no force acts on either")
+    }
+}
+
+fn vertices(now: &BodyFrame, of_mesh: usize) -> usize {
+    now.mesh.as_ref().map_or(of_mesh, |mesh| mesh.vertex_count())
+}
+
+/// The mean of some vectors, the largest length and its index; `None` if all are zero.
+fn resultant(count: usize, at: impl Fn(usize) -> DVec3) -> Option<(DVec3, f64, usize)> {
+    let sum: DVec3 = (0..count).map(&at).sum();
+    let largest = (0..count).max_by(|&i, &j| at(i).length_squared().total_cmp(&at(j).length_squared()))?;
+    let length = at(largest).length();
+    (length > 0.0).then_some((sum / count as f64, length, largest))
+}
+
+/// A measured number, with four significant digits.
+fn short(x: f64) -> String {
+    match x.abs() {
+        0.0 => "0".to_owned(),
+        1e-3..1e5 => format!("{x:.*}", (3 - x.abs().log10().floor() as i32).max(0) as usize),
+        _ => format!("{x:.3e}"),
+    }
+}
+
+/// A number that a scene gives, without the rounding of its arithmetic.
+fn exact(x: f64) -> String {
+    format!("{x:.9}").trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+fn vector(DVec3 { x, y, z }: DVec3) -> String {
+    format!("({}, {}, {})", short(x), short(y), short(z))
+}
+
+/// An indented table: the first column to the left, numbers to the right.
+fn table(header: &[&str], rows: Vec<Vec<String>>, nothing: &str) -> String {
+    if rows.is_empty() {
+        return format!("\n  {nothing}");
+    }
+    let header = header.iter().map(|&cell| cell.to_owned()).collect();
+    let rows: Vec<Vec<String>> = std::iter::once(header).chain(rows).collect();
+    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..rows[0].len()).map(width).collect();
+    let lines = rows.iter().map(|row| {
+        let cells = row.iter().zip(&widths).enumerate().map(|(column, (cell, &width))| match column {
+            0 => format!("{cell:<width$}"),
+            _ => format!("{cell:>width$}"),
+        });
+        format!("\n    {}", cells.collect::<Vec<_>>().join("  ").trim_end())
+    });
+    lines.collect()
+}
