@@ -43,7 +43,7 @@ pub struct Schema {
     pub terms: Vec<TermSchema>,
     /// Texts of [`BodyFrame::labels`](super::BodyFrame::labels). The first one is for vertices on which no force acts.
     pub labels: Vec<&'static str>,
-    /// Arrow length per acceleration [scene unit per scene unit/s²].
+    /// Arrow length per acceleration [scene unit per scene unit/s²], except of terms with their own.
     pub arrow_scale: f64,
     /// Phases of a pair, from the weakest interaction to the strongest.
     pub phases: Vec<PhaseSchema>,
@@ -114,6 +114,9 @@ pub struct TermSchema {
     pub is_shown: bool,
     /// Whether it accelerates all vertices of a body equally: one arrow at the centre represents them all.
     pub is_uniform: bool,
+    /// Length of its arrows per acceleration [scene unit per scene unit/s²], if it is usually much stronger or weaker
+    /// than the others.
+    pub arrow_scale: Option<f64>,
 }
 
 /// A phase of a pair of bodies.
@@ -284,7 +287,16 @@ impl From<(&'static str, f64, Rgb)> for Threshold {
 impl TermSchema {
     /// A force term that can always act and is visible.
     pub fn new(name: &'static str, label: &'static str, color: Rgb) -> TermSchema {
-        TermSchema { name, label, color, has_source: false, can_act: true, is_shown: true, is_uniform: false }
+        TermSchema {
+            name,
+            label,
+            color,
+            has_source: false,
+            can_act: true,
+            is_shown: true,
+            is_uniform: false,
+            arrow_scale: None,
+        }
     }
 }
 
@@ -311,6 +323,11 @@ impl Schema {
         format!("{}~{}", self.bodies[a].name, self.bodies[b].name)
     }
 
+    /// Arrow length per acceleration of a term [scene unit per scene unit/s²].
+    pub fn arrow_scale_of(&self, term: &TermSchema) -> f64 {
+        term.arrow_scale.unwrap_or(self.arrow_scale)
+    }
+
     /// The level of threshold `index` for a pair [–]; `None` if the pair does not have this threshold.
     pub fn level(&self, index: usize, a: usize, b: usize) -> Option<f64> {
         self.own_levels.0.as_ref().map_or(Some(self.thresholds[index].level), |own| own(index, a, b))
@@ -321,7 +338,10 @@ impl Schema {
         let pair = self.pair_name(event.a, event.b);
         let energy = event.energy.filter(|&energy| energy != 0.0);
         let energy = energy.map_or_else(String::new, |energy| format!(", energy {energy:+.4}"));
-        format!("{} {pair} at t = {:.9} s, q = {:.6}, step {}{energy}", event.name, event.time, event.q, event.step)
+        // a name of several words could begin with that of a body
+        let colon = if event.name.contains(' ') { ":" } else { "" };
+        let PairEvent { name, time, q, step, .. } = event;
+        format!("{name}{colon} {pair} at t = {time:.9} s, q = {q:.6}, step {step}{energy}")
     }
 
     /// The words that select events of pairs: the first word of each kind.

@@ -13,6 +13,8 @@ use crate::{
     sim::Cause,
 };
 
+use super::scales::plane_scale;
+
 /// All phases in order of depth, deepest last.
 pub const PHASES: [Phase; 3] = [Phase::Apart, Phase::Merged, Phase::Core];
 
@@ -68,20 +70,22 @@ pub fn term(scene: &Scene, cause: Cause) -> TermSchema {
     };
     let has_source = matches!(cause, Cause::Attraction | Cause::Repulsion | Cause::Core);
     let is_uniform = matches!(cause, Cause::Gravity | Cause::Reaction);
-    TermSchema { name: cause.name(), label, color, has_source, can_act, is_shown, is_uniform }
+    let arrow_scale = matches!(cause, Cause::Plane).then(|| plane_scale(scene)).flatten();
+    TermSchema { name: cause.name(), label, color, has_source, can_act, is_shown, is_uniform, arrow_scale }
 }
 
 /// The interaction between bodies in words.
 pub fn law(scene: &Scene) -> String {
     let (influence, thresholds) = (&scene.influence, &scene.thresholds);
     format!(
-        "α = {}/s², β = {}/s², spheres {:.3} R. Merge at q = {}, split at {}{}; q: centre distance over the sum of the radii.{}",
+        "Bodies merge at q = {} and split at {}{}; q is the distance of their centres over the sum of their radii. α = {}/s², \
+         β = {}/s², spheres {:.3} R.{}",
+        thresholds.merge_at,
+        thresholds.split_at,
+        if thresholds.core_at > 0.0 { format!(", with a core below {}", thresholds.core_at) } else { String::new() },
         influence.alpha,
         influence.beta,
         influence.reach,
-        thresholds.merge_at,
-        thresholds.split_at,
-        if thresholds.core_at > 0.0 { format!(", core below {}", thresholds.core_at) } else { String::new() },
         match scene.pairs.laws().len() {
             0 => String::new(),
             1 => " One `[[pair]]` has another law.".to_owned(),

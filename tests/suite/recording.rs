@@ -23,7 +23,7 @@ use meldscope::{
         components::{AlbedoFactor, ViewCoordinates},
         datatypes::{Float64, Rgba32, UVec3D, Utf8, Vec3D},
     },
-    sim::{BodyForces, BodyView, Cause, Event},
+    sim::{BodyForces, BodyView, Cause, Event, PairView},
     stream::{
         Recorder, Settings,
         blueprint::Tab,
@@ -32,7 +32,10 @@ use meldscope::{
         settings::{FORMAT, Frames, MOST_PAIRS_OF_MANY},
         sinks::{Destinations, Sinks},
     },
-    view::{scales::arrow_scale, terms::phase_color},
+    view::{
+        scales::arrow_scale,
+        terms::{phase_color, term},
+    },
 };
 use re_dataframe::{QueryEngine, QueryExpression, SparseFillStrategy, StorageEngine, TimeInt};
 use rerun::external::re_chunk_store::{
@@ -754,6 +757,7 @@ impl Run {
             for (index, body) in world.bodies().enumerate() {
                 world.forces(index, &mut forces);
                 for (cause, (origins, vectors)) in Cause::of(&self.scene).zip(&mut arrows) {
+                    let scale = term(&self.scene, cause).arrow_scale.unwrap_or(scale);
                     for (vertex, force) in forces.of(cause).iter().enumerate() {
                         // a force that vanishes in single precision has no arrow
                         let vector = (scale * force).as_vec3();
@@ -813,15 +817,24 @@ impl Run {
         }
     }
 
-    /// Verifies labelled and coloured lines between the centres of the closest pairs within reach.
+    /// Verifies coloured lines between the centres of the closest pairs within reach: first those without a recent
+    /// event, of which the closest have labels.
     fn verify_lines(&self) {
-        let track = self.track("/world/pairs");
+        let (track, recent) = (self.track("/world/pairs"), self.track("/world/recent"));
         self.walk_frames(|frame, world| {
             let mut pairs: Vec<_> = world.pairs().collect();
             pairs.sort_by(|x, y| x.q.total_cmp(&y.q));
             pairs.truncate(self.settings.pairs);
             let held = &track.held[frame];
-            let labels: Vec<String> = pairs.iter().map(|pair| format!("q = {:.3}", pair.q)).collect();
+            let highlighted = recent.held.get(frame).map(|held| held.texts("LineStrips3D:labels")).unwrap_or_default();
+            let is_highlighted = |pair: &PairView| {
+                let [a, b] = [pair.a, pair.b].map(|body| &self.scene.bodies[body].name);
+                highlighted.iter().any(|label| label.contains(&format!(" {a}~{b}, q = {:.3}", pair.q)))
+            };
+            pairs.sort_by_key(is_highlighted);
+            let plain = pairs.iter().filter(|pair| !is_highlighted(pair)).count();
+            let labelled = if plain == 1 && pairs.len() > 1 { 0 } else { plain.min(3) };
+            let labels: Vec<String> = pairs[..labelled].iter().map(|pair| format!("q = {:.3}", pair.q)).collect();
             assert_eq!(held.texts("LineStrips3D:labels"), labels, "step {}", world.steps_taken());
             let colors: Vec<Rgba32> = pairs.iter().map(|pair| color(phase_color(pair.phase))).collect();
             assert_eq!(held.colors("LineStrips3D:colors"), colors);
@@ -909,8 +922,9 @@ impl Run {
             let number = |component| row.get::<Float64>(component)[0].0;
             assert_eq!([number("time"), number("q")], [event.time, event.q], "exactly");
             let pair = self.pair_name((event.a as usize, event.b as usize));
+            let colon = if event.name().contains(' ') { ":" } else { "" };
             for part in [
-                format!("{} {pair} ", event.name()),
+                format!("{}{colon} {pair} ", event.name()),
                 format!("t = {:.9} s", event.time),
                 format!("q = {:.6}", event.q),
                 format!("step {}", event.step),

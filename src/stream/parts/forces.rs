@@ -87,14 +87,15 @@ impl Forces {
             extractor.world_positions(body, now, &mut self.origins);
             for ((term, of_schema), arrows) in now.terms.iter().zip(&schema.terms).zip(&mut self.terms) {
                 let acts = of_schema.has_source && !term.accelerations.is_empty();
+                let scale = schema.arrow_scale_of(of_schema);
                 let class = acts.then(|| self.sources.class_of(index, term.source));
                 if of_schema.is_uniform {
                     if !term.accelerations.is_empty() {
-                        arrows.next.append_one(now.centre, term.accelerations.get(0), schema.arrow_scale);
+                        arrows.next.append_one(now.centre, term.accelerations.get(0), scale);
                     }
                     continue;
                 }
-                arrows.next.append(&self.origins, class, &term.accelerations, schema.arrow_scale);
+                arrows.next.append(&self.origins, class, &term.accelerations, scale);
             }
         }
     }

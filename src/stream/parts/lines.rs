@@ -23,6 +23,9 @@ use crate::{
 const RECENT_FRAMES: u64 = 24;
 /// Upper limit on the number of highlighted pairs; those of the latest events are chosen.
 const MAX_RECENT: usize = 4;
+/// Upper limit on the number of pairs that are labelled with q and not highlighted; the closest are chosen. More labels
+/// would cover each other and the bodies.
+const MAX_Q: usize = 3;
 
 /// Pair lines, with the last logged values.
 pub struct Lines {
@@ -98,7 +101,8 @@ impl Lines {
     /// Adds an event, before the first frame that it affects.
     pub fn event(&mut self, schema: &Schema, event: &PairEvent) {
         let Recent { events, .. } = &mut self.recent;
-        let name = format!("{} {}", event.name, schema.pair_name(event.a, event.b));
+        let colon = if event.name.contains(' ') { ":" } else { "" };
+        let name = format!("{}{colon} {}", event.name, schema.pair_name(event.a, event.b));
         events.insert((event.a, event.b), (0, name, schema.phases[event.to].color));
         while events.len() > MAX_RECENT {
             let Some(oldest) = events.iter().max_by_key(|(_, (age, ..))| *age).map(|(pair, _)| *pair) else { break };
@@ -115,13 +119,21 @@ impl Lines {
         self.closest.extend(view.frame.pairs.iter().filter(is_shown));
         self.closest.sort_by(|x, y| x.q.total_cmp(&y.q));
         self.closest.truncate(self.max_lines);
+        // the viewer labels the first lines, as many as there are labels; a highlighted pair has its label there
+        self.recent.age();
+        self.closest.sort_by_key(|pair| self.recent.events.contains_key(&(pair.a, pair.b)));
+        let is_plain = |pair: &&PairFrame| !self.recent.events.contains_key(&(pair.a, pair.b));
+        let mut labelled = self.closest.iter().filter(is_plain).count().min(MAX_Q);
+        if labelled == 1 && self.closest.len() > 1 {
+            labelled = 0; // the viewer would take a single label for that of all lines
+        }
         let centre = |i: usize| view.frame.bodies[i].centre.as_vec3().to_array();
         segments.clear();
         segments.extend(self.closest.iter().map(|pair| [centre(pair.a), centre(pair.b)]));
         colors.clear();
         colors.extend(self.closest.iter().map(|pair| color(view.schema.phases[pair.phase].color).to_u32()));
         labels.clear();
-        labels.extend(self.closest.iter().map(|pair| format!("q = {:.3}", pair.q)));
+        labels.extend(self.closest[..labelled].iter().map(|pair| format!("q = {:.3}", pair.q)));
         if self.last.as_ref() != Some(&self.next) {
             let LineRows { segments, colors, labels } = &self.next;
             let cells: [&dyn Cell; _] = [segments, colors, labels];
@@ -174,11 +186,15 @@ impl Names {
 }
 
 impl Recent {
+    /// Drops pairs whose event is no longer recent.
+    fn age(&mut self) {
+        self.events.retain(|_, (age, ..)| *age < RECENT_FRAMES);
+    }
+
     fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
         if self.events.is_empty() && self.last.labels.is_empty() {
             return;
         }
-        self.events.retain(|_, (age, ..)| *age < RECENT_FRAMES);
         let LineRows { segments, colors, labels } = &mut self.next;
         segments.clear();
         colors.clear();
@@ -186,7 +202,8 @@ impl Recent {
         for (&(a, b), (age, name, rgb)) in &mut self.events {
             segments.push([a, b].map(|body| view.frame.bodies[body].centre.as_vec3().to_array()));
             colors.push(color(*rgb).to_u32());
-            labels.push(name.clone());
+            let pair = view.frame.pairs.iter().find(|pair| (pair.a, pair.b) == (a, b));
+            labels.push(pair.map_or_else(|| name.clone(), |pair| format!("{name}, q = {:.3}", pair.q)));
             *age += 1;
         }
         if self.next != self.last {

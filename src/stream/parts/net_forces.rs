@@ -30,6 +30,9 @@ pub struct NetForces {
     last: [Rows; KINDS.len()],
 }
 
+/// Length of the longest arrow [radii]: in an impact, net forces are ten times as strong as before and after it.
+pub const LONGEST: f64 = 2.0;
+
 /// Origins and vectors.
 type Rows = (Vec<Float3>, Vec<Float3>);
 
@@ -57,7 +60,8 @@ impl NetForces {
             let (mut origins, mut vectors) = Rows::default();
             for (body, now) in view.bodies() {
                 let Some(net) = &now.net_force else { continue };
-                let vector = (view.schema.net_force_scale * acceleration(net, body)).as_vec3().to_array();
+                let vector = view.schema.net_force_scale * acceleration(net, body);
+                let vector = vector.clamp_length_max(LONGEST * body.radius).as_vec3().to_array();
                 if vector != [0.0; 3] {
                     origins.push(now.centre.as_vec3().to_array());
                     vectors.push(vector);
