@@ -43,6 +43,7 @@
 //! | [`table`] | tables as CSV, JSON and Parquet files | `atomic`, `sdk` | `cli` |
 //! | [`recording`] | reading recordings: replay, check, diff | all above | `viewer` |
 //! | [`sweep`] | grids of runs over a scene's parameters, refinement, thresholds, maps | all above | `cli` |
+//! | [`live`] | the page with sliders, and the runs that answer it | `colors`, `observe`, `sdk`, `stream`, `atomic` | `cli` |
 //! | [`bench`] | benchmarks, and an independent reference solution | all above | `cli` |
 //! | [`cli`] | the command line, one file per subcommand | all above | `cli` |
 //!
@@ -112,6 +113,8 @@ pub mod colors;
 pub mod geometry;
 #[doc(hidden)]
 pub mod hash;
+#[cfg(feature = "cli")]
+pub mod live;
 pub mod model;
 pub mod models;
 pub mod observe;

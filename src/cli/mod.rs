@@ -10,6 +10,7 @@ mod expense;
 mod explain;
 mod export;
 mod interrupt;
+mod live;
 mod overrides;
 mod progress;
 mod reference;
@@ -66,6 +67,8 @@ struct Arguments {
 enum Command {
     /// Simulate a scene and record it.
     Run(Box<run::Arguments>),
+    /// Open a page with sliders beside the viewer: every change, the whole run anew.
+    Live(live::Arguments),
     /// Simulate a recording's scene again and verify every step.
     Replay(replay::Arguments),
     /// Run scripted scenes and compare them with their golden recordings.
@@ -190,6 +193,7 @@ fn prepare(arguments: &Arguments) -> Result<(), Failure> {
 fn run(command: Command) -> Result<(), Failure> {
     match command {
         Command::Run(arguments) => run::run(*arguments),
+        Command::Live(arguments) => live::live(arguments),
         Command::Scenes(arguments) => scenes::scenes(&arguments),
         Command::Reference(arguments) => {
             reference::reference(&arguments);

@@ -602,27 +602,8 @@ struct Changes {
 impl Changes {
     /// Returns the new scene if the file has changed and is valid. An error in it is reported once.
     fn scene(&mut self, arguments: &Arguments, console: &Console) -> Option<Scene> {
-        let path = Path::new(&arguments.scene);
-        // a missing file may be about to be written; anything but a regular file may be endless or block forever
-        let metadata = std::fs::metadata(path).ok()?;
-        let scene = if !metadata.is_file() {
-            Err(format!("{} is no longer a file", path.display()))
-        } else if metadata.len() > Scene::LARGEST_TEXT {
-            Err(format!("{} now exceeds the size limit of a scene", path.display()))
-        } else {
-            let mut bytes = Vec::new();
-            File::open(path).ok()?.take(Scene::LARGEST_TEXT).read_to_end(&mut bytes).ok()?;
-            let text = String::from_utf8(bytes).ok()?;
-            // an editor may truncate a file before writing it
-            if text == self.text || text.is_empty() {
-                return None;
-            }
-            self.text = text;
-            let scene = Scene::parse_beside(&self.text, path).map_err(|error| error.to_string());
-            let overridden = |scene| arguments.overrides.apply(scene, &arguments.scene);
-            scene.and_then(|scene| overridden(scene).map_err(|error| error.to_string()))
-        };
-        match scene {
+        let overridden = |scene| arguments.overrides.apply(scene, &arguments.scene).map_err(|error| error.to_string());
+        match changed(&mut self.text, Path::new(&arguments.scene))?.and_then(overridden) {
             Ok(scene) => {
                 self.reported.clear();
                 Some(scene)
@@ -642,6 +623,27 @@ impl Changes {
         self.runs += 1;
         self.runs - 1
     }
+}
+
+/// The scene in a file, if its text has changed since it was `text`, which is updated.
+pub(super) fn changed(text: &mut String, path: &Path) -> Option<Result<Scene, String>> {
+    // a missing file may be about to be written; anything but a regular file may be endless or block forever
+    let metadata = std::fs::metadata(path).ok()?;
+    if !metadata.is_file() {
+        return Some(Err(format!("{} is no longer a file", path.display())));
+    }
+    if metadata.len() > Scene::LARGEST_TEXT {
+        return Some(Err(format!("{} now exceeds the size limit of a scene", path.display())));
+    }
+    let mut bytes = Vec::new();
+    File::open(path).ok()?.take(Scene::LARGEST_TEXT).read_to_end(&mut bytes).ok()?;
+    let read = String::from_utf8(bytes).ok()?;
+    // an editor may truncate a file before writing it
+    if read == *text || read.is_empty() {
+        return None;
+    }
+    *text = read;
+    Some(Scene::parse_beside(text, path).map_err(|error| error.to_string()))
 }
 
 /// Sleeps until `due`, or until `stop` is set.

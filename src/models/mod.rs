@@ -73,11 +73,12 @@ pub mod fem;
 pub mod lattice;
 pub mod metaballs;
 pub mod side_by_side;
+mod variation;
 
-use std::sync::Arc;
+use std::{collections::BTreeMap, sync::Arc};
 
 use crate::{
-    observe::{Experiment, Refusal, Schema, Simulation},
+    observe::{Experiment, InvalidVariation, Parameter, Refusal, Schema, Simulation},
     scene::{Integrator, Model, Scene, template::Override},
     sim::{Options, World},
     text::did_you_mean,
@@ -137,6 +138,14 @@ impl Experiment for SceneRun {
 
     fn read(&self, name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experiment>, Refusal> {
         read(name, text, run)
+    }
+
+    fn parameters(&self) -> Vec<Parameter> {
+        variation::parameters(self)
+    }
+
+    fn varied(&self, values: &BTreeMap<String, f64>) -> Result<Arc<dyn Experiment>, InvalidVariation> {
+        variation::varied(self, values)
     }
 }
 

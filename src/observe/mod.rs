@@ -8,6 +8,7 @@
 //! | points in time, events | [`event`] |
 //! | surfaces of groups, and findings about pairs of surfaces | [`surface`] |
 //! | the events of a step as rows, in order of time | [`row`] |
+//! | the parameters of an experiment | [`parameter`] |
 //! | the traits of a simulation, and of the experiment that creates it | [`simulation`] |
 //!
 //! The recorder, `replay`, `check` and `diff` depend on nothing else. Nothing here depends on Rerun, on files or on a
@@ -15,6 +16,7 @@
 
 pub mod event;
 pub mod frame;
+pub mod parameter;
 pub mod row;
 pub mod schema;
 pub mod simulation;
@@ -22,6 +24,7 @@ pub mod surface;
 
 pub use event::{BodyEvent, Instant, PairEvent};
 pub use frame::{BodyFrame, Frame, MotionFrame, NetForce, PairFrame, Want};
+pub use parameter::{InvalidVariation, Parameter};
 pub use row::EventRow;
 pub use schema::Schema;
 pub use simulation::{

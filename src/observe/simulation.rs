@@ -1,6 +1,7 @@
 //! Simulations that can be stepped and observed.
 
 use std::{
+    collections::BTreeMap,
     fmt::Debug,
     sync::{Arc, atomic::AtomicBool},
     time::Duration,
@@ -11,6 +12,7 @@ use glam::DVec3;
 use crate::model::hermite::Hermite;
 
 use super::{
+    InvalidVariation, Parameter,
     event::{BodyEvent, Instant, PairEvent},
     frame::{BodyFrame, Frame, PairFrame, Want},
     schema::Schema,
@@ -201,6 +203,20 @@ pub trait Experiment: Debug + Send + Sync {
     /// # Errors
     /// The text does not describe an experiment of this kind.
     fn read(&self, name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experiment>, Refusal>;
+
+    /// The numbers with which it can be started in place of its own, in the order in which they are shown.
+    fn parameters(&self) -> Vec<Parameter> {
+        Vec::new()
+    }
+
+    /// The experiment with other values of [parameters](Experiment::parameters), by key.
+    ///
+    /// # Errors
+    /// A key is unknown or a value is invalid, or such a variation is not supported.
+    fn varied(&self, values: &BTreeMap<String, f64>) -> Result<Arc<dyn Experiment>, InvalidVariation> {
+        let _ = values;
+        Err(InvalidVariation { key: None, text: "this simulation has no parameters".to_owned() })
+    }
 }
 
 /// Recreates an experiment from the contents of a recording, see [`Experiment::read`].

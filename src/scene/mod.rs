@@ -139,6 +139,7 @@ pub mod builtin;
 pub mod cells;
 mod force;
 pub mod keys;
+pub mod numbers;
 pub mod pairs;
 pub mod parse;
 pub mod path;

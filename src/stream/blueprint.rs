@@ -167,6 +167,26 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     if messages.is_empty() { messages } else { layout.activate(messages) }
 }
 
+/// The layout for a page that has its own controls of time, curves and list of events: what is in space alone, paused.
+pub fn beside_controls(subject: &Subject<'_>, recording: &StoreId) -> Vec<LogMsg> {
+    let Subject { simulation, schema, settings } = *subject;
+    let (framing, close) = (simulation.framing(false), simulation.framing(true));
+    let mut layout = Layout::of(recording);
+    layout.timeline = STEP;
+    layout.ground = Ground::under(&framing).filter(|_| schema.planes.is_empty());
+    let mut tabs = vec![layout.scene_view((&framing, WIDE), schema, "Bodies, influence spheres, forces", settings)];
+    if schema.bodies.len() > 1 {
+        tabs.push(layout.surface_view((&close, WIDE), schema, settings));
+    }
+    if settings.detail != Detail::Surface {
+        tabs.push(layout.forces_tab(&close, schema, settings));
+        tabs.push(layout.displacement_tab(&close, schema, settings));
+    }
+    let root = layout.container(ContainerKind::Tabs, "meldscope", tabs, &[]);
+    layout.log("time_panel", &TimePanelBlueprint::update_fields().with_play_state(PlayState::Paused));
+    layout.finish(root)
+}
+
 /// The layout of a comparison of two runs: surfaces and error arrows, differences over time, events.
 pub fn of_comparison(spheres: &[(DVec3, f64)], recording: &StoreId) -> Vec<LogMsg> {
     let mut layout = Layout::of(recording);
@@ -408,7 +428,9 @@ impl Layout {
         let right = if schema.bodies.len() > 1 {
             let mut parts = self.pair_views(schema);
             parts.push(self.timings(schema, false));
-            self.container(ContainerKind::Vertical, "Time", parts, &[1.5, 0.5, 1.2, 0.7])
+            // a lane for each pair, as far as there is room
+            let shares = if schema.bodies.len() == 2 { [1.5, 0.5, 1.2, 0.7] } else { [1.4, 1.1, 1.0, 0.5] };
+            self.container(ContainerKind::Vertical, "Time", parts, &shares)
         } else {
             // a single body: show its motion and its timings
             let mut parts = self.diagnostics(schema);
@@ -422,19 +444,7 @@ impl Layout {
 
     /// The surfaces of groups, and the gap and overlap of pairs above their phases.
     fn surface_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
-        // a seam lies inside the smooth surface and would show through in places
-        let merged = if schema.blend > 0.0 { including(MERGED_SURFACE.path) } else { family(&MERGED) };
-        let contents = [&BODY, &DEFORMING, &RESTING].map(family);
-        let contents = [&contents[0], &contents[1], &contents[2], &merged].map(String::as_str);
-        let view = self.space((framing, NARROW), "One surface per group", &contents);
-        for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
-            // a batch has a colour per vertex
-            let rgb = if settings.entities == Entities::Batch { [0xFF; 3] } else { palette::of_body(schema, index) };
-            self.draw_unmerged(&view, &surface, &Mesh3D::update_fields().with_albedo_factor(palette::opaque(rgb)));
-        }
-        let opaque = Mesh3D::update_fields().with_albedo_factor(sdk::Rgba32::WHITE);
-        self.draw_lit(&view, MERGED_SURFACE.path, &opaque);
-        self.draw_resting(&view, schema, settings);
+        let view = self.surface_view((framing, NARROW), schema, settings);
         let mut parts = Vec::new();
         if pairs::has_named_pairs(schema) {
             let titles = ["Gap and neck [radii of the smaller body]", "Overlap [its radius cubed]"];
@@ -465,6 +475,24 @@ impl Layout {
         let shares = vec![1.0; parts.len()];
         let right = self.container(ContainerKind::Vertical, "Measures", parts, &shares);
         self.container(ContainerKind::Horizontal, "Surface", vec![view, right], &[1.6, 1.0])
+    }
+
+    /// One surface for each group of bodies.
+    fn surface_view(&mut self, framing: Framing<'_>, schema: &Schema, settings: &Settings) -> Part {
+        // a seam lies inside the smooth surface and would show through in places
+        let merged = if schema.blend > 0.0 { including(MERGED_SURFACE.path) } else { family(&MERGED) };
+        let contents = [&BODY, &DEFORMING, &RESTING].map(family);
+        let contents = [&contents[0], &contents[1], &contents[2], &merged].map(String::as_str);
+        let view = self.space(framing, "One surface per group", &contents);
+        for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
+            // a batch has a colour per vertex
+            let rgb = if settings.entities == Entities::Batch { [0xFF; 3] } else { palette::of_body(schema, index) };
+            self.draw_unmerged(&view, &surface, &Mesh3D::update_fields().with_albedo_factor(palette::opaque(rgb)));
+        }
+        let opaque = Mesh3D::update_fields().with_albedo_factor(sdk::Rgba32::WHITE);
+        self.draw_lit(&view, MERGED_SURFACE.path, &opaque);
+        self.draw_resting(&view, schema, settings);
+        view
     }
 
     /// One view for each force term that can act in the scene, all with the same initial camera. Afterwards each view
@@ -872,7 +900,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
         Some(steps) => format!("{steps} steps"),
     };
     let head = format!(
-        "**{}**: {} {}, {} vertices{}. `{}`, Δt = {:.6} s, {steps}, {frames}.  \n{}  \n",
+        "**{}**: {} {}, {} vertices{}. `{}`, Δt = {:.6} s, {steps}, {frames}.\n\n{}\n\n",
         schema.name,
         schema.bodies.len(),
         if schema.bodies.len() == 1 { "body" } else { "bodies" },
@@ -882,7 +910,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
         schema.dt,
         schema.law,
     );
-    let warnings = schema.warnings.iter().map(|warning| format!("**Warning**: {warning}.  \n"));
+    let warnings = schema.warnings.iter().map(|warning| format!("**Warning**: {warning}.\n\n"));
     let head = head + &warnings.collect::<String>();
     if settings.frames == Frames::Thin {
         return head
@@ -892,69 +920,76 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
                - `meldscope replay F.rrd --save full.rrd` makes all frames, `--from STEP --to STEP` those of some steps,\n\
                - `meldscope replay F.rrd --integrator rk4` tries it another way.\n";
     }
-    let phases = schema.phases.iter().map(|phase| format!("{} **{}**", colors::name(phase.color), phase.name));
+    let phases = schema.phases.iter().map(|phase| format!("{} {}", colors::name(phase.color), phase.name));
     let phases = phases.collect::<Vec<_>>().join(", ");
     let spheres = match settings.entities {
-        _ if schema.bodies.iter().all(|body| body.reach == 0.0) => format!("Lines, lanes: {phases}.  \n"),
-        Entities::Body => format!("Influence spheres, lines, lanes: {phases}, grey: reaches no body.  \n"),
+        _ if schema.bodies.iter().all(|body| body.reach == 0.0) => format!("- **Lines, lanes**: {phases}\n"),
+        Entities::Body => format!("- **Spheres, lines, lanes**: {phases}; grey reaches no body\n"),
         Entities::Batch => {
-            format!("Influence spheres (hidden at first), lines, lanes: {phases}, grey: reaches no body.  \n")
+            format!("- **Spheres** (hidden at first), **lines, lanes**: {phases}; grey reaches no body\n")
         }
     };
     let arrows = match settings.detail {
-        Detail::Surface => "Force arrows were not recorded (`--detail forces`).  \n".to_owned(),
+        Detail::Surface => "- Force arrows were not recorded (`--detail forces`)\n".to_owned(),
         Detail::Forces | Detail::Stages { .. } => {
             let named = |is_it: &dyn Fn(&&TermSchema) -> bool| {
-                let name = |term: &TermSchema| format!("{} **{}**", colors::name(term.color), term.name);
+                let name = |term: &TermSchema| format!("{} {}", colors::name(term.color), term.name);
                 schema.terms.iter().filter(is_it).map(name).collect::<Vec<_>>().join(", ")
             };
-            let lists = [("", named(&|term| term.is_shown)), ("hidden at first: ", named(&|term| !term.is_shown))];
+            let lists = [
+                ("", named(&|term| term.can_act && term.is_shown)),
+                ("hidden at first: ", named(&|term| term.can_act && !term.is_shown)),
+            ];
             let lists = lists.iter().filter(|(_, list)| !list.is_empty());
             let lists: Vec<String> = lists.map(|(what, list)| format!("{what}{list}")).collect();
             let scale = schema.arrow_scale;
-            format!("Arrows: forces of the state on screen, {scale} unit long per unit/s²: {}.  \n", lists.join("; "))
+            let own = schema.terms.iter().filter(|term| term.can_act).filter_map(|term| {
+                let own = term.arrow_scale.filter(|own| *own != scale)?;
+                Some(format!(" ({}: {own})", term.name))
+            });
+            let own: String = own.collect();
+            format!("- **Arrows**, {scale} unit long per unit/s²{own}: {}\n", lists.join("; "))
         }
     };
     let bound = if !settings.only.is_empty() {
-        format!("Only {} has plots, lanes and lines (`--pair`); events list all pairs.\n", settings.only.join(", "))
+        format!("- Only {} has plots, lanes and lines (`--pair`); events list all pairs\n", settings.only.join(", "))
     } else if schema.bodies.len() * schema.bodies.len().saturating_sub(1) / 2 > settings.pairs {
         let max = settings.pairs;
         format!(
-            "The first {max} pairs that come within reach have plots and lanes, and so do the first that have events; the closest \
-             {max} have lines (`--plots`, `--pair a~b`); events list them all.\n"
+            "- The first {max} pairs within reach, and the first with events, have plots and lanes, the closest {max} lines \
+             (`--plots`, `--pair a~b`); events list them all\n"
         )
     } else {
         String::new()
     };
     let joined: Vec<String> =
-        schema.phases.iter().filter(|phase| phase.is_joined).map(|phase| format!("**{}**", phase.name)).collect();
+        schema.phases.iter().filter(|phase| phase.is_joined).map(|phase| phase.name.to_owned()).collect();
     // a surface of its own is part of the law
     let merged = if schema.surfaces.get().is_none() && schema.bodies.len() > 1 && !joined.is_empty() {
         let smooth = match schema.blend {
             0.0 => "sharp where they meet".to_owned(),
             blend => format!("smooth within {blend} R of where they meet"),
         };
-        format!(
-            "Bodies that are {} share one surface, {smooth}; white lines: where they meet.  \n",
-            joined.join(" or ")
-        )
+        format!("- **Surface**: bodies that are {} share one, {smooth}; white lines show where\n", joined.join(" or "))
     } else {
         String::new()
     };
     let is_free = schema.bodies.iter().any(|body| body.is_free);
     let net_forces = match settings.detail {
         Detail::Forces | Detail::Stages { .. } if is_free => {
-            let of = net_forces::KINDS.map(|(name, rgb, _)| format!("{} **{name}**", colors::name(rgb)));
+            let of =
+                net_forces::KINDS.map(|(name, rgb, _)| format!("{} {}", colors::name(rgb), name.replace('_', " ")));
             format!(
-                "At the centres of free bodies: {}, {} unit long per unit/s² (over M, and over M R).  \n",
+                "- **At the centres** of free bodies: {}, {} unit long per unit/s² (over M, and over M R), at most {} R\n",
                 of.join(", "),
                 schema.net_force_scale,
+                net_forces::LONGEST,
             )
         }
         _ => String::new(),
     };
     let trails = if is_free && settings.entities == Entities::Body {
-        format!("Trails: where the centres of free bodies were in the last {} s.  \n", trails::SECONDS)
+        format!("- **Trails**: the centres of free bodies in the last {} s\n", trails::SECONDS)
     } else {
         String::new()
     };

@@ -49,6 +49,9 @@ pub struct Chunks {
     chunks: u64,
 }
 
+/// The first number of the ids of a preview: no recording has so many rows.
+const PREVIEW: u64 = 1 << 48;
+
 impl Chunks {
     /// Starts the recording or blueprint `store`. The first message identifies it.
     pub fn new(store: StoreId) -> Chunks {
@@ -65,6 +68,15 @@ impl Chunks {
             rows_apart: 0,
             chunks: 0,
         }
+    }
+
+    /// Rows of a recording that has been started, with ids of their own: the same rows may be logged again.
+    pub fn preview(store: StoreId) -> Chunks {
+        let mut chunks = Chunks::new(store);
+        chunks.done.clear();
+        chunks.rows_apart = PREVIEW;
+        (chunks.rows, chunks.chunks) = (PREVIEW, PREVIEW);
+        chunks
     }
 
     /// The recording or blueprint that the rows belong to.

@@ -104,9 +104,9 @@ entities! {
     INFLUENCE = "/world/influence" ["Ellipsoids3D"]
         "All influence spheres, coloured by the deepest phase of their body.";
     PAIR_LINES = "/world/pairs" ["LineStrips3D; with more than 64 bodies Ellipsoids3D"]
-        "Lines between the centres of the closest pairs within reach, labelled with q; with many bodies also the influence spheres that reach another body.";
+        "Lines between the centres of the closest pairs within reach, the closest three labelled with q; with many bodies also the influence spheres that reach another body.";
     RECENT = "/world/recent" ["LineStrips3D"]
-        "Pairs that had an event in the last 24 frames.";
+        "Pairs that had an event in the last 24 frames, labelled with the event and q.";
     NAMES = "/world/names" ["Points3D"]
         "The names of up to 8 bodies.";
     FORCES = "/world/forces" ["AnnotationContext"]

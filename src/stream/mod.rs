@@ -41,8 +41,8 @@
 //! | `/world/merged/surface` | Mesh3D, vertex, lit_colors, unlit_normals | The surfaces of all groups (two or more bodies connected by joined pairs), as one mesh in world coordinates. |
 //! | `/world/merged/seams` | LineStrips3D | The lines along which bodies meet. |
 //! | `/world/influence` | Ellipsoids3D | All influence spheres, coloured by the deepest phase of their body. |
-//! | `/world/pairs` | LineStrips3D; with more than 64 bodies Ellipsoids3D | Lines between the centres of the closest pairs within reach, labelled with q; with many bodies also the influence spheres that reach another body. |
-//! | `/world/recent` | LineStrips3D | Pairs that had an event in the last 24 frames. |
+//! | `/world/pairs` | LineStrips3D; with more than 64 bodies Ellipsoids3D | Lines between the centres of the closest pairs within reach, the closest three labelled with q; with many bodies also the influence spheres that reach another body. |
+//! | `/world/recent` | LineStrips3D | Pairs that had an event in the last 24 frames, labelled with the event and q. |
 //! | `/world/names` | Points3D | The names of up to 8 bodies. |
 //! | `/world/forces` | AnnotationContext | Names of the pairs of bodies between which forces act, as classes of arrows. |
 //! | `/world/forces/CAUSE` | Arrows3D | Accelerations of vertices by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre. |

@@ -223,6 +223,11 @@ impl Recorder {
         }
     }
 
+    /// The layout for a page that has its own controls of time, curves and list of events.
+    pub fn layout_beside_controls(&self, simulation: &dyn Simulation) -> Vec<LogMsg> {
+        blueprint::beside_controls(&self.subject(simulation), self.chunks.store())
+    }
+
     /// Layout changes for the end of a file: it opens at its first event, and timing plots are scaled to typical
     /// values, because the first frames and waits for the disk would dwarf everything else. Not for open viewers, which
     /// would lose the user's arrangement.
@@ -273,6 +278,14 @@ impl Recorder {
         self.watch.step(simulation, &self.settings, &mut step, has_frame.then_some(&mut frame));
         self.record(&step, has_frame.then_some(&frame));
         (self.step, self.frame) = (step, frame);
+    }
+
+    /// The state of a frame alone, for a viewer that shows it before the rest of the run.
+    pub fn preview(&self, frame: &Frame) -> Vec<LogMsg> {
+        let mut chunks = Chunks::preview(self.chunks.store().clone());
+        let mut state = StateParts::new(&self.schema, &self.settings, None, &mut chunks);
+        state.log(FrameView { schema: &self.schema, frame, at: frame.at }, &[], &mut chunks);
+        chunks.take()
     }
 
     /// Computes the merged surfaces of the next frames to be recorded, on several threads.

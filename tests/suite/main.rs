@@ -12,6 +12,7 @@ mod forces;
 mod free_bodies;
 mod integrators;
 mod layers;
+mod live;
 mod models;
 mod octahedra;
 mod physics;

@@ -27,7 +27,7 @@ mod file;
 mod live;
 mod note;
 mod queue;
-mod serve;
+pub(crate) mod serve;
 mod spawn;
 
 pub use error::SinkError;

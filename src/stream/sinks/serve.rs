@@ -21,13 +21,15 @@ mod guard;
 mod history;
 mod port;
 
+pub(crate) use answer::Content;
+pub(crate) use guard::Guard;
 pub use guard::Host;
+pub(crate) use port::Site;
 
 use super::live::{Live, within};
 use super::queue::{Parcel, WhenFull};
 use super::{Serve, SinkError};
-use answer::Site;
-use guard::Guard;
+use answer::OfRun;
 use history::Log;
 use port::Port;
 
@@ -76,8 +78,8 @@ impl Server {
         let guard = Arc::new(Guard::new(allow.clone()));
         let (feed, history) = history::history(HISTORY);
         let log = history.log();
-        let web = Port::new(Site::Viewer(files(web_address)?, data_address.port()), Arc::clone(&guard));
-        let data = Port::new(Site::Data(history), Arc::clone(&guard));
+        let web = Port::new(OfRun::Viewer(files(web_address)?, data_address.port()), Arc::clone(&guard));
+        let data = Port::new(OfRun::Data(history), Arc::clone(&guard));
         let (stop, stopping) = oneshot::channel::<()>();
         let serving = async move {
             let tasks = [
@@ -151,6 +153,48 @@ impl Drop for Server {
     fn drop(&mut self) {
         self.stop();
     }
+}
+
+/// Serves a page of its own on the web port; returns its address, a sender that stops it when dropped, and its thread.
+pub(crate) fn page(
+    serve: &Serve,
+    site: impl Site,
+) -> Result<(SocketAddr, oneshot::Sender<()>, JoinHandle<()>), SinkError> {
+    let start = |err: io::Error| SinkError::Thread { target: WEB.to_owned(), reason: err.to_string() };
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(start)?;
+    let entered = runtime.enter();
+    let (listener, address) = listen(WEB, serve.bind, serve.web_port)?;
+    drop(entered);
+    let port = Port::new(site, Arc::new(Guard::new(serve.allow.clone())));
+    let (stop, stopping) = oneshot::channel::<()>();
+    let thread = std::thread::Builder::new().name("server".to_owned()).spawn(move || {
+        runtime.block_on(async move {
+            let tasks = [tokio::spawn(Arc::clone(&port).listen(listener)), tokio::spawn(Arc::clone(&port).sweep())];
+            stopping.await.ok();
+            tasks.iter().for_each(tokio::task::JoinHandle::abort);
+        });
+        runtime.shutdown_background();
+    });
+    Ok((SocketAddr::new(reachable(address.ip()), address.port()), stop, thread.map_err(start)?))
+}
+
+/// A word that nobody can guess.
+///
+/// # Errors
+/// The system gives no random numbers.
+pub(crate) fn token() -> Result<String, SinkError> {
+    let mut random = [0; 16];
+    getrandom::fill(&mut random)
+        .map_err(|error| SinkError::Thread { target: "the page's token".to_owned(), reason: error.to_string() })?;
+    Ok(random.iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+/// The files of the web viewer.
+///
+/// # Errors
+/// They cannot be unpacked, for the returned reason.
+pub(crate) fn viewer_files() -> Result<&'static WebViewerData, String> {
+    files(SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0)).map_err(|error| error.to_string())
 }
 
 /// The servers after the run. Viewers can connect to them as long as this value lives.

@@ -4,7 +4,7 @@
 //! load a list of examples. A content security policy makes the browser send nothing to other machines.
 
 use std::net::IpAddr;
-use std::pin::pin;
+use std::pin::{Pin, pin};
 use std::sync::atomic::Ordering;
 use std::task::{Context, Poll, ready};
 
@@ -13,9 +13,11 @@ use hyper::header::{self, HeaderMap, HeaderName, HeaderValue};
 use hyper::{Method, Request, Response, StatusCode};
 use re_protos::sdk_comms::v1alpha1::message_proxy_service_server::SERVICE_NAME;
 use re_web_viewer_server::WebViewerData;
+use tokio_stream::Stream;
 
 use super::guard::{Guard, Host};
 use super::history::{History, Reader};
+use super::port::Site;
 
 /// Upper limit on the body of a gRPC request: an empty message, in its frame [bytes].
 const REQUEST: usize = 4 << 10;
@@ -30,8 +32,10 @@ const UNIMPLEMENTED: HeaderValue = HeaderValue::from_static("12");
 pub(super) const SHARE: usize = 64 << 10;
 
 /// The body of a response.
-pub(super) enum Content {
+pub(crate) enum Content {
     Whole(Bytes),
+    /// Parts as they become known.
+    Parts(Pin<Box<dyn Stream<Item = Bytes> + Send>>),
     /// The messages of the run, followed by a final frame.
     Stream(Reader, Option<Frame<Bytes>>),
 }
@@ -42,6 +46,7 @@ impl Content {
         match self {
             Content::Whole(rest) if rest.is_empty() => Poll::Ready(None),
             Content::Whole(rest) => Poll::Ready(Some(Frame::data(rest.split_to(rest.len().min(SHARE))))),
+            Content::Parts(parts) => parts.as_mut().poll_next(context).map(|part| part.map(Frame::data)),
             Content::Stream(reader, end) => match ready!(reader.poll_next(context)) {
                 Some(message) => Poll::Ready(Some(Frame::data(message))),
                 None => Poll::Ready(end.take()),
@@ -50,28 +55,26 @@ impl Content {
     }
 }
 
-/// The content that a port serves.
-pub(super) enum Site {
+/// What the two ports of a run serve.
+pub(super) enum OfRun {
     /// The web viewer, which gets its data from this port.
     Viewer(&'static WebViewerData, u16),
     /// The run's messages, like the SDK's proxy: gRPC for native viewers, gRPC-web for browsers.
     Data(History),
 }
 
-impl Site {
-    /// Whether responses last as long as the run.
-    pub fn is_endless(&self) -> bool {
-        matches!(self, Site::Data(_))
+impl Site for OfRun {
+    fn is_endless(&self) -> bool {
+        matches!(self, OfRun::Data(_))
     }
 
-    /// Responds to a request received at this machine's address `at`.
-    pub async fn answer(&self, guard: &Guard, request: Request<Incoming>, at: IpAddr) -> Response<Content> {
+    async fn answer(&self, guard: &Guard, request: Request<Incoming>, at: IpAddr) -> Response<Content> {
         if let Err(name) = guard.admits(request.uri(), request.headers(), at) {
             let help = format!("this program does not serve {name}: allow a host with `--allow-host NAME`\n");
             return text(StatusCode::FORBIDDEN, help);
         }
         match self {
-            Site::Viewer(files, data_port) => {
+            OfRun::Viewer(files, data_port) => {
                 let mut response = file(files, guard, &request);
                 let policy = HeaderValue::try_from(policy(request.headers(), at, *data_port));
                 let headers = response.headers_mut();
@@ -80,7 +83,7 @@ impl Site {
                 headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
                 response
             }
-            Site::Data(history) => {
+            OfRun::Data(history) => {
                 // the page is on another port, hence another origin; the guard has checked it
                 let origin = request.headers().get(header::ORIGIN).cloned();
                 let mut response = data(history, guard, request).await;

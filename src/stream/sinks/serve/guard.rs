@@ -53,7 +53,7 @@ impl Host {
 
 /// Decides which requests are admitted, and counts the rejected ones.
 #[derive(Debug, Default)]
-pub(super) struct Guard {
+pub(crate) struct Guard {
     /// Allowed hosts, besides this machine's own.
     allowed: Vec<Host>,
     /// Number of requests for or from other hosts.

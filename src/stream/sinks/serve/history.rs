@@ -74,7 +74,7 @@ impl History {
 }
 
 /// A viewer's position in the history.
-pub(super) struct Reader {
+pub(crate) struct Reader {
     log: Arc<Log>,
     /// Sequence number of the first message that it has not received.
     next: u64,

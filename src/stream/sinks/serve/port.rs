@@ -10,20 +10,22 @@
 
 use std::collections::HashMap;
 use std::convert::Infallible;
+use std::net::IpAddr;
 use std::pin::Pin;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
-use hyper::body::{Body, Bytes, Frame, SizeHint};
+use hyper::body::{Body, Bytes, Frame, Incoming, SizeHint};
 use hyper::service::service_fn;
+use hyper::{Request, Response};
 use hyper_util::rt::{TokioExecutor, TokioIo, TokioTimer};
 use hyper_util::server::conn::auto;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::Notify;
 
-use super::answer::{Content, SHARE, Site};
+use super::answer::{Content, SHARE};
 use super::guard::Guard;
 
 /// Upper limit on the number of connections. Two ports with this many, plus the other files of a run, stay below the
@@ -46,22 +48,36 @@ const PING: Duration = Duration::from_secs(10);
 /// Timeout of the response to a ping.
 const PONG: Duration = Duration::from_secs(20);
 
+/// The content that a port serves.
+pub(crate) trait Site: Send + Sync + 'static {
+    /// Whether responses last as long as the run.
+    fn is_endless(&self) -> bool;
+
+    /// Responds to a request received at this machine's address `at`.
+    fn answer(
+        &self,
+        guard: &Guard,
+        request: Request<Incoming>,
+        at: IpAddr,
+    ) -> impl Future<Output = Response<Content>> + Send;
+}
+
 /// A port and the content that it serves.
-pub(super) struct Port {
-    pub site: Site,
+pub(crate) struct Port<S> {
+    pub site: S,
     pub guard: Arc<Guard>,
     clients: Mutex<HashMap<u64, Arc<Client>>>,
     /// Number of connections accepted.
     accepted: AtomicU64,
 }
 
-impl Port {
-    pub fn new(site: Site, guard: Arc<Guard>) -> Arc<Port> {
+impl<S: Site> Port<S> {
+    pub fn new(site: S, guard: Arc<Guard>) -> Arc<Port<S>> {
         Arc::new(Port { site, guard, clients: Mutex::default(), accepted: AtomicU64::new(0) })
     }
 
     /// Accepts connections forever.
-    pub async fn listen(self: Arc<Port>, listener: TcpListener) {
+    pub async fn listen(self: Arc<Self>, listener: TcpListener) {
         loop {
             match listener.accept().await {
                 Ok((stream, _)) => {
@@ -82,7 +98,7 @@ impl Port {
     }
 
     /// Closes connections that exceed their timeouts, forever.
-    pub async fn sweep(self: Arc<Port>) {
+    pub async fn sweep(self: Arc<Self>) {
         loop {
             tokio::time::sleep(SWEEP).await;
             let patience = |activity: Activity| match activity.responses {
@@ -137,7 +153,7 @@ impl Port {
     }
 
     /// Serves a connection in its own task.
-    fn serve_in_task(self: &Arc<Port>, stream: TcpStream) {
+    fn serve_in_task(self: &Arc<Self>, stream: TcpStream) {
         let number = self.accepted.fetch_add(1, Ordering::Relaxed);
         let now = Instant::now();
         let activity =
@@ -158,7 +174,7 @@ impl Port {
     }
 
     async fn serve(
-        self: &Arc<Port>,
+        self: &Arc<Self>,
         stream: TcpStream,
         client: &Arc<Client>,
     ) -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
@@ -190,12 +206,12 @@ impl Port {
 }
 
 /// An entry in the list of connections, removed when dropped.
-struct Entry {
-    port: Arc<Port>,
+struct Entry<S: Site> {
+    port: Arc<Port<S>>,
     number: u64,
 }
 
-impl Drop for Entry {
+impl<S: Site> Drop for Entry<S> {
     fn drop(&mut self) {
         self.port.clients().remove(&self.number);
     }
@@ -300,7 +316,7 @@ impl Body for Answer {
     fn size_hint(&self) -> SizeHint {
         match &self.content {
             Content::Whole(rest) => SizeHint::with_exact(rest.len() as u64),
-            Content::Stream(..) => SizeHint::default(),
+            Content::Stream(..) | Content::Parts(_) => SizeHint::default(),
         }
     }
 }

@@ -1,0 +1,78 @@
+//! `meldscope live`: sliders beside the viewer.
+
+use std::{
+    net::{IpAddr, Ipv4Addr},
+    path::{Path, PathBuf},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Duration,
+};
+
+use super::{Failure, interrupt, print, run, say, sink_failure};
+use crate::{
+    live::{self, Live, change::Problem},
+    models::SceneRun,
+    scene::Scene,
+    sim,
+    stream::sinks::{Host, Serve},
+};
+
+/// A watched file is checked at this interval.
+const CHECK_INTERVAL: Duration = Duration::from_millis(200);
+
+#[derive(clap::Args)]
+pub(super) struct Arguments {
+    /// A scene file, or the name of a built-in scene.
+    #[arg(value_name = "SCENE")]
+    scene: String,
+    /// Where the page saves recordings, and scenes beside them; files that exist are kept [default: NAME-live.rrd].
+    #[arg(long, value_name = "FILE")]
+    save: Option<PathBuf>,
+    /// Update the page whenever the scene file changes.
+    #[arg(long)]
+    watch: bool,
+    /// The port of the page; 0 for any free port.
+    #[arg(long, value_name = "PORT", default_value_t = 9090)]
+    web_port: u16,
+    /// The address to listen on. At any but this machine's own, others who know the page's address can use it.
+    #[arg(long, value_name = "IP", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST))]
+    bind: IpAddr,
+    /// Also accept requests under this host name or address, not only this machine's own; may be repeated.
+    #[arg(long, value_name = "HOST")]
+    allow_host: Vec<Host>,
+}
+
+/// Set to interrupt the run of an outdated change.
+static OUTDATED: AtomicBool = AtomicBool::new(false);
+
+fn experiment(scene: Scene) -> Arc<SceneRun> {
+    Arc::new(SceneRun { scene, options: sim::Options { interrupt: Some(&OUTDATED), ..sim::Options::default() } })
+}
+
+pub(super) fn live(arguments: Arguments) -> Result<(), Failure> {
+    let path = Path::new(&arguments.scene);
+    if arguments.watch && !path.is_file() {
+        return Err(Failure::Input(format!("--watch needs a scene file, and there is no file {:?}", arguments.scene)));
+    }
+    let mut text = if arguments.watch { std::fs::read_to_string(path).unwrap_or_default() } else { String::new() };
+    let scene = run::scene(&arguments.scene)?;
+    let save = arguments.save.unwrap_or_else(|| PathBuf::from(format!("{}-live.rrd", scene.name)));
+    let serve =
+        Serve { bind: arguments.bind, web_port: arguments.web_port, allow: arguments.allow_host, ..Serve::default() };
+    interrupt::raise_stop()?;
+    let options = live::Options { serve, save, interrupt: &OUTDATED };
+    let live = Live::start(experiment(scene), options).map_err(sink_failure)?;
+    print(&live.address);
+    say("Open this address in a browser. Ctrl-C ends.");
+    while !interrupt::STOP.load(Ordering::Relaxed) {
+        std::thread::sleep(CHECK_INTERVAL);
+        match arguments.watch.then(|| run::changed(&mut text, path)).flatten() {
+            Some(Ok(scene)) => live.replace(experiment(scene)),
+            Some(Err(why)) => live.report(&Problem::new(why)),
+            None => (),
+        }
+    }
+    Ok(())
+}

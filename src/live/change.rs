@@ -1,0 +1,31 @@
+//! What a page asks for, and why it does not get it.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+/// What a page asks for: the experiment with other values, and the step that it shows.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Change {
+    /// Values of parameters by key.
+    pub values: BTreeMap<String, f64>,
+    /// The step under the time cursor.
+    pub cursor: u64,
+}
+
+/// Why a change has no run.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Problem {
+    /// The key that is at fault, if it is a single one.
+    pub key: Option<String>,
+    /// What is wrong, and what would be right.
+    pub text: String,
+}
+
+impl Problem {
+    /// A problem of no single key.
+    pub fn new(text: impl Into<String>) -> Problem {
+        Problem { key: None, text: text.into() }
+    }
+}

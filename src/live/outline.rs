@@ -1,0 +1,196 @@
+//! The events and curves of a run: what a page shows before there is a picture.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use super::change::Problem;
+use crate::{
+    colors,
+    observe::{BodyEvent, EventRow, Frame, PairEvent, Schema, Simulation, StepSummary, SurfaceEvent, row::rows},
+};
+
+/// Largest number of pairs with a curve.
+const CURVES: usize = 16;
+/// Largest number of values in a curve.
+const POINTS: u64 = 2000;
+
+/// What a page knows of a run before its frames.
+#[derive(Serialize)]
+pub struct Answer {
+    number: u64,
+    outcome: String,
+    simulated_ms: f64,
+    events: Vec<Event>,
+    levels: Vec<Level>,
+    plots: Vec<Plot>,
+    problem: Option<Problem>,
+}
+
+#[derive(Serialize)]
+struct Event {
+    /// Kind and pair, as in `merge a~b`.
+    event: String,
+    pair: Option<String>,
+    time: f64,
+    step: u64,
+    q: Option<f64>,
+    color: String,
+    text: String,
+}
+
+/// A threshold of q.
+#[derive(Clone, PartialEq, Serialize)]
+struct Level {
+    label: String,
+    q: f64,
+    color: String,
+}
+
+/// The curve of a pair.
+#[derive(Serialize)]
+struct Plot {
+    pair: String,
+    /// Steps from one value to the next.
+    every: u64,
+    /// q, or nothing while the pair is out of reach.
+    q: Vec<Option<f64>>,
+}
+
+/// The events and curves of a run, as it goes.
+pub struct Outline {
+    /// What is simulated.
+    pub schema: Schema,
+    events: Vec<PairEvent>,
+    bodies: Vec<BodyEvent>,
+    /// q of each pair at the instants of a curve; shorter lists lack their end.
+    curves: BTreeMap<[usize; 2], Vec<Option<f64>>>,
+    /// Number of instants so far.
+    instants: usize,
+    /// Steps from one instant to the next.
+    every: u64,
+    /// Number of steps taken.
+    pub steps: u64,
+    /// Duration of the simulation alone [ms].
+    pub simulated_ms: f64,
+    /// Why the run ended early.
+    pub failure: Option<String>,
+    summary: StepSummary,
+}
+
+impl Outline {
+    /// An empty outline.
+    pub fn new(schema: Schema) -> Outline {
+        Outline {
+            every: schema.steps.div_ceil(POINTS).max(1),
+            schema,
+            events: Vec::new(),
+            bodies: Vec::new(),
+            curves: BTreeMap::new(),
+            instants: 0,
+            steps: 0,
+            simulated_ms: 0.0,
+            failure: None,
+            summary: StepSummary::default(),
+        }
+    }
+
+    /// Takes in a step; returns whether it is an instant of the curves.
+    pub fn step(&mut self, simulation: &dyn Simulation) -> bool {
+        simulation.summary(&mut self.summary);
+        if let Some(failure) = &self.summary.failure {
+            self.failure = Some(failure.to_string());
+            if !failure.is_whole_step() {
+                return false;
+            }
+        }
+        self.events.append(&mut self.summary.events);
+        self.bodies.extend_from_slice(simulation.body_events());
+        self.steps = simulation.steps_taken();
+        self.steps.is_multiple_of(self.every)
+    }
+
+    /// Takes in the state at an instant of the curves.
+    pub fn frame(&mut self, frame: &Frame) {
+        for pair in &frame.pairs {
+            let curve = self.curves.entry([pair.a, pair.b]).or_default();
+            curve.resize(self.instants, None);
+            curve.push(Some(pair.q).filter(|q| q.is_finite()));
+        }
+        self.instants += 1;
+    }
+
+    /// What is sent to pages; `contacts` are known once the run is recorded.
+    pub fn answer(&self, number: u64, contacts: &[SurfaceEvent]) -> Answer {
+        let schema = &self.schema;
+        let events = rows(&self.events, contacts, &self.bodies).into_iter().map(|row| {
+            let (name, pair, q, color) = match &row {
+                EventRow::Phase(event, _) => {
+                    (event.name, Some(schema.pair_name(event.a, event.b)), Some(event.q), schema.phases[event.to].color)
+                }
+                EventRow::Contact(event) => {
+                    (event.name(), Some(schema.pair_name(event.a, event.b)), Some(event.q), colors::SILVER)
+                }
+                EventRow::Body(event) => (event.name, None, None, colors::SILVER),
+            };
+            let whom = match (&pair, &row) {
+                (Some(pair), _) => pair.clone(),
+                (None, EventRow::Body(event)) => schema.bodies[event.body].name.clone(),
+                (None, _) => String::new(),
+            };
+            let (time, step, text) = (row.time(), row.step(), row.describe(schema));
+            Event { event: format!("{name} {whom}"), pair, time, step, q, color: hex(color), text }
+        });
+        let events = events.collect();
+        let least = |curve: &[Option<f64>]| curve.iter().flatten().copied().fold(f64::INFINITY, f64::min);
+        let mut pairs: Vec<(&[usize; 2], &Vec<Option<f64>>)> = self.curves.iter().collect();
+        pairs.sort_by(|x, y| least(x.1).total_cmp(&least(y.1)));
+        pairs.truncate(CURVES);
+        pairs.sort_by_key(|pair| pair.0);
+        let mut levels: Vec<Level> = Vec::new();
+        for &(&[a, b], _) in &pairs {
+            for (index, threshold) in schema.thresholds.iter().enumerate() {
+                let Some(q) = schema.level(index, a, b).filter(|&q| q > 0.0) else { continue };
+                let level = Level { label: threshold.label.to_owned(), q, color: hex(threshold.color) };
+                if !levels.contains(&level) {
+                    levels.push(level);
+                }
+            }
+        }
+        let plot = |(&[a, b], q): (&[usize; 2], &Vec<Option<f64>>)| Plot {
+            pair: schema.pair_name(a, b),
+            every: self.every,
+            q: q.clone(),
+        };
+        Answer {
+            number,
+            outcome: outcome_of(self.events.iter().map(|event| event.name)),
+            simulated_ms: self.simulated_ms,
+            events,
+            levels,
+            plots: pairs.into_iter().map(plot).collect(),
+            problem: self.failure.clone().map(Problem::new),
+        }
+    }
+}
+
+/// A colour as `#rrggbb`.
+pub fn hex(color: [u8; 3]) -> String {
+    let [r, g, b] = color;
+    format!("#{r:02x}{g:02x}{b:02x}")
+}
+
+/// How often each kind of event happens, in words.
+pub fn outcome_of<'e>(names: impl Iterator<Item = &'e str>) -> String {
+    let mut counts: Vec<(&str, usize)> = Vec::new();
+    for name in names {
+        match counts.iter_mut().find(|(known, _)| *known == name) {
+            Some((_, count)) => *count += 1,
+            None => counts.push((name, 1)),
+        }
+    }
+    match &counts[..] {
+        [] => "no event".to_owned(),
+        _ => counts.iter().map(|(name, count)| format!("{count} {name}")).collect::<Vec<String>>().join(", "),
+    }
+}

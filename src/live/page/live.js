@@ -1,0 +1,514 @@
+// The page of `meldscope live`: sliders that change the scene, the run that answers, and the Rerun viewer that shows it.
+//
+// Every change is sent to the server, which runs the whole scene anew. It answers over the feed, first with the events and
+// curves of the run, and then with the run itself, which the viewer reads from `runs/NUMBER.rrd`.
+"use strict";
+
+const $ = (id) => document.getElementById(id);
+const NARROW = { top: "Hidden", blueprint: "Hidden", selection: "Hidden", time: "Hidden" };
+
+let scene = null; // name, dt, steps, parameters, legend
+let run = null; // the run on screen: number, events, plots
+let before = null; // the run that it is compared with
+let pinned = null; // the run that the user pinned
+let cursor = 0; // step
+let playing = false;
+let values = new Map(); // changed values by key
+
+// ---------------------------------------------------------------------------------------------------------------- server
+
+// The viewer would report its use to its makers. The server's content security policy forbids that; here it is not even
+// tried.
+const fetchAnything = window.fetch;
+window.fetch = (request, options) => {
+  const url = new URL(request.url ?? request, location);
+  const isOwn = url.origin === location.origin || ["data:", "blob:"].includes(url.protocol);
+  return isOwn ? fetchAnything(request, options) : Promise.reject(new TypeError(`${url.origin} is not on this machine`));
+};
+
+async function post(path, body) {
+  const response = await fetch(path, { method: "POST", body: JSON.stringify(body), headers: { "content-type": "application/json" } });
+  return response.ok || response.status === 204 ? null : response.json().catch(() => ({ text: response.statusText }));
+}
+
+let isSending = false;
+let isStale = false;
+
+// Sends the current values. While a change is on its way, later ones wait, and only the last of them is sent.
+async function send() {
+  isStale = true;
+  showChanges();
+  if (isSending) return;
+  isSending = true;
+  while (isStale) {
+    isStale = false;
+    const problem = await post("change", { values: Object.fromEntries(values), cursor }).catch((error) => ({ text: `the program does not answer: ${error.message}` }));
+    if (problem) showProblem(problem);
+  }
+  isSending = false;
+}
+
+function listen() {
+  const feed = new EventSource("feed");
+  feed.onmessage = ({ data }) => {
+    const message = JSON.parse(data);
+    handlers[message.kind]?.(message);
+  };
+  feed.onerror = () => say("the program has ended, or does not answer");
+}
+
+const handlers = {
+  scene(message) {
+    scene = message;
+    cursor = Math.min(cursor, message.steps);
+    values = new Map(Object.entries(message.values));
+    $("scene").textContent = message.name;
+    document.title = `${message.name} – meldscope live`;
+    $("cursor").max = message.steps;
+    showSliders();
+    showLegend();
+    showChanges();
+    showCursor();
+  },
+  run(message) {
+    if (run && message.number < run.number) return;
+    if (message.number !== run?.number) before = pinned ?? run; // the same run again, with what its surfaces do
+    run = message;
+    say(`run ${message.number}: ${message.outcome}; simulated in ${message.simulated_ms.toFixed(1)} ms`);
+    showProblem(message.problem ?? null);
+    showEvents();
+    showPlot();
+  },
+  open: ({ number }) => viewer.open(number),
+  progress({ number, doing, step, steps }) {
+    say(`run ${number}: ${doing}, step ${step} of ${steps}`);
+  },
+  frames(message) {
+    if (run?.number === message.number) say(`run ${message.number}: ${run.outcome}; simulated in ${run.simulated_ms.toFixed(1)} ms, ${message.frames} frames in ${message.ms.toFixed(0)} ms`);
+  },
+  marks: ({ key, marks }) => showMarks(key, marks),
+  problem: (problem) => showProblem(problem),
+  saved: ({ text }) => ($("saved").textContent = text),
+};
+
+function say(text) {
+  $("status").textContent = text;
+}
+
+function showProblem(problem) {
+  for (const wrong of document.querySelectorAll(".parameter.wrong")) wrong.classList.remove("wrong");
+  $("message").textContent = problem ? problem.text : "";
+  if (problem?.key) parameterOf(problem.key)?.row.classList.add("wrong");
+}
+
+// ---------------------------------------------------------------------------------------------------------------- sliders
+
+const rows = new Map(); // the elements of each parameter by key
+
+const parameterOf = (key) => rows.get(key);
+const shown = (value) => String(Number(value.toPrecision(6)));
+
+const valueOf = (parameter) => values.get(parameter.key) ?? parameter.value;
+
+function change(parameter, value) {
+  if (value === parameter.value) values.delete(parameter.key);
+  else values.set(parameter.key, value);
+  rows.get(parameter.key).show();
+  send();
+}
+
+function showSliders() {
+  const groups = new Map();
+  for (const parameter of scene.parameters) {
+    if (!groups.has(parameter.group)) groups.set(parameter.group, []);
+    groups.get(parameter.group).push(parameter);
+  }
+  const open = new Set([...document.querySelectorAll("#sliders details[open]")].map((details) => details.dataset.group));
+  rows.clear();
+  $("sliders").replaceChildren(
+    ...[...groups].map(([group, parameters], index) => {
+      const details = element("details", { open: open.has(group) || (open.size === 0 && index < 1) }, element("summary", {}, group), ...parameters.map(slider));
+      details.dataset.group = group;
+      return details;
+    }),
+  );
+}
+
+function slider(parameter) {
+  const track = element("input", { type: "range", min: parameter.min, max: parameter.max, step: "any", id: `value of ${parameter.key}` });
+  track.dataset.key = parameter.key;
+  const exact = element("input", { type: "text", inputMode: "decimal", ariaLabel: `${parameter.label}, exact` });
+  const label = element("label", { htmlFor: track.id, title: `${parameter.key}: ${parameter.about}` }, parameter.label, " ", element("span", { className: "unit" }, parameter.unit));
+  const marks = element("div", { className: "marks" });
+  const reset = element("button", { className: "reset", title: `back to ${shown(parameter.value)}`, ariaLabel: `reset ${parameter.label}` }, "↺");
+  const row = element("div", { className: "parameter" }, label, reset, exact, element("div", { className: "track" }, track, marks));
+  const show = () => {
+    const value = valueOf(parameter);
+    track.value = value;
+    if (document.activeElement !== exact) exact.value = shown(value);
+    row.classList.toggle("changed", value !== parameter.value);
+  };
+  track.addEventListener("input", () => change(parameter, Number(track.value)));
+  track.addEventListener("change", () => post("thresholds", { key: parameter.key }));
+  exact.addEventListener("change", () => {
+    const value = Number(exact.value.trim());
+    if (exact.value.trim() === "" || !Number.isFinite(value)) return showProblem({ key: parameter.key, text: `${parameter.key}: "${exact.value}" is not a number` });
+    change(parameter, value);
+  });
+  reset.addEventListener("click", () => change(parameter, parameter.value));
+  rows.set(parameter.key, { row, marks, parameter, show });
+  show();
+  return row;
+}
+
+// Values at which the outcome of the run changes, as marks on the track.
+function showMarks(key, marks) {
+  const known = parameterOf(key);
+  known?.marks.replaceChildren(
+    ...marks.map(({ value, below, above }) => {
+      const mark = element("i", { title: `at ${shown(value)} the outcome changes: ${below} | ${above}` });
+      mark.style.left = `${(100 * (value - known.parameter.min)) / (known.parameter.max - known.parameter.min)}%`;
+      return mark;
+    }),
+  );
+}
+
+function showLegend() {
+  $("legend").replaceChildren(
+    ...scene.legend.map(({ label, color, is_arrow }) => {
+      const sign = element("i", {}, is_arrow ? "→" : "○");
+      sign.style.color = color;
+      return element("span", {}, sign, ` ${label}`);
+    }),
+  );
+}
+
+// ---------------------------------------------------------------------------------------------------------------- changes
+
+// The changed values as tables of a scene file.
+function asToml() {
+  const tables = new Map();
+  for (const [key, value] of values) {
+    const { group } = rows.get(key)?.parameter ?? { group: "" };
+    const [path, name] = [key.replace(/\.?[^.]*$/, ""), key.replace(/^.*\./, "")];
+    const kind = path.replace(/[.[].*$/, "");
+    const isItem = kind !== path;
+    const inner = isItem ? path.replace(/^[^.]*\.?[^.]*\.?/, "") : "";
+    const header = path === "" ? "" : isItem ? `[[${kind}]]  # ${group}` : `[${path}]`;
+    if (!tables.has(header)) tables.set(header, []);
+    tables.get(header).push(`${inner && kind === "body" ? `${inner}.` : ""}${name} = ${value}`);
+  }
+  return [...tables].map(([header, lines]) => [header, ...lines].filter((line) => line !== "").join("\n")).join("\n\n");
+}
+
+function showChanges() {
+  $("toml").textContent = asToml();
+  $("flags").textContent = [...values].map(([key, value]) => `--set ${key}=${value}`).join(" ");
+  $("reset").disabled = values.size === 0;
+}
+
+$("reset").addEventListener("click", () => {
+  values = new Map();
+  for (const { show } of rows.values()) show();
+  send();
+});
+
+for (const what of ["scene", "recording"]) $(`save-${what}`).addEventListener("click", async () => showProblem(await post("save", { what })));
+
+$("pin").addEventListener("click", () => {
+  pinned = pinned ? null : run;
+  before = pinned ?? before;
+  $("pin").textContent = pinned ? "Unpin" : "Pin this run";
+  $("pin").setAttribute("aria-pressed", String(pinned !== null));
+  showEvents();
+  showPlot();
+});
+
+// ---------------------------------------------------------------------------------------------------------------- events
+
+// Events of two runs correspond if they have the same name, in the order of time.
+function matched() {
+  const counts = new Map();
+  const keyed = (events) => events.map((event) => {
+    const count = counts.get(event.event) ?? 0;
+    counts.set(event.event, count + 1);
+    return [`${event.event} ${count}`, event];
+  });
+  const now = keyed(run.events);
+  counts.clear();
+  const then = new Map(before && before !== run ? keyed(before.events) : []);
+  const rows = now.map(([key, event]) => {
+    const old = then.get(key);
+    then.delete(key);
+    return { event, old };
+  });
+  return [...rows, ...[...then.values()].map((event) => ({ event, isGone: true }))].sort((a, b) => a.event.time - b.event.time);
+}
+
+function differenceOf({ event, old, isGone }) {
+  if (!before || before === run) return ["", ""];
+  if (isGone) return ["gone", "gone"];
+  if (!old) return ["new", "new"];
+  const by = event.time - old.time;
+  if (Math.abs(by) < 5e-7) return ["", "same"];
+  const size = Math.abs(by) < 0.01 ? `${(1000 * Math.abs(by)).toPrecision(3)} ms` : `${Math.abs(by).toFixed(3)} s`;
+  return by < 0 ? ["earlier", `${size} earlier`] : ["later", `${size} later`];
+}
+
+function showEvents() {
+  $("against").textContent = pinned ? `against run ${pinned.number} (pinned)` : "against the run before";
+  $("events").replaceChildren(
+    ...matched().map((row) => {
+      const [kind, words] = differenceOf(row);
+      const line = element("tr", { className: row.isGone ? "gone" : "", title: row.event.text }, element("td", {}, row.event.event), element("td", {}, `${row.event.time.toFixed(4)} s`), element("td", { className: kind }, words));
+      line.dataset.event = row.event.event;
+      line.dataset.time = row.event.time;
+      line.dataset.step = row.event.step;
+      line.addEventListener("click", () => seek(row.event.step));
+      return line;
+    }),
+  );
+  markCurrent();
+}
+
+function markCurrent() {
+  for (const line of $("events").children) line.classList.toggle("current", Number(line.dataset.step) === cursor);
+}
+
+// ---------------------------------------------------------------------------------------------------------------- plot
+
+const SVG = "http://www.w3.org/2000/svg";
+const COLORS = ["#4da3ff", "#6cc24a", "#e07ab8", "#b7a34b", "#48b8b0", "#c98a5a", "#9a8cff", "#8fb35c"];
+
+function showPlot() {
+  if (!run) return;
+  const plot = $("plot");
+  const { width, height } = plot.getBoundingClientRect();
+  const [left, right, top, bottom] = [34, 8, 8, 18];
+  const all = [...run.plots, ...(before && before !== run ? before.plots : [])];
+  const numbers = [...all.flatMap((line) => line.q.filter((q) => q !== null)), ...run.levels.map((level) => level.q)];
+  if (numbers.length === 0) return plot.replaceChildren(draw("text", { x: left, y: height / 2 }, "no pair comes within reach"));
+  const least = Math.min(...numbers), most = Math.max(...numbers);
+  const [low, high] = [Math.max(0, least - 0.06 * (most - least)), most + 0.06 * (most - least)];
+  const x = (step) => left + ((width - left - right) * step) / Math.max(1, scene.steps);
+  const y = (q) => height - bottom - ((height - top - bottom) * (q - low)) / (high - low);
+  plot.setAttribute("viewBox", `0 0 ${width} ${height}`);
+  const path = (line) => {
+    let d = "", isDown = false;
+    line.q.forEach((q, index) => {
+      if (q !== null) d += `${isDown ? "L" : "M"}${x(index * line.every).toFixed(1)} ${y(q).toFixed(1)}`;
+      isDown = q !== null;
+    });
+    return d;
+  };
+  const parts = [];
+  for (const q of ticks(low, high, 4)) parts.push(draw("line", { class: "grid", x1: left, x2: width - right, y1: y(q), y2: y(q) }), draw("text", { x: left - 4, y: y(q) + 3, "text-anchor": "end" }, shown(q)));
+  for (const t of ticks(0, scene.steps * scene.dt, 6)) parts.push(draw("text", { x: x(t / scene.dt), y: height - 5, "text-anchor": "middle" }, `${shown(t)} s`));
+  for (const { label, q, color } of run.levels.slice(0, 12)) {
+    parts.push(draw("line", { class: "threshold", x1: left, x2: width - right, y1: y(q), y2: y(q), stroke: color }));
+    parts.push(draw("text", { x: width - right - 2, y: y(q) - 3, "text-anchor": "end", fill: color }, `${label} ${shown(q)}`));
+  }
+  if (before && before !== run) for (const line of before.plots) parts.push(draw("path", { class: "before", d: path(line) }));
+  run.plots.forEach((line, index) => {
+    const color = COLORS[index % COLORS.length];
+    const curve = draw("path", { class: "q", d: path(line), stroke: color });
+    curve.append(draw("title", {}, line.pair));
+    parts.push(curve);
+  });
+  for (const event of run.events) {
+    const line = run.plots.find((line) => line.pair === event.pair);
+    if (line && event.q !== null) {
+      const dot = draw("circle", { fill: event.color, cx: x(event.time / scene.dt), cy: y(event.q), r: 3.5 });
+      dot.append(draw("title", {}, event.text));
+      parts.push(dot);
+    }
+  }
+  parts.push(draw("line", { class: "at", id: "at", x1: x(cursor), x2: x(cursor), y1: top, y2: height - bottom }));
+  plot.replaceChildren(...parts);
+  const pairs = run.plots.map((line, index) => [element("span", {}, line.pair), COLORS[index % COLORS.length]]);
+  pairs.forEach(([name, color]) => (name.style.color = color));
+  $("plot-title").replaceChildren("distance q of ", ...pairs.slice(0, 6).flatMap(([name], index) => (index ? [", ", name] : [name])), pairs.length > 6 ? ` and ${pairs.length - 6} more` : "");
+  plot.dataset.left = left;
+  plot.dataset.right = right;
+}
+
+function ticks(low, high, count) {
+  const rough = (high - low) / count, decade = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 5, 10].map((k) => k * decade).find((step) => step >= rough);
+  const found = [];
+  for (let k = Math.ceil(low / step); k * step <= high; k++) found.push(Number((k * step).toPrecision(9)));
+  return found;
+}
+
+function scrub(event) {
+  if (!run || (event.type === "pointermove" && event.buttons === 0)) return;
+  const { x, width } = $("plot").getBoundingClientRect();
+  const left = Number($("plot").dataset.left), right = Number($("plot").dataset.right);
+  seek(Math.round((scene.steps * (event.clientX - x - left)) / (width - left - right)));
+}
+$("plot").addEventListener("pointerdown", scrub);
+$("plot").addEventListener("pointermove", scrub);
+new ResizeObserver(showPlot).observe($("plot"));
+
+// ---------------------------------------------------------------------------------------------------------------- time
+
+function seek(step) {
+  playing = false;
+  cursor = Math.max(0, Math.min(scene.steps, step));
+  showCursor();
+  viewer.seek();
+}
+
+function showCursor() {
+  if (!scene) return;
+  $("cursor").value = cursor;
+  $("now").textContent = `step ${cursor} · ${(cursor * scene.dt).toFixed(4)} s`;
+  $("play").textContent = playing ? "pause" : "play";
+  const at = $("at");
+  if (at) {
+    const { width } = $("plot").getBoundingClientRect();
+    const left = Number($("plot").dataset.left), right = Number($("plot").dataset.right);
+    const x = left + ((width - left - right) * cursor) / Math.max(1, scene.steps);
+    at.setAttribute("x1", x);
+    at.setAttribute("x2", x);
+  }
+  markCurrent();
+}
+
+function seekEvent(direction) {
+  const steps = (run?.events ?? []).map((event) => event.step);
+  const found = direction > 0 ? steps.find((step) => step > cursor) : steps.findLast((step) => step < cursor);
+  if (found !== undefined) seek(found);
+}
+
+function toggle() {
+  playing = !playing;
+  if (playing && cursor >= scene.steps) cursor = 0;
+  viewer.seek();
+  showCursor();
+}
+
+$("step-back").addEventListener("click", () => seek(cursor - 1));
+$("step-on").addEventListener("click", () => seek(cursor + 1));
+$("event-back").addEventListener("click", () => seekEvent(-1));
+$("event-on").addEventListener("click", () => seekEvent(1));
+$("play").addEventListener("click", toggle);
+$("cursor").addEventListener("input", () => seek(Number($("cursor").value)));
+document.addEventListener("keydown", (event) => {
+  if (!scene || event.target.matches("input[type=text], input[type=range], select")) return;
+  const move = { ArrowLeft: () => (event.shiftKey ? seekEvent(-1) : seek(cursor - 1)), ArrowRight: () => (event.shiftKey ? seekEvent(1) : seek(cursor + 1)), " ": toggle, Home: () => seek(0), End: () => seek(scene.steps) }[event.key];
+  if (move) {
+    event.preventDefault();
+    event.stopPropagation();
+    move();
+  }
+}, true);
+
+// ---------------------------------------------------------------------------------------------------------------- viewer
+
+// The viewer shows one run. A new run is opened as soon as the one before is on screen, and then that one is closed: so a
+// fast drag opens few runs, and the last one always.
+const viewer = {
+  handle: null,
+  shown: null, // { number, url, recording }
+  opening: null, // { number, url }
+  wanted: null, // number
+
+  async start() {
+    const response = await fetch("re_viewer_bg.wasm");
+    const size = Number(response.headers.get("content-length"));
+    let loaded = 0;
+    const count = new TransformStream({
+      transform(part, to) {
+        loaded += part.byteLength;
+        $("loading").textContent = `loading the viewer: ${Math.floor((100 * loaded) / size)} %`;
+        to.enqueue(part);
+      },
+    });
+    await wasm_bindgen(new Response(response.body.pipeThrough(count), { headers: response.headers }));
+    const query = new URLSearchParams(location.search);
+    const handle = new wasm_bindgen.WebHandle({
+      url: [],
+      render_backend: query.get("renderer"),
+      hide_welcome_screen: true,
+      enable_history: false,
+      persist: false,
+      panel_state_overrides: NARROW,
+      on_viewer_event: (text) => this.event(JSON.parse(text)),
+    });
+    setInterval(() => handle.has_panicked() && ($("loading").textContent = `The viewer has crashed.\n${handle.panic_message()}`), 1000);
+    await handle.start($("viewer"));
+    $("loading").textContent = "";
+    this.handle = handle;
+    if (this.wanted !== null) this.open(this.wanted);
+  },
+
+  open(number) {
+    this.wanted = number;
+    if (!this.handle || this.opening) return;
+    // the first run brings the layout; later ones leave it as the user has arranged it
+    const url = new URL(`${this.shown ? "runs" : "first"}/${number}.rrd`, location).href;
+    this.opening = { number, url };
+    this.handle.add_receiver(url);
+    this.wait(performance.now());
+  },
+
+  // Waits until the viewer shows the run that is being opened.
+  wait(since) {
+    const recording = this.handle.get_active_recording_id();
+    if (recording?.startsWith(`${this.opening.number}-`)) return this.opened(recording);
+    // a run that was replaced before it was read is never shown
+    if (performance.now() - since > 1000 && this.wanted !== this.opening.number) {
+      this.handle.remove_receiver(this.opening.url);
+      this.opening = null;
+      return this.open(this.wanted);
+    }
+    setTimeout(() => this.wait(since), 15);
+  },
+
+  opened(recording) {
+    const last = this.shown;
+    this.shown = { ...this.opening, recording };
+    this.opening = null;
+    if (last) this.handle.remove_receiver(last.url);
+    this.seek();
+    if (this.wanted !== this.shown.number) this.open(this.wanted);
+  },
+
+  // Moves the viewer's cursor, again until the viewer has read enough of the run to follow.
+  seek(since = performance.now()) {
+    const recording = this.shown?.recording;
+    if (!recording) return;
+    clearTimeout(this.seeking);
+    this.handle.set_active_timeline(recording, "step");
+    this.handle.set_playing(recording, playing);
+    this.handle.set_time_for_timeline(recording, "step", cursor);
+    const is_there = this.handle.get_active_timeline(recording) === "step" && this.handle.get_time_for_timeline(recording, "step") === cursor;
+    if (!playing && !is_there && performance.now() - since < 20000) this.seeking = setTimeout(() => this.seek(since), 30);
+  },
+
+  event(event) {
+    if (event.type === "time_update" && this.shown && event.recording_id === this.shown.recording && playing) {
+      cursor = Math.max(0, Math.min(scene.steps, Math.floor(event.time)));
+      showCursor();
+    }
+  },
+};
+
+// ---------------------------------------------------------------------------------------------------------------- elements
+
+function element(name, properties, ...children) {
+  const made = Object.assign(document.createElement(name), properties);
+  made.append(...children);
+  return made;
+}
+
+function draw(name, attributes, ...children) {
+  const made = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  made.append(...children);
+  return made;
+}
+
+listen();
+viewer.start().catch((error) => ($("loading").textContent = `The viewer does not start: ${error}\nTry ?renderer=webgl or ?renderer=webgpu.`));

@@ -1,0 +1,443 @@
+//! Runs of the changed experiment: the newest change first, and what it replaces is interrupted.
+
+use std::{
+    collections::{BTreeMap, VecDeque},
+    io::{self, Write as _},
+    path::{Path, PathBuf},
+    sync::{
+        Arc, Condvar, Mutex, PoisonError,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::{Duration, Instant as Clock},
+};
+
+use serde::Serialize;
+
+use super::{
+    change::{Change, Problem},
+    feed::Feed,
+    lock,
+    outline::{Outline, hex},
+    recording::{Parts, Recording, Writer},
+    thresholds::{self, Mark},
+};
+use crate::{
+    atomic::AtomicFile,
+    observe::{self, Experiment, Frame, Want},
+    sdk::LogMsg,
+    stream::{
+        self, Recorder, Settings,
+        sinks::Destinations,
+        step::{StepRecord, StepWatch},
+    },
+};
+
+/// Number of runs whose recordings are kept: the one on screen, the one that is being opened, and the newest.
+const KEPT: usize = 3;
+/// Upper limit on a recording [bytes], about; a longer run has a frame every few steps.
+const RECORDING: usize = 256 << 20;
+/// Frames that are recorded between two looks at whether the run is outdated.
+const BATCH: usize = 16;
+/// A run that takes longer reports its progress, at this interval.
+const PATIENCE: Duration = Duration::from_millis(300);
+/// Upper limit on the numbers that are tried for the name of a saved file.
+const NAMES: usize = 10_000;
+
+/// The runs of a page, and what it asks for.
+pub struct Runs {
+    /// What every page knows.
+    pub feed: Feed,
+    wanted: Mutex<Wanted>,
+    wake: Condvar,
+    /// Interrupts the simulation that is running.
+    interrupt: &'static AtomicBool,
+    save: PathBuf,
+    recordings: Mutex<VecDeque<Recording>>,
+}
+
+struct Wanted {
+    experiment: Arc<dyn Experiment>,
+    change: Change,
+    /// Number of the run that is asked for.
+    number: u64,
+    /// Whether it has begun.
+    has_begun: bool,
+    /// What is to be saved.
+    save: Option<Save>,
+    /// Whether it is being saved: changes wait.
+    is_saving: bool,
+    /// The parameter whose thresholds are asked for.
+    thresholds: Option<String>,
+    has_ended: bool,
+}
+
+/// What a page can save.
+#[derive(Clone, Copy, Debug, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Save {
+    /// A recording of the run.
+    Recording,
+    /// The changed scene.
+    Scene,
+}
+
+enum Job {
+    Run,
+    Save(Save),
+    Thresholds(String),
+}
+
+/// What a page knows of the experiment.
+#[derive(Serialize)]
+struct Scene {
+    name: String,
+    dt: f64,
+    steps: u64,
+    parameters: Vec<Parameter>,
+    legend: Vec<Entry>,
+    /// The changed values by key.
+    values: BTreeMap<String, f64>,
+}
+
+#[derive(Serialize)]
+struct Parameter {
+    key: String,
+    label: String,
+    group: String,
+    unit: String,
+    about: String,
+    value: f64,
+    min: f64,
+    max: f64,
+}
+
+/// A colour, and what has it.
+#[derive(Serialize)]
+struct Entry {
+    label: &'static str,
+    color: String,
+    is_arrow: bool,
+}
+
+#[derive(Serialize)]
+struct Progress {
+    number: u64,
+    doing: &'static str,
+    step: u64,
+    steps: u64,
+}
+
+#[derive(Serialize)]
+struct Recorded {
+    number: u64,
+    frames: u64,
+    ms: f64,
+}
+
+#[derive(Serialize)]
+struct Marks {
+    key: String,
+    marks: Vec<Mark>,
+}
+
+#[derive(Serialize)]
+struct Saved {
+    text: String,
+}
+
+impl Runs {
+    /// The runs of an experiment; the first is that of the experiment itself. What is saved goes to `save`, or beside
+    /// it.
+    pub fn new(experiment: Arc<dyn Experiment>, save: PathBuf, interrupt: &'static AtomicBool) -> Runs {
+        let wanted = Wanted {
+            experiment,
+            change: Change::default(),
+            number: 1,
+            has_begun: false,
+            save: None,
+            is_saving: false,
+            thresholds: None,
+            has_ended: false,
+        };
+        let runs = Runs {
+            feed: Feed::default(),
+            wanted: Mutex::new(wanted),
+            wake: Condvar::new(),
+            interrupt,
+            save,
+            recordings: Mutex::default(),
+        };
+        runs.send_scene();
+        runs
+    }
+
+    fn want(&self, set: impl FnOnce(&mut Wanted)) {
+        let mut wanted = lock(&self.wanted);
+        set(&mut wanted);
+        wanted.number += 1;
+        wanted.has_begun = false;
+        if !wanted.is_saving || wanted.has_ended {
+            self.interrupt.store(true, Ordering::Relaxed);
+        }
+        drop(wanted);
+        self.wake.notify_all();
+    }
+
+    /// Asks for the run of a change, in place of any other.
+    pub fn ask(&self, change: Change) {
+        self.want(|wanted| wanted.change = change);
+    }
+
+    /// Continues with another experiment and the same changes, as far as its parameters have them.
+    pub fn replace(&self, experiment: Arc<dyn Experiment>) {
+        self.want(|wanted| {
+            let parameters = experiment.parameters();
+            wanted.change.values.retain(|key, _| parameters.iter().any(|parameter| parameter.key == *key));
+            wanted.experiment = experiment;
+        });
+        self.send_scene();
+    }
+
+    /// Asks for the values of a parameter at which the outcome of the run changes.
+    pub fn find_thresholds(&self, key: String) {
+        lock(&self.wanted).thresholds = Some(key);
+        self.wake.notify_all();
+    }
+
+    /// Asks for a file.
+    pub fn save(&self, what: Save) {
+        lock(&self.wanted).save = Some(what);
+        self.wake.notify_all();
+    }
+
+    /// Ends [`Runs::work`].
+    pub fn end(&self) {
+        self.want(|wanted| wanted.has_ended = true);
+    }
+
+    fn send_scene(&self) {
+        let wanted = lock(&self.wanted);
+        let (experiment, values) = (Arc::clone(&wanted.experiment), wanted.change.values.clone());
+        drop(wanted);
+        let schema = experiment.schema();
+        let parameters = experiment.parameters().into_iter().map(|parameter| Parameter {
+            key: parameter.key,
+            label: parameter.label,
+            group: parameter.group,
+            unit: parameter.unit,
+            about: parameter.about,
+            value: parameter.value,
+            min: parameter.range[0],
+            max: parameter.range[1],
+        });
+        let phases = schema.phases.iter().map(|phase| (phase.name, phase.color, false));
+        let terms = schema.terms.iter().filter(|term| term.is_shown && term.can_act);
+        let terms = terms.map(|term| (term.label, term.color, true));
+        let entry = |(label, color, is_arrow)| Entry { label, color: hex(color), is_arrow };
+        let scene = Scene {
+            name: schema.name.clone(),
+            dt: schema.dt,
+            steps: schema.steps,
+            parameters: parameters.collect(),
+            legend: phases.chain(terms).map(entry).collect(),
+            values,
+        };
+        self.feed.send("scene", &scene);
+    }
+
+    /// Runs what is asked for, until [`Runs::end`].
+    pub fn work(&self) {
+        while let Some((job, experiment, change, number)) = self.next_job() {
+            let varied = experiment.varied(&change.values);
+            let done = match (varied, job) {
+                (Err(invalid), _) => Err(Problem { key: invalid.key, text: invalid.text }),
+                (Ok(varied), Job::Run) => self.run(&*varied, number, change.cursor),
+                (Ok(varied), Job::Save(what)) => {
+                    let saved = self.save_now(&*varied, what);
+                    lock(&self.wanted).is_saving = false;
+                    saved
+                }
+                (Ok(_), Job::Thresholds(key)) => {
+                    let marks = thresholds::find(&*experiment, &change.values, &key, &|| self.is_current(number));
+                    marks.into_iter().for_each(|marks| self.feed.send("marks", &Marks { key: key.clone(), marks }));
+                    Ok(())
+                }
+            };
+            if let Err(problem) = done {
+                self.feed.problem(&problem);
+            }
+        }
+    }
+
+    /// Waits for something to do: with the experiment, its change, and the number of its run. `None` at the end.
+    fn next_job(&self) -> Option<(Job, Arc<dyn Experiment>, Change, u64)> {
+        let mut wanted = lock(&self.wanted);
+        loop {
+            if wanted.has_ended {
+                return None;
+            }
+            let job = if !wanted.has_begun {
+                Some(Job::Run)
+            } else if let Some(what) = wanted.save.take() {
+                Some(Job::Save(what))
+            } else {
+                wanted.thresholds.take().map(Job::Thresholds)
+            };
+            if let Some(job) = job {
+                wanted.has_begun = true;
+                wanted.is_saving = matches!(job, Job::Save(_));
+                self.interrupt.store(false, Ordering::Relaxed);
+                return Some((job, Arc::clone(&wanted.experiment), wanted.change.clone(), wanted.number));
+            }
+            wanted = self.wake.wait(wanted).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    fn is_current(&self, number: u64) -> bool {
+        lock(&self.wanted).number == number
+    }
+
+    /// Runs an experiment twice: for its events and curves, which are sent at once, and to record it. Runs are
+    /// reproducible to the bit, and the first is short: nothing is drawn. An outdated run ends early.
+    fn run(&self, experiment: &dyn Experiment, number: u64, cursor: u64) -> Result<(), Problem> {
+        let start = Clock::now();
+        let mut reported = start;
+        let mut report = |doing, step, steps| {
+            if reported.elapsed() > PATIENCE {
+                reported = Clock::now();
+                self.feed.send("progress", &Progress { number, doing, step, steps });
+            }
+        };
+        let mut simulation = experiment.start().map_err(Problem::new)?;
+        let mut settings = Settings::of(experiment);
+        let mut outline = Outline::new(simulation.schema());
+        let mut frame = Frame::default();
+        let mut at_cursor = Frame::default();
+        simulation.observe(Want::default(), &mut frame);
+        outline.frame(&frame);
+        let steps = outline.schema.steps;
+        while outline.failure.is_none() && simulation.steps_taken() < steps {
+            if simulation.steps_taken() == cursor {
+                simulation.observe(settings.want(), &mut at_cursor);
+            }
+            simulation.step();
+            if outline.step(&*simulation) {
+                simulation.observe(Want::default(), &mut frame);
+                outline.frame(&frame);
+            }
+            if !self.is_current(number) {
+                return Ok(());
+            }
+            report("simulating", simulation.steps_taken(), steps);
+        }
+        if simulation.steps_taken() <= cursor {
+            simulation.observe(settings.want(), &mut at_cursor);
+        }
+        outline.simulated_ms = 1e3 * start.elapsed().as_secs_f64();
+        self.feed.send("run", &outline.answer(number, &[]));
+
+        let start = Clock::now();
+        settings.every = (steps as usize * memory(&at_cursor)).div_ceil(RECORDING).max(1) as u64;
+        let mut simulation = experiment.start().map_err(Problem::new)?;
+        let mut recorder = Recorder::numbered(&*simulation, settings.clone(), number);
+        let mut writer = self.open(number, &recorder.layout_beside_controls(&*simulation))?;
+        self.feed.send("open", &Recorded { number, frames: 0, ms: 0.0 });
+        writer.write(&recorder.preview(&at_cursor))?;
+        let mut watch = StepWatch::new(&*simulation, &settings);
+        let (mut records, mut frames, mut contacts) = (Vec::new(), Vec::new(), Vec::new());
+        let last = outline.steps;
+        while simulation.steps_taken() < last {
+            simulation.step();
+            let mut step = StepRecord::default();
+            let mut frame = settings.has_frame(simulation.steps_taken()).then(Frame::default);
+            watch.step(&*simulation, &settings, &mut step, frame.as_mut());
+            contacts.extend(step.surfaces.iter().filter(|found| found.is_contact()).copied());
+            records.push(step);
+            frames.extend(frame);
+            if frames.len() == BATCH || simulation.steps_taken() == last {
+                if !self.is_current(number) {
+                    return Ok(());
+                }
+                recorder.compute_ahead(&frames);
+                let mut frames = frames.drain(..).peekable();
+                for step in records.drain(..) {
+                    let frame = frames.next_if(|frame| frame.at.step == step.summary.at.step);
+                    recorder.record(&step, frame.as_ref());
+                }
+                drop(frames);
+                if recorder.has_full() {
+                    // with what goes with it, so that nothing on screen is of another instant while the rest arrives
+                    writer.write(&recorder.take())?;
+                }
+            }
+            report("recording", simulation.steps_taken(), steps);
+        }
+        recorder.watched_by(watch);
+        recorder.finish(&*simulation);
+        writer.write(&recorder.take())?;
+        drop(writer);
+        if self.is_current(number) {
+            self.feed.send("run", &outline.answer(number, &contacts));
+            let ms = 1e3 * start.elapsed().as_secs_f64();
+            self.feed.send("frames", &Recorded { number, frames: recorder.written(), ms });
+        }
+        Ok(())
+    }
+
+    /// Begins the recording of a run.
+    fn open(&self, number: u64, layout: &[LogMsg]) -> Result<Writer, Problem> {
+        let (recording, writer) = Recording::begin(number, layout)?;
+        let mut recordings = lock(&self.recordings);
+        recordings.push_back(recording);
+        while recordings.len() > KEPT {
+            recordings.pop_front();
+        }
+        Ok(writer)
+    }
+
+    /// The recording of a run, as a file that grows; with the layout if `is_first`. `None` if it has been replaced.
+    pub fn recording(&self, number: u64, is_first: bool) -> Option<Parts> {
+        let recordings = lock(&self.recordings);
+        recordings.iter().find(|recording| recording.number == number).map(|recording| recording.read(is_first))
+    }
+
+    fn save_now(&self, experiment: &dyn Experiment, what: Save) -> Result<(), Problem> {
+        let text = match what {
+            Save::Recording => {
+                let path = free_name(&self.save, "rrd");
+                let destinations = Destinations { save: Some(path.clone()), ..Destinations::default() };
+                let frames = stream::record(experiment, Settings::of(experiment), &destinations)
+                    .map_err(|error| Problem::new(error.to_string()))?;
+                format!("saved {}: {frames} frames", path.display())
+            }
+            Save::Scene => {
+                let path = free_name(&self.save, "toml");
+                write_new(&path, &experiment.schema().source)
+                    .map_err(|error| Problem::new(format!("{} cannot be written: {error}", path.display())))?;
+                format!("saved {}", path.display())
+            }
+        };
+        self.feed.send("saved", &Saved { text });
+        Ok(())
+    }
+}
+
+/// A path like this one that is free, because saving replaces nothing: `name.rrd`, `name-2.rrd` …
+fn free_name(path: &Path, extension: &str) -> PathBuf {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let numbered = (2..NAMES).map(|number| path.with_file_name(format!("{stem}-{number}.{extension}")));
+    let first = path.with_file_name(format!("{stem}.{extension}"));
+    std::iter::once(first.clone()).chain(numbered).find(|path| !path.exists()).unwrap_or(first)
+}
+
+fn write_new(path: &Path, text: &str) -> io::Result<()> {
+    let file = AtomicFile::create(path)?;
+    file.handle()?.write_all(text.as_bytes())?;
+    file.commit_new()
+}
+
+/// Memory of a frame [bytes].
+fn memory(frame: &Frame) -> usize {
+    let of_body = |body: &observe::BodyFrame| 24 * body.positions.len() * (2 + body.terms.len());
+    size_of::<Frame>() + frame.bodies.iter().map(of_body).sum::<usize>()
+}

@@ -1,0 +1,87 @@
+//! The values of a parameter at which the outcome of a run changes.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use super::outline::outcome_of;
+use crate::observe::{Experiment, StepSummary};
+
+/// Number of values for which the outcome is found first.
+const SAMPLES: usize = 24;
+/// A value at which the outcome changes is found to this fraction of the parameter's range.
+const RESOLUTION: f64 = 1e-4;
+
+/// A value at which the outcome changes.
+#[derive(Serialize)]
+pub struct Mark {
+    value: f64,
+    below: String,
+    above: String,
+}
+
+/// Finds the values of a parameter, in its range, at which the outcome of a run changes: by bisection, wherever it
+/// differs between two of [`SAMPLES`] values. `None` if `is_current` says that nobody waits for them any more.
+pub fn find(
+    experiment: &dyn Experiment,
+    values: &BTreeMap<String, f64>,
+    key: &str,
+    is_current: &dyn Fn() -> bool,
+) -> Option<Vec<Mark>> {
+    let parameters = experiment.parameters();
+    let [low, high] = parameters.iter().find(|parameter| parameter.key == key)?.range;
+    let outcome = |value: f64| {
+        let mut values = values.clone();
+        values.insert(key.to_owned(), value);
+        outcome(experiment, &values, is_current)
+    };
+    let at = |k: usize| low + (high - low) * k as f64 / (SAMPLES - 1) as f64;
+    let samples = (0..SAMPLES).map(|k| Some((at(k), outcome(at(k))?))).collect::<Option<Vec<_>>>()?;
+    let mut marks = Vec::new();
+    for pair in samples.windows(2) {
+        let [(a, Outcome::Ended(below)), (b, Outcome::Ended(above))] = pair else { continue };
+        let (mut a, mut b, mut above) = (*a, *b, above.clone());
+        while *below != above && b - a > RESOLUTION * (high - low) {
+            let middle = 0.5 * (a + b);
+            match outcome(middle)? {
+                Outcome::Ended(found) if found == *below => a = middle,
+                Outcome::Ended(found) => (b, above) = (middle, found),
+                Outcome::None => above.clone_from(below),
+            }
+        }
+        if *below != above {
+            marks.push(Mark { value: 0.5 * (a + b), below: below.clone(), above });
+        }
+    }
+    Some(marks)
+}
+
+enum Outcome {
+    /// How often each kind of event happens.
+    Ended(String),
+    /// The values are invalid, or the run fails.
+    None,
+}
+
+/// `None` if nobody waits for it any more.
+fn outcome(
+    experiment: &dyn Experiment,
+    values: &BTreeMap<String, f64>,
+    is_current: &dyn Fn() -> bool,
+) -> Option<Outcome> {
+    let Ok(varied) = experiment.varied(values) else { return Some(Outcome::None) };
+    let Ok(mut simulation) = varied.start() else { return Some(Outcome::None) };
+    let (steps, mut events, mut summary) = (simulation.schema().steps, Vec::new(), StepSummary::default());
+    while simulation.steps_taken() < steps {
+        if !is_current() {
+            return None;
+        }
+        simulation.step();
+        simulation.summary(&mut summary);
+        events.append(&mut summary.events);
+        if summary.failure.is_some() {
+            return Some(Outcome::None);
+        }
+    }
+    Some(Outcome::Ended(outcome_of(events.iter().map(|event| event.name))))
+}

@@ -1,0 +1,247 @@
+//! The page of `meldscope live`, as a program that speaks HTTP sees it; `.ci/live.py` looks at it in a browser.
+
+use std::{
+    io::{BufRead as _, BufReader, Read as _, Write as _},
+    net::{Ipv4Addr, TcpStream},
+    sync::{Arc, atomic::AtomicBool},
+    time::Duration,
+};
+
+use meldscope::{
+    Scene, World,
+    live::{Live, Options},
+    models::SceneRun,
+    recording::{Recorded, replay},
+    sim,
+    stream::sinks::Serve,
+};
+use serde_json::Value;
+
+use crate::recording::Dir;
+
+struct Page {
+    live: Live,
+    port: u16,
+    /// `/TOKEN`
+    path: String,
+    dir: Dir,
+}
+
+impl Page {
+    fn open(text: &str) -> Page {
+        // a flag for each page, because its runs are interrupted through it
+        let interrupt: &'static AtomicBool = Box::leak(Box::default());
+        let scene = Scene::parse(text, "page.toml").expect("a scene");
+        let options = sim::Options { interrupt: Some(interrupt), ..sim::Options::default() };
+        let dir = Dir::new();
+        let serve = Serve { web_port: 0, ..Serve::default() };
+        let page = Options { serve, save: dir.path().join("page.rrd"), interrupt };
+        let live = Live::start(Arc::new(SceneRun { scene, options }), page).expect("a free port");
+        let (port, path) = {
+            let rest = live.address.strip_prefix("http://127.0.0.1:").expect("an address of this machine");
+            let (port, path) = rest.split_once('/').expect("a path");
+            (port.parse().expect("a port"), format!("/{}", path.trim_end_matches('/')))
+        };
+        Page { live, port, path, dir }
+    }
+
+    fn two() -> Page {
+        Page::open(&Scene::builtin("two").expect("built in").source)
+    }
+
+    fn send(&self, request: &str) -> TcpStream {
+        let mut stream = TcpStream::connect((Ipv4Addr::LOCALHOST, self.port)).expect("it listens");
+        stream.set_read_timeout(Some(Duration::from_secs(60))).expect("a timeout");
+        stream.write_all(request.as_bytes()).expect("it reads");
+        stream
+    }
+
+    /// Status, head and body of the answer. In HTTP 1.0, the end of the connection is that of the body.
+    fn ask(&self, line: &str, headers: &str, body: &str) -> (u16, String, Vec<u8>) {
+        let length = body.len();
+        let mut stream = self.send(&format!("{line} HTTP/1.0\r\n{headers}content-length: {length}\r\n\r\n{body}"));
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).expect("the answer is whole");
+        let end = answer.windows(4).position(|end| end == b"\r\n\r\n").expect("a head") + 4;
+        let body = answer.split_off(end);
+        let head = String::from_utf8(answer).expect("text");
+        (head[9..12].parse().expect("a status"), head, body)
+    }
+
+    fn get(&self, path: &str) -> (u16, String, Vec<u8>) {
+        self.ask(&format!("GET {}/{path}", self.path), "host: localhost\r\n", "")
+    }
+
+    fn post(&self, path: &str, body: &str) -> u16 {
+        self.ask(&format!("POST {}/{path}", self.path), "host: localhost\r\n", body).0
+    }
+
+    fn feed(&self) -> Feed {
+        let stream = self.send(&format!("GET {}/feed HTTP/1.0\r\nhost: localhost\r\n\r\n", self.path));
+        Feed(BufReader::new(stream))
+    }
+}
+
+struct Feed(BufReader<TcpStream>);
+
+impl Feed {
+    /// The next message of a kind that satisfies a condition.
+    fn next(&mut self, kind: &str, is_it: impl Fn(&Value) -> bool) -> Value {
+        loop {
+            let mut line = String::new();
+            assert!(self.0.read_line(&mut line).expect("the feed goes on") > 0, "the feed has ended");
+            let Some(text) = line.strip_prefix("data: ") else { continue };
+            let message: Value = serde_json::from_str(text).expect("JSON");
+            if message["kind"] == kind && is_it(&message) {
+                return message;
+            }
+        }
+    }
+
+    fn run(&mut self, number: u64) -> Value {
+        self.next("run", |message| message["number"] == number)
+    }
+}
+
+/// Time of the first event of this name.
+fn time(run: &Value, name: &str) -> f64 {
+    let events = run["events"].as_array().expect("events");
+    let event = events.iter().find(|event| event["event"] == name).unwrap_or_else(|| panic!("no {name} in {events:?}"));
+    event["time"].as_f64().expect("a time")
+}
+
+#[test]
+fn a_change_is_answered_by_the_run_of_the_changed_scene() {
+    let page = Page::two();
+    let mut feed = page.feed();
+    let scene = feed.next("scene", |_| true);
+    let parameters = scene["parameters"].as_array().expect("parameters");
+    assert!(parameters.iter().any(|parameter| parameter["key"] == "influence.merge_at"));
+    let own = time(&feed.run(1), "merge a~b");
+
+    assert_eq!(page.post("change", r#"{"values": {"influence.merge_at": 0.98}, "cursor": 150}"#), 204);
+    let changed = time(&feed.run(2), "merge a~b");
+    let text = Scene::builtin("two").unwrap().source.replace("merge_at = 1.05", "merge_at = 0.98");
+    let scene = Scene::parse(&text, "two.toml").expect("a scene");
+    let mut world = World::new(scene).unwrap();
+    let expected = loop {
+        if let Some(event) = world.step().events.first() {
+            break event.time;
+        }
+    };
+    assert_eq!(changed, expected);
+    assert!(changed > own + 0.1);
+
+    feed.next("frames", |message| message["number"] == 2);
+    let (status, _, bytes) = page.get("first/2.rrd");
+    assert_eq!(status, 200);
+    let file = page.dir.path().join("read.rrd");
+    std::fs::write(&file, bytes).unwrap();
+    let recorded = Recorded::open(&file).expect("a recording");
+    assert!(matches!(replay::verify(&recorded, |_| true), Ok(replay::Verdict::Identical)));
+}
+
+#[test]
+fn a_wrong_value_keeps_the_run_and_says_what_is_right() {
+    let page = Page::two();
+    let mut feed = page.feed();
+    feed.run(1);
+    assert_eq!(page.post("change", r#"{"values": {"influence.merge_at": 1.3}}"#), 204);
+    let problem = feed.next("problem", |_| true);
+    assert_eq!(problem["key"], "influence.split_at", "{problem}");
+    assert!(problem["text"].as_str().unwrap().contains("merge_at"), "{problem}");
+    assert_eq!(page.post("change", r#"{"values": {"influence.nothing": 1.3}}"#), 204);
+    let problem = feed.next("problem", |message| message["key"] == "influence.nothing");
+    assert!(problem["text"].as_str().unwrap().contains("unknown key"), "{problem}");
+    assert_eq!(page.post("change", "{"), 400);
+    assert_eq!(page.post("change", &" ".repeat(300 << 10)), 413);
+    assert_eq!(page.get("first/1.rrd").0, 200);
+    assert_eq!(page.post("change", r#"{"values": {}}"#), 204);
+    feed.run(4);
+}
+
+#[test]
+fn of_many_changes_the_last_is_answered() {
+    let page = Page::two();
+    let mut feed = page.feed();
+    for k in 0..100 {
+        assert_eq!(page.post("change", &format!(r#"{{"values": {{"influence.alpha": {k}}}, "cursor": {k}}}"#)), 204);
+    }
+    feed.next("frames", |message| message["number"] == 101);
+    assert_eq!(page.get("runs/101.rrd").0, 200);
+    assert_eq!(page.get("runs/1.rrd").0, 404, "old runs are taken away");
+}
+
+#[test]
+fn thresholds_of_a_parameter_are_found() {
+    let page = Page::two();
+    let mut feed = page.feed();
+    feed.next("frames", |_| true);
+    assert_eq!(page.post("thresholds", r#"{"key": "influence.merge_at"}"#), 204);
+    let marks = feed.next("marks", |_| true);
+    let mark = &marks["marks"].as_array().expect("marks")[0];
+    // below the smallest q of their paths, the bodies never merge
+    let mut world = World::new(Scene::builtin("two").unwrap()).unwrap();
+    let mut least = f64::INFINITY;
+    for _ in 0..world.scene().steps() {
+        world.step();
+        world.pairs().for_each(|pair| least = least.min(pair.q));
+    }
+    assert!((mark["value"].as_f64().unwrap() - least).abs() < 1e-3, "{mark} {least}");
+    assert_eq!(mark["below"], "no event");
+}
+
+#[test]
+fn what_is_saved_replaces_nothing_and_replays() {
+    let page = Page::two();
+    let mut feed = page.feed();
+    assert_eq!(page.post("change", r#"{"values": {"influence.merge_at": 0.99}}"#), 204);
+    feed.next("frames", |message| message["number"] == 2);
+    for name in ["page", "page-2"] {
+        let path = |extension: &str| page.dir.path().join(format!("{name}.{extension}"));
+        for (what, extension) in [("scene", "toml"), ("recording", "rrd")] {
+            assert_eq!(page.post("save", &format!(r#"{{"what": "{what}"}}"#)), 204);
+            feed.next("saved", |message| {
+                message["text"].as_str().is_some_and(|text| text.contains(&format!("{name}.{extension}")))
+            });
+        }
+        let scene = Scene::load(&path("toml")).expect("a scene");
+        assert_eq!(scene.thresholds.merge_at, 0.99);
+        let recorded = Recorded::open(&path("rrd")).expect("a recording");
+        assert!(matches!(replay::verify(&recorded, |_| true), Ok(replay::Verdict::Identical)));
+    }
+}
+
+#[test]
+fn only_who_knows_the_address_gets_the_page() {
+    let page = Page::two();
+    let (status, head, body) = page.get("");
+    assert_eq!(status, 200);
+    assert!(head.contains("content-security-policy: default-src 'none'"), "{head}");
+    assert!(String::from_utf8(body).unwrap().contains("id=\"events\""));
+    for path in ["live.js", "live.css", "favicon.ico", "re_viewer.js"] {
+        assert_eq!(page.get(path).0, 200, "{path}");
+    }
+    assert_eq!(page.get("../Cargo.toml").0, 404);
+    for line in ["GET /", "GET /live.js", "POST /change", "GET /0000/feed"] {
+        assert_eq!(page.ask(line, "host: localhost\r\n", "").0, 404, "{line}");
+    }
+    let line = format!("GET {}/", page.path);
+    assert_eq!(page.ask(&line, "host: evil.example\r\n", "").0, 403);
+    assert_eq!(page.ask(&line, "host: localhost\r\norigin: http://evil.example\r\n", "").0, 403);
+    assert_eq!(page.ask(&format!("PUT {}/", page.path), "host: localhost\r\n", "").0, 405);
+}
+
+#[test]
+fn another_scene_keeps_the_changes_that_it_knows() {
+    let page = Page::two();
+    let mut feed = page.feed();
+    assert_eq!(page.post("change", r#"{"values": {"influence.alpha": 7, "body.b.omega": 9}}"#), 204);
+    feed.run(2);
+    let text = Scene::builtin("two").unwrap().source.replace("name = \"b\"", "name = \"c\"");
+    let scene = Scene::parse(&text, "page.toml").expect("a scene");
+    page.live.replace(Arc::new(SceneRun { scene, options: sim::Options::default() }));
+    let scene = feed.next("scene", |message| message["values"].get("body.b.omega").is_none());
+    assert_eq!(scene["values"]["influence.alpha"], 7.0);
+    time(&feed.run(3), "merge a~c");
+}
