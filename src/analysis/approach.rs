@@ -122,7 +122,7 @@ impl Approaches {
                 let [time, distance] = before.extremum(pair, simulation, [self.time, time], false);
                 if distance / radii < watched.closest.q {
                     // a distance below the threshold would have been an event: what is left is interpolation
-                    let q = f64::max(distance / radii, schema.level(0, pair.a, pair.b).unwrap_or(0.0));
+                    let q = f64::max(distance / radii, schema.level(0, [pair.a, pair.b], time).unwrap_or(0.0));
                     (watched.closest.q, watched.closest.time) = (q.min(watched.closest.q), time);
                 }
             }
@@ -142,7 +142,7 @@ impl Approaches {
 impl Approach {
     /// Describes the approach in words: its distance, its time, and by how much it missed the first threshold.
     pub fn describe(&self, schema: &Schema) -> String {
-        let first = schema.thresholds.first().zip(schema.level(0, self.a, self.b));
+        let first = schema.thresholds.first().zip(schema.level(0, [self.a, self.b], self.time));
         let missed = first.map_or(String::new(), |(threshold, level)| {
             format!(", {:.4} short of {} = {level}", self.q - level, threshold.name)
         });

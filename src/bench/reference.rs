@@ -60,6 +60,9 @@ pub enum NoReference {
         /// The estimated number of evaluations.
         evaluations: f64,
     },
+    /// The scene has edits.
+    #[error("there is no reference solution of a scene with [[edit]]s; leave them out")]
+    Edits,
     /// The time of a pair's phase change is ambiguous.
     #[error(
         "there is no reference solution: bodies {a} and {b} (counted from 0) come close to merge_at, split_at or core_at \
@@ -138,6 +141,9 @@ impl Reference {
     /// # Errors
     /// [`NoReference`] if the scene is too stiff, too large or too long, or if its solution is ambiguous.
     pub fn solve(scene: &Scene, times: &[f64], accuracy: Accuracy) -> Result<Reference, NoReference> {
+        if !scene.edits.is_empty() {
+            return Err(NoReference::Edits);
+        }
         let evaluations = Reference::evaluations(scene, times, accuracy);
         if evaluations > MAX_EVALUATIONS {
             return Err(NoReference::TooLong { evaluations });

@@ -300,7 +300,7 @@ impl Explained<'_> {
             exact(other.radius)
         );
         for (index, threshold) in schema.thresholds.iter().enumerate() {
-            if let Some(level) = schema.level(index, a, b).filter(|&level| level > 0.0) {
+            if let Some(level) = schema.level(index, [a, b], frame.at.time).filter(|&level| level > 0.0) {
                 let side = if pair.q < level { "below" } else { "above" };
                 let off = short((pair.q - level).abs());
                 let _ = write!(text, "\n  {} {}: q is {off} {side}", threshold.label, exact(level));

@@ -150,7 +150,7 @@ impl Outline {
         let mut levels: Vec<Level> = Vec::new();
         for &(&[a, b], _) in &pairs {
             for (index, threshold) in schema.thresholds.iter().enumerate() {
-                let Some(q) = schema.level(index, a, b).filter(|&q| q > 0.0) else { continue };
+                let Some(q) = schema.level(index, [a, b], 0.0).filter(|&q| q > 0.0) else { continue };
                 let level = Level { label: threshold.label.to_owned(), q, color: hex(threshold.color) };
                 if !levels.contains(&level) {
                     levels.push(level);

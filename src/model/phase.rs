@@ -74,6 +74,17 @@ impl Thresholds {
         }
     }
 
+    /// The phase that a pair in `phase` enters at distance `q` after a jump of q or of the thresholds.
+    pub fn next(&self, phase: Phase, q: f64) -> Option<Phase> {
+        let Thresholds { merge_at, split_at, core_at } = *self;
+        match phase {
+            Phase::Apart => (q <= merge_at).then_some(Phase::Merged),
+            Phase::Merged if q < core_at => Some(Phase::Core),
+            Phase::Merged => (q >= split_at && q > merge_at).then_some(Phase::Apart),
+            Phase::Core => (q >= core_at).then_some(Phase::Merged),
+        }
+    }
+
     /// The transitions out of `phase`. Without a core (`core_at` = 0) the second transition out of `Merged` is absent.
     pub fn transitions(&self, phase: Phase) -> impl Iterator<Item = Transition> + use<> {
         let fall = |level, to| Some(Transition { level, falling: true, to });

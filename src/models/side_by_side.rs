@@ -89,9 +89,9 @@ impl SideBySide {
         let names: Vec<String> = self.models.iter().map(|model| format!("\"{model}\"")).collect();
         let own_levels = {
             let places = places.to_vec();
-            OwnLevels::new(move |threshold, a, b| {
+            OwnLevels::changing(move |threshold, [a, b], time| {
                 let place = places.iter().find(|place| place.has(a))?;
-                place.schema.level(threshold, a - place.first, b.checked_sub(place.first)?)
+                place.schema.level(threshold, [a - place.first, b.checked_sub(place.first)?], time)
             })
         };
         Schema {

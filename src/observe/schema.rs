@@ -39,6 +39,8 @@ pub struct Schema {
     pub planes: Vec<PlaneSchema>,
     /// Length per acceleration of the net force arrows of free bodies [scene unit per scene unit/s²].
     pub net_force_scale: f64,
+    /// Influence spheres without a body.
+    pub points: Vec<PointSchema>,
     /// Force terms that accelerate vertices. The last one is the sum of all others.
     pub terms: Vec<TermSchema>,
     /// Texts of [`BodyFrame::labels`](super::BodyFrame::labels). The first one is for vertices on which no force acts.
@@ -61,6 +63,41 @@ pub struct Schema {
     pub stages: Vec<&'static str>,
     /// Warnings about the scene, one sentence each.
     pub warnings: Vec<String>,
+}
+
+/// A force point: an influence sphere without a body.
+#[derive(Clone, Debug)]
+pub struct PointSchema {
+    /// Its name, and what it does.
+    pub label: String,
+    /// Colour of its sphere.
+    pub color: Rgb,
+    /// Where its sphere is.
+    pub sphere: SphereAt,
+}
+
+/// Centre and radius of an influence sphere at a time [s, scene unit]; none while it does not act.
+#[derive(Clone)]
+pub struct SphereAt(Arc<SphereOf>);
+
+type SphereOf = dyn Fn(f64) -> Option<(DVec3, f64)> + Send + Sync;
+
+impl SphereAt {
+    /// A sphere by a function of time.
+    pub fn new(of: impl Fn(f64) -> Option<(DVec3, f64)> + Send + Sync + 'static) -> SphereAt {
+        SphereAt(Arc::new(of))
+    }
+
+    /// The sphere at `time` [s].
+    pub fn at(&self, time: f64) -> Option<(DVec3, f64)> {
+        (self.0)(time)
+    }
+}
+
+impl fmt::Debug for SphereAt {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("SphereAt(…)")
+    }
 }
 
 /// A body of a simulation.
@@ -152,22 +189,36 @@ pub struct Threshold {
     pub color: Rgb,
 }
 
-/// Levels of q for pairs with their own thresholds, by threshold and pair; none by default.
+/// Levels of q for pairs with their own thresholds, by threshold and pair, or levels that change during the run; none by
+/// default.
 #[derive(Clone, Default)]
-pub struct OwnLevels(Option<Arc<LevelOf>>);
+pub struct OwnLevels {
+    of: Option<Arc<LevelOf>>,
+    is_changing: bool,
+}
 
-type LevelOf = dyn Fn(usize, usize, usize) -> Option<f64> + Send + Sync;
+type LevelOf = dyn Fn(usize, [usize; 2], f64) -> Option<f64> + Send + Sync;
 
 impl OwnLevels {
     /// The level of a threshold, given its index and the indices of two bodies: `None` if the pair does not have it.
     pub fn new(of: impl Fn(usize, usize, usize) -> Option<f64> + Send + Sync + 'static) -> OwnLevels {
-        OwnLevels(Some(Arc::new(of)))
+        OwnLevels { of: Some(Arc::new(move |threshold, [a, b], _| of(threshold, a, b))), is_changing: false }
+    }
+
+    /// Like [`OwnLevels::new`] for levels that also depend on the time [s].
+    pub fn changing(of: impl Fn(usize, [usize; 2], f64) -> Option<f64> + Send + Sync + 'static) -> OwnLevels {
+        OwnLevels { of: Some(Arc::new(of)), is_changing: true }
+    }
+
+    /// Whether levels change during the run.
+    pub fn is_changing(&self) -> bool {
+        self.is_changing
     }
 }
 
 impl fmt::Debug for OwnLevels {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(if self.0.is_some() { "OwnLevels(…)" } else { "OwnLevels" })
+        f.write_str(if self.of.is_some() { "OwnLevels(…)" } else { "OwnLevels" })
     }
 }
 
@@ -240,6 +291,7 @@ impl Default for Schema {
             blend: fairing::BLEND,
             bodies: Vec::new(),
             planes: Vec::new(),
+            points: Vec::new(),
             net_force_scale: 0.01,
             terms: Vec::new(),
             labels: Vec::new(),
@@ -328,9 +380,12 @@ impl Schema {
         term.arrow_scale.unwrap_or(self.arrow_scale)
     }
 
-    /// The level of threshold `index` for a pair [–]; `None` if the pair does not have this threshold.
-    pub fn level(&self, index: usize, a: usize, b: usize) -> Option<f64> {
-        self.own_levels.0.as_ref().map_or(Some(self.thresholds[index].level), |own| own(index, a, b))
+    /// The level of threshold `index` for a pair at `time` [s, –]; `None` if the pair does not have this threshold.
+    pub fn level(&self, index: usize, [a, b]: [usize; 2], time: f64) -> Option<f64> {
+        match &self.own_levels.of {
+            Some(own) => own(index, [a, b], time),
+            None => self.thresholds.get(index).map(|threshold| threshold.level),
+        }
     }
 
     /// Describes an event in words: kind, pair, exact time, q, and the first affected step.

@@ -260,7 +260,7 @@ pub(super) static TOP: [Key; 7] = [
 ];
 
 /// The tables of a scene, in the order of their headers.
-pub(super) static TABLES: [Key; 12] = [
+pub(super) static TABLES: [Key; 13] = [
     key("material", Kind::Other("a table, written [material]"), Else("none"), "Oscillators of all bodies."),
     key("influence", Kind::Other("a table, written [influence]"), Else("none"), "Law between bodies."),
     key("lattice", Kind::Other("a table, written [lattice]"), Else("none"), "Settings of the model lattice."),
@@ -283,6 +283,7 @@ pub(super) static TABLES: [Key; 12] = [
         "Force points: influence spheres without a body.",
     ),
     key("push", Kind::Other("tables, written [[push]]"), Else("none"), "Pushes on single bodies."),
+    key("edit", Kind::Other("tables, written [[edit]]"), Else("none"), "Other values from an instant on."),
 ];
 
 pub(super) static OSCILLATOR: [Key; 3] = [
@@ -520,6 +521,19 @@ pub(super) static PUSHES: [Key; 5] = [
     number("duration", NON_NEGATIVE, "s", [0.0, 2.0], Required, "How long it acts."),
 ];
 
+/// What is expected of `set` in an edit.
+pub(super) const EDIT_FORM: &str = "a table of keys and values such as { \"influence.merge_at\" = 1.1 }";
+
+pub(super) static EDITS: [Key; 2] = [
+    number("time", NON_NEGATIVE, "s", [0.0, 10.0], Required, "When it happens: a step of the integrator ends there."),
+    key(
+        "set",
+        Kind::Other(EDIT_FORM),
+        Required,
+        "Numbers of influence, material, gravity, of a body (omega, damping), grid, pair, plane or point; keys as for --set.",
+    ),
+];
+
 pub(super) static MOTIONS: [Key; 5] = [
     key("fixed", Kind::Vector(ANY), Else("none"), "A fixed place."),
     key("line", Kind::Other(LINE.form), Else("none"), "A straight line."),
@@ -701,6 +715,15 @@ strength = 60.0
 start = 0.2
 duration = 0.1"
 );
+pub(super) static EDIT: Section = tables!(
+    "edit",
+    "An edit: from an instant on, and for good, other values.",
+    &[&EDITS],
+    &[],
+    "[[edit]]
+time = 1.5
+set = { \"influence.merge_at\" = 1.1, \"body.a.omega\" = 9.0 }"
+);
 pub(super) static MOTION: Section = inline!(
     "motion = { … }",
     "in the motion of a body",
@@ -768,8 +791,10 @@ fn leaked(keys: Vec<Key>) -> &'static [&'static [Key]] {
 
 /// All sections of a scene, in the order in which they are listed to users.
 pub fn sections() -> impl Iterator<Item = &'static Section> {
-    let tables =
-        [&SCENE, &MATERIAL, &INFLUENCE, &LATTICE, &FEM, &SURFACE, &MESH, &BODY, &GRID, &PAIR, &PLANE, &POINT, &PUSH];
+    let tables = [
+        &SCENE, &MATERIAL, &INFLUENCE, &LATTICE, &FEM, &SURFACE, &MESH, &BODY, &GRID, &PAIR, &PLANE, &POINT, &PUSH,
+        &EDIT,
+    ];
     let motions = [&MOTION, &LINE, &SINE, &KEYFRAMES, &FREE];
     tables.into_iter().chain([&*SHAPE]).chain(SOLIDS.iter()).chain(motions)
 }
@@ -854,7 +879,7 @@ mod tests {
         let text = format!("duration = 2.0\n{}", examples.join("\n"));
         let scene = Scene::parse(&text, "examples.toml").unwrap_or_else(|error| panic!("{error}\n{text}"));
         assert_eq!(
-            [scene.bodies.len(), scene.planes.len(), scene.points.len(), scene.pushes.len(), scene.pairs.laws().len()],
+            [scene.bodies.len(), scene.planes.len(), scene.points.len(), scene.pushes.len(), scene.edits.len()],
             [6, 1, 1, 1, 1]
         );
     }

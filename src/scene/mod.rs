@@ -104,6 +104,11 @@
 //! strength = 60.0               # scene unit/s²
 //! start = 0.2                   # s
 //! duration = 0.1                # s
+//!
+//! [[edit]]                      # from this instant on, other values
+//! time = 1.9                    # s
+//! set = { "influence.merge_at" = 1.1, "body.still.omega" = 9.0 }   # numbers of influence, material, gravity, of a
+//!                               # body (omega, damping), grid, pair, plane or point; keys as for --set
 //! ```
 //!
 //! The table of all keys, from which they are parsed, is [`keys`]; `meldscope reference scene` prints it.
@@ -137,6 +142,7 @@
 
 pub mod builtin;
 pub mod cells;
+mod edit;
 mod force;
 pub mod keys;
 pub mod numbers;
@@ -162,6 +168,7 @@ use crate::{
 
 pub use crate::model::shape_matching::{Plane, Rotation};
 pub use cells::TearMode;
+pub use edit::Edit;
 pub use force::Force;
 pub use pairs::{Members, PairLaws};
 pub use parse::SceneError;
@@ -210,6 +217,8 @@ pub struct Scene {
     pub points: Vec<Point>,
     /// The pushes, in the order of the file.
     pub pushes: Vec<Push>,
+    /// The edits, in order of time. A world enters them on its way; its scene is then the edited one.
+    pub edits: Vec<Edit>,
     /// The text that this scene was parsed from. Recordings store it, so that the scene can be created again.
     pub source: String,
     /// Values that replace those of the text; see [`Scene::with`].
@@ -550,11 +559,13 @@ impl Scene {
         law.strength(phase, law.thresholds.merge_at) * self.influence.scale(radius, source_radius)
     }
 
-    /// Whether the scene needs the coupled solver: there is a free body, a plane, or a core with a gradual rim.
+    /// Whether the scene needs the coupled solver: there is a free body, a plane, or a core with a gradual rim, now or
+    /// after an edit.
     pub fn is_coupled(&self) -> bool {
         !self.planes.is_empty()
             || self.laws().any(|law| law.core_width > 0.0)
             || self.bodies.iter().any(|body| body.path().is_none())
+            || self.becomes_coupled()
     }
 
     /// Total number of vertices of all bodies.

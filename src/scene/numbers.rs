@@ -77,6 +77,10 @@ pub fn numbers(scene: &Scene) -> Vec<Number> {
             numbers.item(section, &group, &format!("{kind}[{index}]"), table, |_| None);
         }
     }
+    for point in tables(&document, "point") {
+        let Some(name) = point.get("name").and_then(Value::as_str) else { continue };
+        numbers.item(&keys::POINT, &format!("point {name}"), &format!("point.{name}"), point, |_| None);
+    }
     numbers.found
 }
 

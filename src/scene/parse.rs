@@ -9,6 +9,7 @@
 //! a millionth of a step; a ring has at most 65,535 vertices, so that a vertex index fits 32 bits. A file has at most
 //! 32 MiB.
 
+mod edit;
 mod error;
 mod grid;
 mod meshes;
@@ -178,8 +179,8 @@ pub(super) fn read_document(
     let lattice = root.table("lattice", &keys::LATTICE)?;
     let fem = root.table("fem", &keys::FEM)?;
     let surface = root.table("surface", &keys::SURFACE)?;
-    let [body_array, grid_array, pair_array, plane_array, point_array, push_array] =
-        ["body", "grid", "pair", "plane", "point", "push"].map(|name| root.get(name));
+    let [body_array, grid_array, pair_array, plane_array, point_array, push_array, edit_array] =
+        ["body", "grid", "pair", "plane", "point", "push", "edit"].map(|name| root.get(name));
     let mesh_array = root.get("mesh");
     if body_array.is_none() && grid_array.is_none() {
         return Err(root.error("body", "missing, expected at least one [[body]]".to_owned()));
@@ -191,6 +192,7 @@ pub(super) fn read_document(
     let plane_tables = tables(&plane_array, &keys::PLANE)?;
     let point_tables = tables(&point_array, &keys::POINT)?;
     let push_tables = tables(&push_array, &keys::PUSH)?;
+    let edit_tables = tables(&edit_array, &keys::EDIT)?;
 
     let name = root.given_text(key!(TOP.name))?.unwrap_or_else(|| name_from(source.file));
     let dt = root.number(key!(TOP.dt))?;
@@ -236,7 +238,7 @@ pub(super) fn read_document(
     let planes = plane_tables.iter().map(read_plane).collect::<Result<_, _>>()?;
     let points = point::read(&point_tables, &bodies, &names, &influence)?;
     let pushes = push_tables.iter().map(|push| read_push(push, &bodies, &names)).collect::<Result<_, _>>()?;
-    Ok(Scene {
+    let scene = Scene {
         name,
         dt,
         duration,
@@ -256,9 +258,12 @@ pub(super) fn read_document(
         bodies,
         points,
         pushes,
+        edits: Vec::new(),
         source: String::new(),
         set: Vec::new(),
-    })
+    };
+    let edits = edit::read(source, document, meshes, &edit_tables, &scene)?;
+    Ok(Scene { edits, ..scene })
 }
 
 /// An optional array of tables.

@@ -28,6 +28,14 @@ impl Point {
         self.start + self.duration
     }
 
+    /// Removes a body from those that it acts on; the indices of later bodies decrease by one.
+    pub(crate) fn remove_body(&mut self, index: usize) {
+        if let Some(bodies) = &mut self.bodies {
+            bodies.retain(|&body| body as usize != index);
+            bodies.iter_mut().filter(|body| **body as usize > index).for_each(|body| *body -= 1);
+        }
+    }
+
     /// Whether it acts at `t` [s].
     pub fn acts_at(&self, t: f64) -> bool {
         self.start <= t && t < self.end()

@@ -42,6 +42,20 @@ impl fmt::Display for KeyPath {
 }
 
 impl KeyPath {
+    /// The number of its parts: names and indices.
+    pub(super) fn len(&self) -> usize {
+        self.parts.len()
+    }
+
+    /// Its names, in order.
+    pub(super) fn names(&self) -> Vec<&str> {
+        let names = self.parts.iter().filter_map(|part| match part {
+            Part::Name(name) => Some(name.as_str()),
+            Part::Index(_) => None,
+        });
+        names.collect()
+    }
+
     /// Parses `text`.
     ///
     /// # Errors
@@ -252,6 +266,14 @@ impl<'a> Template<'a> {
     }
 }
 
+/// Sets the value at a path.
+///
+/// # Errors
+/// There is no such place.
+pub(super) fn replace<'a>(root: &mut DeValue<'a>, path: &KeyPath, value: DeValue<'a>) -> Result<(), String> {
+    set(root, &path.parts, value)
+}
+
 /// Sets the value at the path `parts`. Creates missing tables, and zero vectors where an index follows; the scene's
 /// parser reports unknown names.
 fn set<'a>(at: &mut DeValue<'a>, parts: &[Part], value: DeValue<'a>) -> Result<(), String> {
@@ -312,7 +334,8 @@ fn table(document: &DeTable<'_>) -> toml::Table {
     document.iter().map(|(key, value)| (key.get_ref().to_string(), owned(value.get_ref()))).collect()
 }
 
-fn owned(value: &DeValue<'_>) -> toml::Value {
+/// A value that does not borrow the text.
+pub(super) fn owned(value: &DeValue<'_>) -> toml::Value {
     match value {
         DeValue::String(text) => toml::Value::String(text.to_string()),
         DeValue::Integer(integer) => match i64::from_str_radix(integer.as_str(), integer.radix()) {

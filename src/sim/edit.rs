@@ -4,7 +4,7 @@
 //! lead to bit-identical states.
 
 use super::{report::EditError, world::World};
-use crate::scene::{Body, Force, Motion, Push};
+use crate::scene::{Body, Force, Motion, Push, Scene};
 
 impl World {
     /// Adds a body and returns its index. A free body starts now, with the position and velocity of its motion.
@@ -19,7 +19,7 @@ impl World {
         scene.bodies.push(body);
         let last = scene.bodies.len() - 1;
         let kept: Vec<Option<usize>> = (0..last).map(Some).chain([None]).collect();
-        self.restart(scene, &kept, false)?;
+        self.restart_now(scene, &kept, false)?;
         Ok(last)
     }
 
@@ -38,12 +38,10 @@ impl World {
         scene.bodies.remove(index);
         scene.pushes.retain(|push| push.body != index);
         scene.pushes.iter_mut().filter(|push| push.body > index).for_each(|push| push.body -= 1);
-        for bodies in scene.points.iter_mut().filter_map(|point| point.bodies.as_mut()) {
-            bodies.retain(|&body| body as usize != index);
-            bodies.iter_mut().filter(|body| **body as usize > index).for_each(|body| *body -= 1);
-        }
+        scene.points.iter_mut().for_each(|point| point.remove_body(index));
+        scene.edits.iter_mut().for_each(|edit| edit.remove_body(index));
         let kept: Vec<Option<usize>> = (0..=scene.bodies.len()).filter(|&old| old != index).map(Some).collect();
-        self.restart(scene, &kept, true)
+        self.restart_now(scene, &kept, true)
     }
 
     /// Pushes a body.
@@ -57,7 +55,7 @@ impl World {
         }
         scene.pushes.push(push);
         let kept: Vec<Option<usize>> = (0..scene.bodies.len()).map(Some).collect();
-        self.restart(scene, &kept, false)
+        self.restart_now(scene, &kept, false)
     }
 
     /// Sets or removes the force on a free body from now on. All bodies wake.
@@ -72,7 +70,7 @@ impl World {
         }
         body.force = force;
         let kept: Vec<Option<usize>> = (0..scene.bodies.len()).map(Some).collect();
-        self.restart(scene, &kept, true)
+        self.restart_now(scene, &kept, true)
     }
 
     /// Sets the motion of a body from now on: a path, which may be a function ([`Given`](crate::scene::path::Given)),
@@ -84,6 +82,10 @@ impl World {
         let mut scene = self.scene().clone();
         scene.bodies.get_mut(index).ok_or(EditError::NoBody(index))?.motion = motion;
         let kept: Vec<Option<usize>> = (0..scene.bodies.len()).map(|old| (old != index).then_some(old)).collect();
-        self.restart(scene, &kept, true)
+        self.restart_now(scene, &kept, true)
+    }
+
+    fn restart_now(&mut self, scene: Scene, kept: &[Option<usize>], wake_all: bool) -> Result<(), EditError> {
+        self.restart(scene, kept, wake_all, self.time())
     }
 }

@@ -170,14 +170,7 @@ impl PairPaths<'_> {
         if !(jumps(self.a) || jumps(self.b)) {
             return None;
         }
-        let q = self.q(t);
-        let Thresholds { merge_at, split_at, core_at } = *thresholds;
-        match phase {
-            Phase::Apart => (q <= merge_at).then_some(Phase::Merged),
-            Phase::Merged if q < core_at => Some(Phase::Core),
-            Phase::Merged => (q >= split_at && q > merge_at).then_some(Phase::Apart),
-            Phase::Core => (q >= core_at).then_some(Phase::Merged),
-        }
+        thresholds.next(phase, self.q(t))
     }
 
     /// The first instant after `t` at which a derivative of a path jumps [s].

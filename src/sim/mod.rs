@@ -47,7 +47,7 @@
 //! # A step of bodies on paths
 //! Names in front are those of the stages in `/timings`.
 //!
-//! 1. [`World::step`] → `Prescribed::step` (`prescribed`), which lists the stages
+//! 1. [`World::step`] → `World::advance`, which divides a step at edits → `Prescribed::step` (`prescribed`): its stages
 //! 2. reach: `Tracks::evaluate` (`tracks`) evaluates the paths; `Pairs::update` (`pairs`) searches the grid
 //! 3. events: `Pairs::find_events` → `Search::first_change` ([`events`]) → `roots`
 //! 4. reach: `wake_acted_on`, `wake_moved`, `wake_near_points`; `find_bounds` → `Context::find_reachable` (`advance`)
@@ -59,7 +59,7 @@
 //! 10. integrate: `Pairs::enter_phases`; `sleep` puts bodies to sleep
 //!
 //! # A step of a coupled scene
-//! 1. [`World::step`] → `Coupled::step` (`coupled`), which lists the stages
+//! 1. [`World::step`] → `World::advance`, which divides a step at edits → `Coupled::step` (`coupled`): its stages
 //! 2. reach: `wake_pushed`, `wake_near_points`; `find_neighbours` → `Near::update` (`near`) searches the grid
 //! 3. integrate, of an explicit scheme: `explicit::step` (`coupled`); otherwise:
 //! 4. reach: `find_islands` groups the bodies that can act on each other (`islands`)

@@ -118,7 +118,9 @@ impl World {
         work: &Work,
         write: impl FnMut(usize, &Interpolated<'_>),
     ) {
-        if let Some(coupled) = self.solver.coupled() {
+        // an edit divides the step: what was before it is no longer known
+        let start = self.scene().last_edit(start, self.time()).unwrap_or(start);
+        if let Some(coupled) = self.solver.coupled().filter(|_| time >= start) {
             coupled.within(self.setting(), start, time, bodies, &Tally::new(work, None), write);
         }
     }

@@ -1,6 +1,9 @@
 //! What a step reports to its observers, and why a world cannot be changed.
 
-use std::time::{Duration, Instant};
+use std::{
+    mem::take,
+    time::{Duration, Instant},
+};
 
 use glam::DVec3;
 
@@ -225,6 +228,16 @@ pub enum Failure {
         /// The step that was not taken.
         step: u64,
     },
+    /// An edit of the scene leads to one that cannot be simulated.
+    #[error("the edit at t = {time:.6} s in step {step}: {error}")]
+    Edit {
+        /// The step that was not taken.
+        step: u64,
+        /// Time of the edit [s].
+        time: f64,
+        /// Why.
+        error: Box<EditError>,
+    },
 }
 
 impl Failure {
@@ -279,9 +292,33 @@ impl StepReport {
     /// Clears the report of the previous step, but for what is known only at the end of the step.
     pub(super) fn begin(&mut self, step: u64, time: f64) {
         let StepReport { events, error, sleeping_bodies, .. } = self;
-        let (mut events, error, sleeping_bodies) = (std::mem::take(events), *error, *sleeping_bodies);
+        let (mut events, error, sleeping_bodies) = (take(events), *error, *sleeping_bodies);
         events.clear();
         *self = StepReport { step, time, events, error, sleeping_bodies, ..StepReport::default() };
+    }
+}
+
+/// What is summed over the parts of a step.
+pub(super) struct Sums {
+    substeps: u64,
+    error: f64,
+    shortfall: Option<Shortfall>,
+    ledger: Ledger,
+}
+
+impl StepReport {
+    /// Takes the sums over the parts of the step that have been done, so that the next part begins its own.
+    pub(super) fn take_sums(&mut self) -> Sums {
+        let StepReport { substeps, error, shortfall, ledger, .. } = self;
+        Sums { substeps: take(substeps), error: take(error), shortfall: take(shortfall), ledger: take(ledger) }
+    }
+
+    /// Adds the sums over earlier parts of the step.
+    pub(super) fn add_sums(&mut self, earlier: Sums) {
+        self.substeps += earlier.substeps;
+        self.error = self.error.max(earlier.error);
+        self.shortfall = self.shortfall.or(earlier.shortfall);
+        self.ledger += earlier.ledger;
     }
 }
 
@@ -303,11 +340,9 @@ pub enum EditError {
     /// Bodies of a scene with laws for particular pairs cannot be removed.
     #[error("bodies cannot be removed from a scene with [[pair]] laws")]
     Laws,
-    /// After the first step, only coupled worlds can be changed.
-    #[error(
-        "after the first step, a world can be changed only if it has free bodies, planes or a core_width before and after"
-    )]
-    Prescribed,
+    /// Free bodies, planes and cores with a width are simulated by another solver than bodies on paths.
+    #[error("after the first step, a world cannot get its first or lose its last free body, plane or core_width")]
+    Solver,
     /// The world would become too large.
     #[error(transparent)]
     TooLarge(#[from] TooLarge),

@@ -28,6 +28,8 @@ pub(super) struct Setting<'a> {
     pub step: u64,
     /// The instruction set of the kernels.
     pub arch: Arch,
+    /// Whether the step in progress leads over a part of Δt only, because an edit divides it.
+    pub is_partial: bool,
 }
 
 impl Setting<'_> {
@@ -57,7 +59,52 @@ impl Step<'_> {
     }
 }
 
+/// What a changed scene takes over from another one.
+pub(super) struct Takeover<'a> {
+    /// The other scene.
+    pub scene: &'a Scene,
+    /// The former index of each body that keeps its state.
+    pub kept: &'a [Option<usize>],
+    /// Whether bodies at rest wake.
+    pub wake_all: bool,
+    /// The time of the state [s].
+    pub time: f64,
+}
+
+impl Takeover<'_> {
+    /// The index of each former body; `None` if it is gone, or does not keep its state.
+    pub fn now_at(&self, count: usize) -> Vec<Option<usize>> {
+        let mut now_at = vec![None; count];
+        for (index, kept) in self.kept.iter().enumerate() {
+            if let Some(old) = *kept {
+                now_at[old] = Some(index);
+            }
+        }
+        now_at
+    }
+}
+
 impl Solver {
+    /// Takes over the state of the solver of another scene; false if that is of the other kind. Pairs that a threshold has
+    /// passed change phase, which is reported.
+    pub fn resume(
+        &mut self,
+        setting: Setting<'_>,
+        before: &Solver,
+        takeover: &Takeover<'_>,
+        work: &Work,
+        report: &mut StepReport,
+    ) -> bool {
+        match (self, before) {
+            (Solver::Prescribed(now), Solver::Prescribed(before)) => {
+                now.resume(setting, before, takeover, work, report);
+            }
+            (Solver::Coupled(now), Solver::Coupled(before)) => now.resume(setting.scene, before, takeover, report),
+            _ => return false,
+        }
+        true
+    }
+
     /// The scene at t = 0; `None` if it has more than `max_pairs` pairs of nearby bodies.
     pub fn new(scene: &Scene, max_pairs: u64, work: &mut Work) -> Option<Solver> {
         Some(match scene.is_coupled() {

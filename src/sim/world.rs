@@ -10,8 +10,8 @@ use super::{
     coupled::Coupled,
     memory::{self, TooLarge},
     prescribed::Prescribed,
-    report::{Diverged, EditError, StepReport},
-    solver::{Setting, Solver, Step},
+    report::{Diverged, EditError, Failure, StepReport},
+    solver::{Setting, Solver, Step, Takeover},
     span::Span,
     terms::Surroundings,
     work::Work,
@@ -43,6 +43,8 @@ pub struct World {
     report: StepReport,
     work: Work,
     pub(super) solver: Solver,
+    /// Number of the scene's edits that have been entered.
+    edits: usize,
 }
 
 impl World {
@@ -65,23 +67,44 @@ impl World {
             return Err(budget.exceeded(&scene, Some(max_pairs)));
         };
         let report = StepReport { sleeping_bodies: scene.bodies.len() as u64, ..StepReport::default() };
-        Ok(World { scene, options, step: 0, report, work, solver })
+        Ok(World { scene, options, step: 0, report, work, solver, edits: 0 })
     }
 
-    /// Continues with a changed scene; `kept` is the former index of each body that keeps its state.
-    pub(super) fn restart(&mut self, scene: Scene, kept: &[Option<usize>], wake_all: bool) -> Result<(), EditError> {
-        let mut world = World::with_options(scene, self.options)?;
-        if self.step > 0 {
-            let (Solver::Coupled(before), Solver::Coupled(coupled)) = (&self.solver, &mut world.solver) else {
-                return Err(EditError::Prescribed);
-            };
-            coupled.resume(&world.scene, before, kept, wake_all, self.time());
-            world.step = self.step;
-            world.report = std::mem::take(&mut self.report);
-            world.work.resume(&mut self.work);
+    /// Continues with a changed scene at `time` [s]. `kept` is the former index of each body that keeps its state; bodies
+    /// at rest stay at rest unless `wake_all` is set.
+    pub(super) fn restart(
+        &mut self,
+        scene: Scene,
+        kept: &[Option<usize>],
+        wake_all: bool,
+        time: f64,
+    ) -> Result<(), EditError> {
+        let budget = memory::check(&scene)?;
+        let max_pairs = budget.max_pairs(&scene);
+        let mut work = Work::new(scene.vertex_count(), self.options.interrupt);
+        let Some(mut solver) = Solver::new(&scene, max_pairs, &mut work) else {
+            return Err(budget.exceeded(&scene, Some(max_pairs)).into());
+        };
+        if self.step > 0 || self.edits > 0 {
+            let setting = Setting { scene: &scene, ..self.setting() };
+            let takeover = Takeover { scene: &self.scene, kept, wake_all, time };
+            if !solver.resume(setting, &self.solver, &takeover, &self.work, &mut self.report) {
+                return Err(EditError::Solver);
+            }
         }
-        *self = world;
+        work.resume(&mut self.work);
+        (self.scene, self.solver, self.work) = (scene, solver, work);
         Ok(())
+    }
+
+    /// Enters the scene's next edit at `time` [s].
+    fn enter_edit(&mut self, time: f64) -> Result<(), Failure> {
+        let scene = self.scene.after_edit(self.edits);
+        self.edits += 1;
+        let kept: Vec<Option<usize>> = (0..scene.bodies.len()).map(Some).collect();
+        let step = self.step + 1;
+        let failed = |error: EditError| Failure::Edit { step, time, error: Box::new(error) };
+        self.restart(scene, &kept, true, time).map_err(failed)
     }
 
     /// Advances the world by one step of the scene's Δt and reports what happened.
@@ -98,9 +121,7 @@ impl World {
         let span = Span { start: self.time(), end: self.time_of(self.step + 1) };
         self.report.begin(self.step + 1, span.end);
         self.work.begin();
-        let World { scene, options, step, report, work, solver } = self;
-        let setting = Setting { scene, step: *step, arch: options.arch };
-        match solver.step(&mut Step { setting, span, work, report }) {
+        match self.advance(span) {
             Ok(diverged) => {
                 self.step += 1;
                 self.report.failure = diverged.map(|body| self.divergence(body).into());
@@ -108,6 +129,37 @@ impl World {
             Err(failure) => self.report.failure = Some(failure),
         }
         &self.report
+    }
+
+    /// Advances the world over `span`, and enters the scene's edits on the way. Returns the first body whose state is
+    /// invalid afterwards.
+    fn advance(&mut self, span: Span) -> Result<Option<usize>, Failure> {
+        // an edit this close to the end of a step is at its end but for rounding
+        let rounding = 1e-9 * span.length();
+        let mut start = span.start;
+        while let Some(edit) = self.scene.edits.get(self.edits).filter(|edit| edit.time < span.end - rounding) {
+            let end = edit.time.max(start);
+            if end > start + rounding {
+                if let Some(diverged) = self.solve(Span { start, end }, true)? {
+                    return Ok(Some(diverged));
+                }
+                start = end;
+            }
+            self.enter_edit(start)?;
+        }
+        self.solve(Span { start, end: span.end }, start > span.start)
+    }
+
+    /// Lets the solver advance over a step, or a part of one.
+    fn solve(&mut self, span: Span, is_partial: bool) -> Result<Option<usize>, Failure> {
+        let before = is_partial.then(|| self.report.take_sums());
+        let World { scene, options, step, report, work, solver, .. } = self;
+        let setting = Setting { scene, step: *step, arch: options.arch, is_partial };
+        let diverged = solver.step(&mut Step { setting, span, work, report })?;
+        if let Some(before) = before {
+            self.report.add_sums(before);
+        }
+        Ok(diverged)
     }
 
     /// Describes a body in an invalid state, and its worst vertex.
@@ -191,7 +243,7 @@ impl World {
 
     /// What the solver reads besides its own state.
     pub(super) fn setting(&self) -> Setting<'_> {
-        Setting { scene: &self.scene, step: self.step, arch: self.options.arch }
+        Setting { scene: &self.scene, step: self.step, arch: self.options.arch, is_partial: false }
     }
 
     /// The options of this world.

@@ -374,6 +374,7 @@ impl<'a> Run<'a> {
             || self.world.pairs().next().is_some()
             || scene.points.iter().any(|point| point.end() > self.world.time())
             || scene.pushes.iter().any(|push| push.end() > self.world.time())
+            || scene.edits.iter().any(|edit| edit.time > self.world.time())
         {
             return false;
         }
@@ -463,7 +464,7 @@ impl Pair {
 /// Time of the last phase change of a scene whose bodies are all on non-periodic paths [s]; `None` if there is none, or
 /// if it is unknown.
 fn last_change(scene: &Scene) -> Option<f64> {
-    if scene.bodies.len() > MAX_BODIES || scene.is_coupled() {
+    if scene.bodies.len() > MAX_BODIES || scene.is_coupled() || !scene.edits.is_empty() {
         return None;
     }
     let paths: Option<Vec<&Path>> =

@@ -22,13 +22,17 @@ use std::{mem::take, sync::atomic::AtomicBool};
 use glam::DVec3;
 
 use crate::{
+    colors,
     model::phase::Phase,
     observe::{
         BodyFrame, Frame, Instant, MotionFrame, NearPair, PairEvent, Schema, Shortfall, Simulation, StageFrame,
         StepFailure, StepSummary, Want, between,
-        schema::{BodySchema, OwnLevels, OwnSurfaces, PhaseSchema, PlaneSchema, ScalarOf, ScalarSchema, Threshold},
+        schema::{
+            BodySchema, OwnLevels, OwnSurfaces, PhaseSchema, PlaneSchema, PointSchema, ScalarOf, ScalarSchema,
+            SphereAt, Threshold,
+        },
     },
-    scene::{Integrator, Model, Plane, Scene},
+    scene::{Integrator, Model, Plane, Point, Scene},
     sim::{
         self, Cause, Energy, Event, Failure, Stage, States, World,
         free::{Forces, Snapshot},
@@ -109,6 +113,7 @@ impl Simulation for World {
             ("bodies on paths", ledger.prescribed),
             ("force points", ledger.points),
             ("coming to rest", ledger.rest),
+            ("edits", ledger.edits),
         ];
         let brought = brought.into_iter().filter(|&(_, energy)| energy != 0.0);
         let brought: Vec<String> = brought.map(|(name, energy)| format!("{name} {energy:+.4}")).collect();
@@ -235,6 +240,53 @@ pub fn apart_on_paths(scene: &Scene, a: usize, b: usize, time: f64) -> Option<DV
     Some(scene.bodies[b].path()?.position(time) - scene.bodies[a].path()?.position(time))
 }
 
+/// The force points, with what edits make of them.
+fn points(scene: &Scene) -> Vec<PointSchema> {
+    let spheres = |scene: &Scene, index: usize| {
+        let (point, reach) = (scene.points[index].clone(), scene.influence.sphere_radius(scene.points[index].radius));
+        move |time: f64| (point.acts_at(time)).then(|| (point.path.position(time), reach))
+    };
+    let schema = |(index, point): (usize, &Point)| {
+        let first = spheres(scene, index);
+        let edits = scene.edits.iter().enumerate();
+        let later: Vec<_> = edits.map(|(edit, at)| (at.time, spheres(&scene.after_edit(edit), index))).collect();
+        let sphere = SphereAt::new(move |time| match later.iter().rev().find(|(since, _)| *since <= time) {
+            Some((_, sphere)) => sphere(time),
+            None => first(time),
+        });
+        let act = if point.strength < 0.0 { "repels" } else { "attracts" };
+        PointSchema { label: format!("{} {act}", point.name), color: colors::LIME, sphere }
+    };
+    scene.points.iter().enumerate().map(schema).collect()
+}
+
+/// The levels of pairs, if they differ or change.
+fn own_levels(scene: &Scene) -> OwnLevels {
+    let is_free: Vec<bool> = scene.bodies.iter().map(|body| body.path().is_none()).collect();
+    let of = |scene: &Scene| {
+        let (pairs, common, is_free) = (scene.pairs.clone(), scene.common_law(), is_free.clone());
+        move |threshold: usize, [a, b]: [usize; 2]| {
+            let law = pairs.of(a, b).unwrap_or(common).of_pair(is_free[a] || is_free[b]);
+            level(&law, *[Phase::Merged, Phase::Apart, Phase::Core].get(threshold)?)
+        }
+    };
+    let first = of(scene);
+    if !scene.edits.is_empty() {
+        let edits = scene.edits.iter().enumerate();
+        let later: Vec<_> = edits.map(|(index, edit)| (edit.time, of(&scene.after_edit(index)))).collect();
+        return OwnLevels::changing(move |threshold, pair, time| {
+            match later.iter().rev().find(|(since, _)| *since <= time) {
+                Some((_, level)) => level(threshold, pair),
+                None => first(threshold, pair),
+            }
+        });
+    }
+    match scene.has_one_law() {
+        true => OwnLevels::default(),
+        false => OwnLevels::new(move |threshold, a, b| first(threshold, [a, b])),
+    }
+}
+
 /// The schema of a scene's world. Other models of the same scene start from it and override what differs.
 pub fn schema(scene: &Scene) -> Schema {
     let bodies = scene.bodies.iter().map(|body| BodySchema {
@@ -255,21 +307,14 @@ pub fn schema(scene: &Scene) -> Schema {
         ("core_at", "core at", Phase::Core),
     ];
     let thresholds = thresholds.into_iter().filter_map(|(name, label, phase)| {
-        let lowest = scene.laws().filter_map(|law| level(&law, phase)).reduce(f64::min)?;
+        let lowest = |scene: &Scene| scene.laws().filter_map(|law| level(&law, phase)).reduce(f64::min);
+        let later = || (0..scene.edits.len()).find_map(|index| lowest(&scene.after_edit(index)));
+        let lowest = lowest(scene).or_else(later)?;
         let level = level(&scene.common_law().of_pair(true), phase).unwrap_or(lowest);
         Some(Threshold { name, label, level, color: phase_color(phase) })
     });
-    let own_levels = if scene.has_one_law() {
-        OwnLevels::default()
-    } else {
-        let (pairs, common) = (scene.pairs.clone(), scene.common_law());
-        let is_free: Vec<bool> = scene.bodies.iter().map(|body| body.path().is_none()).collect();
-        OwnLevels::new(move |threshold, a, b| {
-            let law = pairs.of(a, b).unwrap_or(common).of_pair(is_free[a] || is_free[b]);
-            level(&law, *[Phase::Merged, Phase::Apart, Phase::Core].get(threshold)?)
-        })
-    };
     Schema {
+        own_levels: own_levels(scene),
         name: scene.name.clone(),
         source: scene.source.clone(),
         run: scene.run_settings(),
@@ -289,6 +334,7 @@ pub fn schema(scene: &Scene) -> Schema {
             .iter()
             .map(|&Plane { normal, offset, friction, .. }| PlaneSchema { normal, offset, friction })
             .collect(),
+        points: points(scene),
         net_force_scale: net_force_scale(scene),
         phases: PHASES
             .map(|phase| PhaseSchema {
@@ -299,7 +345,6 @@ pub fn schema(scene: &Scene) -> Schema {
             .into(),
         events: crate::sim::events::KINDS.map(Into::into).into(),
         thresholds: thresholds.collect(),
-        own_levels,
         surfaces: OwnSurfaces::default(),
         scalars: scalars(scene)
             .map(|&Scalar { name, label, plot, ref value, is_smooth }| {
@@ -341,7 +386,7 @@ impl From<&Failure> for StepFailure {
         let words = failure.to_string();
         match failure {
             Failure::Diverged(_) => StepFailure::Diverged(words),
-            Failure::Overworked(_) => StepFailure::NotTaken(words),
+            Failure::Overworked(_) | Failure::Edit { .. } => StepFailure::NotTaken(words),
             Failure::Interrupted { .. } => StepFailure::Interrupted(words),
         }
     }

@@ -51,7 +51,10 @@ pub fn level(law: &PairLaw, phase: Phase) -> Option<f64> {
 /// The schema of a force term.
 pub fn term(scene: &Scene, cause: Cause) -> TermSchema {
     let (has_pairs, has_free) = (scene.bodies.len() > 1, scene.bodies.iter().any(|body| body.path().is_none()));
-    let has_core = scene.laws().any(|law| level(&law, Phase::Core).is_some());
+    let ever = |is_so: &dyn Fn(&Scene) -> bool| {
+        is_so(scene) || (0..scene.edits.len()).any(|index| is_so(&scene.after_edit(index)))
+    };
+    let has_core = ever(&|scene| scene.laws().any(|law| level(&law, Phase::Core).is_some()));
     #[allow(unreachable_patterns)] // a term without its own line gets the defaults
     let (label, color, can_act, is_shown) = match cause {
         Cause::Attraction => ("Attraction", colors::ORANGE, has_pairs, true),
@@ -62,7 +65,7 @@ pub fn term(scene: &Scene, cause: Cause) -> TermSchema {
         Cause::Damping => ("Damping", colors::YELLOW, true, false),
         Cause::Push => ("Push", colors::VERMILION, !scene.pushes.is_empty(), !scene.pushes.is_empty()),
         Cause::Carry => ("Carry: its own motion", colors::SILVER, true, false),
-        Cause::Gravity => ("Gravity", colors::GREY, scene.gravity != DVec3::ZERO, false),
+        Cause::Gravity => ("Gravity", colors::GREY, ever(&|scene| scene.gravity != DVec3::ZERO), false),
         Cause::Plane => ("Planes: pressure and friction", colors::BLUE, !scene.planes.is_empty(), true),
         Cause::Reaction => ("Reaction to its sphere", colors::PINK, has_free && has_pairs, false),
         Cause::Net => ("Net", colors::WHITE, true, false),
@@ -76,6 +79,11 @@ pub fn term(scene: &Scene, cause: Cause) -> TermSchema {
 
 /// The interaction between bodies in words.
 pub fn law(scene: &Scene) -> String {
+    let edits = scene.edits.iter().map(|edit| format!(" At {} s: {}.", edit.time, edit.set.join(", ")));
+    law_at_start(scene) + &edits.collect::<String>()
+}
+
+fn law_at_start(scene: &Scene) -> String {
     let (influence, thresholds) = (&scene.influence, &scene.thresholds);
     format!(
         "Bodies merge at q = {} and split at {}{}; q is the distance of their centres over the sum of their radii. α = {}/s², \

@@ -78,7 +78,7 @@ motion = { fixed = [0, 0, 0] }
 Whole: columns after characters of several bytes
 name = "größe"
 x = { "ä" = "ö" } # ü
-> bad.toml:2:1: x: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)
+> bad.toml:2:1: x: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push, edit)
 
 Whole: body is a single table
 duration = 4
@@ -216,6 +216,39 @@ Point: an unknown key
 mass = 2
 > bad.toml:7:1: point["hand"].mass: unknown key; "mass" belongs in a [[body]] or in a [[grid]] (known keys: name, motion, radius, act, bodies, start, duration, alpha, beta)
 
+Edit: nothing set
+set = {}
+> bad.toml:7:7: edit[0].set: expected a table of keys and values such as { "influence.merge_at" = 1.1 }, found a table
+
+Edit: no time
+set = { "influence.alpha" = 1 }
+time = -1
+> bad.toml:8:8: edit[0].time: expected a number between 0 and 1e15, found -1
+
+Edit: what makes the bodies
+set = { "body.ball.radius" = 2 }
+> bad.toml:7:30: edit[0].set."body.ball.radius": expected a number of body: omega, damping; found body.ball.radius; an edit changes no shape, mass, motion, push, dt, duration or tolerance
+
+Edit: the clock
+set = { dt = 0.1 }
+> bad.toml:7:14: edit[0].set.dt: expected a number of influence, material, gravity, or a body, grid, pair, plane or point; found dt; an edit changes no shape, mass, motion, push, dt, duration or tolerance
+
+Edit: a word
+set = { "influence.alpha" = "strong" }
+> bad.toml:7:29: edit[0].set."influence.alpha": expected a number, found the string "strong"
+
+Edit: out of range
+set = { "influence.alpha" = -2 }
+> bad.toml:7:29: edit[0].set."influence.alpha": expected a number between 0 and 1e15, found -2 (influence.alpha after this edit)
+
+Edit: thresholds that contradict each other
+set = { "influence.merge_at" = 1.3 }
+> bad.toml:7:32: edit[0].set."influence.merge_at": expected a number of at most split_at (1.15 by default), found 1.3 (influence.merge_at after this edit); give split_at, too
+
+Edit: nobody
+set = { "body.bal.omega" = 3 }
+> bad.toml:7:28: edit[0].set."body.bal.omega": there is nothing named "bal"; did you mean "ball"? (names: ball)
+
 Whole: two points of one name
 duration = 4
 [[body]]
@@ -255,39 +288,39 @@ Whole: the first of several unknown keys
 zeta = 1
 duration = 4
 again = 2
-> bad.toml:1:1: zeta: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)
+> bad.toml:1:1: zeta: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push, edit)
 
 Top: unknown key
 colour = 1
-> bad.toml:1:1: colour: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)
+> bad.toml:1:1: colour: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push, edit)
 
 Top: unknown key near another
 Integrator = "rk4"
-> bad.toml:1:1: Integrator: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)
+> bad.toml:1:1: Integrator: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push, edit)
 
 Top: unknown key abbreviated
 integ = "rk4"
-> bad.toml:1:1: integ: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)
+> bad.toml:1:1: integ: unknown key; did you mean "integrator"? (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push, edit)
 
 Top: unknown key without letters
 "" = 1
-> bad.toml:1:1: "": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)
+> bad.toml:1:1: "": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push, edit)
 
 Top: unknown key that is long
 aaaaaaaaaabbbbbbbbbbccccccccccddddddddddeeeeeeeeee = 1
-> bad.toml:1:1: aaaaaaaaaabbbbbbbbbbccccccccccdddddddddd…: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)
+> bad.toml:1:1: aaaaaaaaaabbbbbbbbbbccccccccccdddddddddd…: unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push, edit)
 
 Top: key of another table
 alpha = 100
-> bad.toml:1:1: alpha: unknown key; "alpha" belongs in [influence] or in a [[pair]] or in a [[point]] (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)
+> bad.toml:1:1: alpha: unknown key; "alpha" belongs in [influence] or in a [[pair]] or in a [[point]] (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push, edit)
 
 Top: key of several tables
 response = "rigid"
-> bad.toml:1:1: response: unknown key; "response" belongs in [material] or in a [[body]] or in a [[grid]] (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)
+> bad.toml:1:1: response: unknown key; "response" belongs in [material] or in a [[body]] or in a [[grid]] (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push, edit)
 
 Top: unknown table
 matrial.omega = 1
-> bad.toml:1:1: matrial: unknown key; did you mean "material"? (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)
+> bad.toml:1:1: matrial: unknown key; did you mean "material"? (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push, edit)
 
 Top: name is a number
 name = 2
@@ -935,7 +968,7 @@ const BROKEN_ESCAPED: &[(&str, &str, &str)] = &[
     (
         "Whole",
         "\u{feff}\"größe\" = 1\n",
-        "bad.toml:1:1: \"größe\": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)",
+        "bad.toml:1:1: \"größe\": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push, edit)",
     ),
     (
         "Whole",
@@ -946,7 +979,7 @@ const BROKEN_ESCAPED: &[(&str, &str, &str)] = &[
     (
         "Top",
         "\"name of \\\"it\\\"\\n\" = 1",
-        "bad.toml:1:1: \"name of \\\"it\\\"\\n\": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push)",
+        "bad.toml:1:1: \"name of \\\"it\\\"\\n\": unknown key (known keys: name, dt, duration, integrator, tolerance, gravity, model, material, influence, lattice, fem, surface, mesh, body, grid, pair, plane, point, push, edit)",
     ),
     (
         "Top",
@@ -973,6 +1006,7 @@ fn file_with(part: &str, lines: &str) -> String {
         "Cells" => format!("duration = 4\n{lines}\n[[body]]\n{BODY}"),
         "Body" => format!("duration = 4\n[[body]]\n{lines}\n{}", others(BODY)),
         "Point" => format!("duration = 4\n[[body]]\n{BODY}[[point]]\n{lines}\n{}", others(POINT)),
+        "Edit" => format!("duration = 4\n[[body]]\n{BODY}[[edit]]\n{lines}\n{}", others("time = 1\n")),
         "Push" => format!("duration = 4\n[[body]]\n{BODY}[[push]]\n{lines}\n{}", others(PUSH)),
         _ => panic!("no part of a scene file: {part}"),
     }

@@ -5,6 +5,7 @@ mod bad_scenes;
 mod bench;
 mod checksums;
 mod cli;
+mod edits;
 mod events;
 mod faults;
 mod files;

@@ -117,6 +117,10 @@ pub fn check(scene: &Scene) -> Result<(), Unsupported> {
             "choose \"euler\" or \"verlet\", which step by dt, or \"exponential\", the default, with which the model divides dt",
         ),
     };
+    if !scene.edits.is_empty() {
+        let what = "[[edit]]: the model does not change within a run".to_owned();
+        return unsupported(None, what, "leave the edits out, or choose model = \"oscillators\"");
+    }
     let is_known = match scene.integrator {
         Integrator::Exponential => true,
         Integrator::Euler | Integrator::Verlet => scene.model != Model::Fem,

@@ -505,6 +505,10 @@ fn kernel(scene: &Scene) -> Result<Kernel, Unsupported> {
             return Err(unsupported(Some(body), what, remedy));
         }
     }
+    if !scene.edits.is_empty() {
+        let what = "[[edit]]: the model does not change within a run".to_owned();
+        return Err(unsupported(None, what, "leave the edits out, or choose model = \"oscillators\""));
+    }
     let what =
         || format!("influence.reach = {}: a density that ends within the ball has no surface", scene.influence.reach);
     Kernel::new(scene.influence.reach).ok_or_else(|| unsupported(None, what(), "give a reach above 1"))

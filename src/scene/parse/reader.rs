@@ -353,6 +353,26 @@ impl<'a> Value<'a> {
         }))
     }
 
+    /// The keys and values of this value, if it is a table.
+    pub fn entries(&self) -> Option<impl ExactSizeIterator<Item = (&'a str, Value<'_>)>> {
+        let entries = self.value.as_table()?;
+        Some(entries.iter().map(|(key, value)| {
+            let name = key.get_ref().as_ref();
+            let path = Path::Field(&self.path, name);
+            (name, Value { source: self.source, path, span: value.span(), value: value.get_ref() })
+        }))
+    }
+
+    /// Whether this value is a number.
+    pub fn is_number(&self) -> bool {
+        matches!(self.value, DeValue::Integer(_) | DeValue::Float(_))
+    }
+
+    /// The value itself.
+    pub fn raw(&self) -> &'a DeValue<'a> {
+        self.value
+    }
+
     /// This value as a table.
     ///
     /// # Errors

@@ -151,10 +151,11 @@ impl Member {
     /// Takes over the state of another body with the same shape.
     pub fn resume(&mut self, before: &Member) {
         let Member { body, step_length, slow_steps, slow_from, is_awake, extent, speed, rigid_spin, .. } = before;
-        self.body = Body { shape: Arc::clone(&self.body.shape), ..body.clone() };
+        let is_same = self.body.oscillator == body.oscillator;
+        self.body = Body { shape: Arc::clone(&self.body.shape), oscillator: self.body.oscillator, ..body.clone() };
         (self.step_length, self.slow_steps, self.slow_from, self.is_awake) =
             (*step_length, *slow_steps, *slow_from, *is_awake);
-        (self.extent, self.speed, self.rigid_spin) = (*extent, *speed, *rigid_spin);
+        (self.extent, self.speed, self.rigid_spin) = (*extent, *speed, rigid_spin.filter(|_| is_same));
     }
 
     /// Makes the body undeformed.

@@ -51,7 +51,7 @@ use super::{
     events::Event,
     free::{self, Field, Ledger, Pair, Parts, Scratch, Snapshot, Window},
     report::{Failure, Overworked, Stage, StepReport, Stopwatch, Strain, Toil},
-    solver::{Setting, Step},
+    solver::{Setting, Step, Takeover},
     span::Span,
     terms::{Cause, Origin, Source, Surroundings, Weighted},
     work::{Stop, Tally, Work},
@@ -143,11 +143,11 @@ impl Coupled {
         Some(coupled)
     }
 
-    /// Takes over the state of another world at `time` [s]; `kept` is the former index of each body that keeps its
-    /// state. Bodies at rest stay at rest unless `wake_all` is set.
-    pub fn resume(&mut self, scene: &Scene, before: &Coupled, kept: &[Option<usize>], wake_all: bool, time: f64) {
+    /// Takes over the state of another scene, and adds the phase changes and the energy that this brings to the report.
+    pub fn resume(&mut self, scene: &Scene, before: &Coupled, takeover: &Takeover<'_>, report: &mut StepReport) {
+        let &Takeover { kept, wake_all, time, .. } = takeover;
         let span = Span { start: time, end: time + scene.dt };
-        self.ledger = before.ledger;
+        (self.ledger, self.first_energy) = (before.ledger, before.first_energy);
         self.move_points(scene, time);
         for (index, (member, kept)) in self.members.iter_mut().zip(kept).enumerate() {
             member.neighbours.clear();
@@ -168,12 +168,7 @@ impl Coupled {
         let tally = Tally::unlimited();
         self.near = Near::new(scene);
         self.near.start(scene, &mut self.members, u64::MAX, &tally);
-        let mut now_at = vec![None; before.members.len()];
-        for (index, kept) in kept.iter().enumerate() {
-            if let Some(old) = *kept {
-                now_at[old] = Some(index);
-            }
-        }
+        let now_at = takeover.now_at(before.members.len());
         // pairs that were not listed were apart
         let unknown: Vec<(usize, u32, u32)> = (0..self.members.len())
             .flat_map(|a| self.members[a].neighbours.iter().map(move |neighbour| (a, neighbour.other, neighbour.pair)))
@@ -202,6 +197,43 @@ impl Coupled {
             }
         }
         self.awake.sort_unstable();
+        let brought = self.energy(scene, time) - before.energy(takeover.scene, time);
+        self.ledger.edits += brought;
+        report.ledger.edits += brought;
+        self.enter_phases(scene, time, report);
+    }
+
+    /// The energy of the free bodies at `time` [s].
+    fn energy(&self, scene: &Scene, time: f64) -> f64 {
+        self.snapshot(scene, time).conserved().energy()
+    }
+
+    /// Changes the phases of pairs that a threshold has passed.
+    fn enter_phases(&mut self, scene: &Scene, time: f64, report: &mut StepReport) {
+        let known: Vec<u32> = (0..)
+            .zip(&self.members)
+            .flat_map(|(a, member)| {
+                let later = member.neighbours.iter().filter(move |neighbour| neighbour.other > a);
+                later.map(|neighbour| neighbour.pair)
+            })
+            .collect();
+        for pair in known {
+            let free::Pair { a, b, law, .. } = *self.near.pair(pair);
+            let [first, second] = [a, b].map(|body| &self.members[body as usize].body);
+            let (apart, radii) = (second.centre - first.centre, first.radius + second.radius);
+            let q = apart.length() / radii;
+            let rate = (second.velocity - first.velocity).dot(apart.normalize_or_zero()) / radii;
+            loop {
+                let from = self.near.pair(pair).phase;
+                let Some(to) = law.thresholds.next(from, q) else { break };
+                let before = self.energy(scene, time);
+                self.near.enter(pair, to);
+                let energy = self.energy(scene, time) - before;
+                self.ledger.events += energy;
+                report.ledger.events += energy;
+                report.events.push(Event { time, step: report.step, a, b, q, rate, from, to, energy });
+            }
+        }
     }
 
     /// Takes a step, stage by stage. Returns the first body whose state is invalid afterwards.

@@ -41,6 +41,8 @@ pub struct Ledger {
     pub points: f64,
     /// Kinetic energy removed from bodies when they come to rest.
     pub rest: f64,
+    /// Edits of the scene, and changes of a world by a program.
+    pub edits: f64,
 }
 
 impl Ledger {
@@ -51,13 +53,21 @@ impl Ledger {
 
     /// Energy added by all causes together [mass · scene unit²/s²].
     pub fn total(&self) -> f64 {
-        self.events + self.core + self.damping + self.friction + self.pushes + self.prescribed + self.points + self.rest
+        self.events
+            + self.core
+            + self.damping
+            + self.friction
+            + self.pushes
+            + self.prescribed
+            + self.points
+            + self.rest
+            + self.edits
     }
 }
 
 impl AddAssign for Ledger {
     fn add_assign(&mut self, other: Ledger) {
-        let Ledger { events, core, damping, friction, pushes, prescribed, points, rest } = other;
+        let Ledger { events, core, damping, friction, pushes, prescribed, points, rest, edits } = other;
         self.events += events;
         self.core += core;
         self.damping += damping;
@@ -66,6 +76,7 @@ impl AddAssign for Ledger {
         self.prescribed += prescribed;
         self.points += points;
         self.rest += rest;
+        self.edits += edits;
     }
 }
 

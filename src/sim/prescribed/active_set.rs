@@ -52,6 +52,20 @@ impl ActiveSet {
         }
     }
 
+    /// Adds a body that is not at rest, awake.
+    pub fn insert(&mut self, bodies: &mut [Body], active: Active) {
+        let (index, slot) = (active.body as usize, self.states.len());
+        bodies[index].active = Some(slot as u32);
+        self.states.push(active);
+        self.swap(bodies, slot, self.awake);
+        self.awake += 1;
+    }
+
+    /// Wakes all bodies of the set.
+    pub fn wake_all(&mut self) {
+        self.awake = self.states.len();
+    }
+
     /// Puts the awake bodies to sleep for which `may_sleep` holds: they are no longer stepped. Bodies at rest drop
     /// their state.
     pub fn sleep(&mut self, bodies: &mut [Body], may_sleep: impl Fn(&[Body], &Active) -> bool) {

@@ -303,8 +303,8 @@ impl<'a> Context<'a> {
         let index = active.body as usize;
         let now = active.now(self.setting.step, scene.dt, self.setting.arch);
         let body = self.body(active.body);
-        // a push acts on vertices anywhere, so all are stepped
-        let all = push::any_acts(&body.pushes, span);
+        // A push acts on vertices anywhere, so all are stepped. And free vertices are known at the ends of steps only.
+        let all = push::any_acts(&body.pushes, span) || self.setting.is_partial && !active.is_at_rest();
         let is_reached = all || !active.bounds.reachable.is_empty();
         if !is_reached && active.can_sleep() {
             active.state.deformation.release(body.rest().len(), now, &mut scratch.deformation);
@@ -352,7 +352,7 @@ impl<'a> Context<'a> {
             }
             work.spend(contributing.len() as u64);
             self.on(active.body).over(contributing, part, acting);
-            let is_whole = breaks.len() == 2;
+            let is_whole = breaks.len() == 2 && !self.setting.is_partial;
             if pushed > 0 {
                 let vertices = &active.state.deformation.active_set.vertices;
                 let changes = pushes.advance(part.start + 0.5 * part.length(), body.rest(), vertices);

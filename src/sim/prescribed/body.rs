@@ -7,7 +7,7 @@ use pulp::Arch;
 use smallvec::{Array, SmallVec};
 
 use super::{
-    deformation::{Deformation, Now, REST},
+    deformation::{Deformation, Now, REST, Scratch},
     neighbours::{FatBounds, Neighbour, Neighbours},
     pairs::Pairs,
     tracks::Tracks,
@@ -179,6 +179,30 @@ impl Active {
             },
             statistics: StepStatistics::default(),
         }
+    }
+
+    /// Brings all parts of its state to the same time: the end of the last step, or within the next one if an edit has
+    /// divided that. `step` is the number of steps taken.
+    pub fn settle(&mut self, step: u64, dt: f64, rest: Rest<'_>, arch: Arch) {
+        let now = self.now(step, dt, arch);
+        if self.state.carried_as_of < step {
+            self.state.carried = self.carried_at(now);
+        }
+        self.state.carried_as_of = step;
+        if !self.state.deformation.is_empty() {
+            let every = vec![0.0; rest.len()];
+            self.state.deformation.choose_active_set(rest, &every, f64::INFINITY, now, &mut Scratch::default());
+        }
+        (self.chosen, self.statistics) = (Chosen::default(), StepStatistics::default());
+    }
+
+    /// Continues with other oscillators.
+    pub fn change_oscillator(&mut self, material: &Material, arch: Arch) {
+        let oscillator = Oscillator { omega: material.omega, damping: material.damping };
+        self.state.oscillator = oscillator;
+        self.state.state_bounds = StateBounds::of(&self.state.deformation, oscillator, arch);
+        let momentum = self.state.carried.momentum(oscillator.omega) + self.state.state_bounds.momentum;
+        self.state.bound = self.state.bound.max(momentum);
     }
 
     /// Memory allocated for the body's state [bytes].

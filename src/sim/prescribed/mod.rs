@@ -37,8 +37,8 @@ use self::{
 use super::{
     body::{BodyView, Solved},
     integrator::exponential,
-    report::{Failure, Shortfall, Stage, Stopwatch, Strain, Toil},
-    solver::{Setting, Step},
+    report::{Failure, Shortfall, Stage, StepReport, Stopwatch, Strain, Toil},
+    solver::{Setting, Step, Takeover},
     terms::{self, Moment, On, Surroundings, spheres},
     work::{Stop, Tally, Work},
 };
@@ -75,35 +75,75 @@ pub(super) struct Prescribed {
 impl Prescribed {
     /// The bodies at t = 0; `None` if there are more than `max_pairs` pairs of nearby bodies.
     pub fn new(scene: &Scene, max_pairs: u64, work: &mut Work) -> Option<Prescribed> {
+        let mut prescribed = Prescribed::undeformed(scene);
+        if !prescribed.find_pairs(scene, 0.0, max_pairs, work) {
+            return None;
+        }
+        let first_step = |body: &Body| exponential::work_of(body.mesh.vertex_count(), body.neighbours.len());
+        work.expect(prescribed.bodies.iter().map(first_step).fold(0, u64::saturating_add));
+        prescribed.wake_neighbours(scene, 0);
+        Some(prescribed)
+    }
+
+    /// Undeformed bodies, without pairs.
+    fn undeformed(scene: &Scene) -> Prescribed {
         let mut pushes = vec![Vec::new(); scene.bodies.len()];
         scene.pushes.iter().for_each(|push| pushes[push.body].push(*push));
         let bodies = pushes.into_iter().enumerate().map(|(index, pushes)| Body::new(scene, index, pushes));
-        let (mut bodies, tracks, mut pairs) = (bodies.collect::<Vec<_>>(), Tracks::new(scene), Pairs::default());
-        if !pairs.start(scene, &mut bodies, &tracks, max_pairs, work) {
-            return None;
+        Prescribed {
+            bodies: bodies.collect(),
+            actives: ActiveSet::default(),
+            tracks: Tracks::new(scene),
+            pairs: Pairs::default(),
+            starts: terms::starts(scene),
+            started: 0,
+            woken: Vec::new(),
+            energy_of_distant_pairs: OnceLock::new(),
         }
-        let first_step =
-            bodies.iter().map(|body| exponential::work_of(body.mesh.vertex_count(), body.neighbours.len()));
-        work.expect(first_step.fold(0, u64::saturating_add));
-        let mut actives = ActiveSet::default();
-        // A body with neighbours may be reached from the start; bodies that are not reached go back to sleep in the
-        // first step.
-        for index in 0..bodies.len() {
-            if !bodies[index].neighbours.is_empty() {
-                actives.wake(scene, &mut bodies, index, 0);
+    }
+
+    fn find_pairs(&mut self, scene: &Scene, time: f64, max_pairs: u64, work: &Work) -> bool {
+        let Prescribed { bodies, tracks, pairs, .. } = self;
+        pairs.start(scene, bodies, tracks, time, max_pairs, work)
+    }
+
+    /// Wakes the bodies that may be reached from the start. Those that are not go back to sleep in the first step.
+    fn wake_neighbours(&mut self, scene: &Scene, step: u64) {
+        for index in 0..self.bodies.len() {
+            if !self.bodies[index].neighbours.is_empty() {
+                self.actives.wake(scene, &mut self.bodies, index, step);
             }
         }
-        let (starts, woken) = (terms::starts(scene), Vec::new());
-        Some(Prescribed {
-            bodies,
-            actives,
-            tracks,
-            pairs,
-            starts,
-            started: 0,
-            woken,
-            energy_of_distant_pairs: OnceLock::new(),
-        })
+    }
+
+    /// Takes over the state of another scene, and reports the phase changes that this brings.
+    pub fn resume(
+        &mut self,
+        setting: Setting<'_>,
+        before: &Prescribed,
+        takeover: &Takeover<'_>,
+        work: &Work,
+        report: &mut StepReport,
+    ) {
+        let Setting { scene, step, arch, .. } = setting;
+        *self = Prescribed::undeformed(scene);
+        for (index, kept) in takeover.kept.iter().enumerate() {
+            if let Some(active) = kept.and_then(|old| before.active(old)) {
+                let mut active = active.clone();
+                active.body = index as u32;
+                active.settle(step, scene.dt, self.bodies[index].rest(), arch);
+                active.change_oscillator(&scene.bodies[index].material, arch);
+                self.actives.insert(&mut self.bodies, active);
+            }
+        }
+        self.find_pairs(scene, takeover.time, u64::MAX, work);
+        let now_at = takeover.now_at(before.bodies.len());
+        let phases = before.phases().filter(|&(_, _, phase)| phase != Phase::Apart);
+        let phases = phases.filter_map(|(a, b, phase)| Some((now_at[a]?, now_at[b]?, phase)));
+        let Prescribed { bodies, tracks, pairs, .. } = self;
+        let surrounded = Surrounded { scene, bodies, tracks, work: Tally::new(work, None) };
+        pairs.resume(surrounded, phases, takeover, report);
+        self.wake_neighbours(scene, step);
     }
 
     /// Takes a step, stage by stage. Returns the first body whose state is invalid afterwards.
@@ -112,6 +152,9 @@ impl Prescribed {
     /// The step could not be completed.
     pub fn step(&mut self, step: &mut Step<'_>) -> Result<Option<usize>, Failure> {
         let mut stopwatch = Stopwatch::start();
+        if step.setting.is_partial {
+            self.actives.wake_all();
+        }
         self.find_neighbours(step)?;
         stopwatch.stop(Stage::Reach, step.report);
         self.find_events(step)?;
@@ -423,7 +466,7 @@ impl Prescribed {
     pub fn view<'a>(&'a self, setting: Setting<'_>, body: &'a scene::Body, index: usize) -> BodyView<'a> {
         let (active, path) = (self.active(index), self.tracks.path(index));
         let oscillator = active.map(|active| active.state.oscillator).unwrap_or_default();
-        let Setting { scene, step, arch } = setting;
+        let Setting { scene, step, arch, .. } = setting;
         let now = Now { step, dt: scene.dt, oscillator, arch };
         let solved = Solved::Prescribed { path, active, now };
         BodyView { body, mesh: &self.bodies[index].mesh, centre: path.position(now.time()), solved }

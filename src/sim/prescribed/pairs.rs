@@ -22,6 +22,8 @@ use crate::{
     sim::{
         events::{Event, PairPaths, Search},
         reach::{Ball, Grid},
+        report::StepReport,
+        solver::Takeover,
         span::Span,
         terms::spheres,
         work::{DISTANCE, EVENT, NEAR_ENOUGH, NEW_PAIR, Stop, Tally, Work},
@@ -91,23 +93,76 @@ pub(in crate::sim) struct Pairs {
 }
 
 impl Pairs {
-    /// Finds all pairs that are near each other at the start; false if there are more than `max`. Pairs are counted
+    /// Finds all pairs that are near each other at `time` [s]; false if there are more than `max`. Pairs are counted
     /// before they are stored. When interrupted, keeps those found until then.
-    pub fn start(&mut self, scene: &Scene, bodies: &mut [Body], tracks: &Tracks, max: u64, work: &Work) -> bool {
+    pub fn start(
+        &mut self,
+        scene: &Scene,
+        bodies: &mut [Body],
+        tracks: &Tracks,
+        time: f64,
+        max: u64,
+        work: &Work,
+    ) -> bool {
         let mut of = Surrounded { scene, bodies, tracks, work: Tally::new(work, None) };
         self.max_merge_at = scene.laws().map(|law| law.thresholds.merge_at).fold(0.0, f64::max);
         for i in 0..of.bodies.len() {
             let radius = scene.bodies[i].radius;
-            self.place(&mut of, i, radius, 0.0);
+            self.place(&mut of, i, radius, time);
         }
         let Some(count) = self.count_near(scene, of.bodies, max, work) else { return work.is_interrupted() };
         self.pairs.reserve_exact(count as usize);
         for i in 0..of.bodies.len() {
-            self.find_neighbours(&mut of, i, 0.0);
+            self.find_neighbours(&mut of, i, time);
         }
         self.pairs.shrink_to_fit();
         of.bodies.iter_mut().for_each(|body| body.neighbours.shrink_to_fit());
         true
+    }
+
+    /// Takes over the `phases` of all pairs of bodies of another scene that are not apart. Then enters the phases of pairs
+    /// that a threshold has passed, and reports these changes.
+    pub fn resume(
+        &mut self,
+        mut of: Surrounded<'_>,
+        phases: impl Iterator<Item = (usize, usize, Phase)>,
+        takeover: &Takeover<'_>,
+        report: &mut StepReport,
+    ) {
+        let (t, scene, tracks) = (takeover.time, of.scene, of.tracks);
+        let is_kept = |body: u32| takeover.kept[body as usize].is_some();
+        for pair in &mut self.pairs {
+            let initial = || scene.law_at(pair.law).thresholds.initial(tracks.pair(pair.a, pair.b).q(t));
+            pair.phase = if is_kept(pair.a) && is_kept(pair.b) { Phase::Apart } else { initial() };
+        }
+        for (a, b, phase) in phases {
+            let index = self.list(&mut of, a as u32, b as u32, t);
+            self.pairs[index as usize].phase = phase;
+        }
+        for Pair { a, b, law, phase, .. } in &mut self.pairs {
+            let (a, b, paths) = (*a, *b, tracks.pair(*a, *b));
+            let (q, rate) = (paths.q(t), paths.rate(t));
+            while let Some(to) = scene.law_at(*law).thresholds.next(*phase, q) {
+                let (time, step, from) = (t, report.step, *phase);
+                report.events.push(Event { time, step, a, b, q, rate, from, to, energy: 0.0 });
+                *phase = to;
+            }
+        }
+    }
+
+    /// The index of a pair, which is listed at any distance.
+    fn list(&mut self, of: &mut Surrounded<'_>, a: u32, b: u32, t: f64) -> u32 {
+        let known = of.bodies[a as usize].neighbours.binary_search_by_key(&b, |neighbour| neighbour.other);
+        if let Ok(index) = known {
+            return of.bodies[a as usize].neighbours[index].pair;
+        }
+        let pair = self.add(of.tracks.pair(a, b), [a, b], of.scene, t);
+        for (body, other) in [(a, b), (b, a)] {
+            let neighbours = &mut of.bodies[body as usize].neighbours;
+            let index = neighbours.partition_point(|neighbour| neighbour.other < other);
+            neighbours.insert(index, spheres::neighbour(of.scene, body, other, pair));
+        }
+        pair
     }
 
     /// Number of pairs of bodies that are near each other; `None` if more than `max`.

@@ -38,8 +38,12 @@ pub(crate) struct Recomputed<'a> {
 }
 
 impl<'a> Recomputed<'a> {
-    /// The last step of `world`, recomputed within the limit of `work`; `None` for a coupled scene.
+    /// The last step of `world`, recomputed within the limit of `work`; `None` for a coupled scene, and for a
+    /// step that an edit divides.
     pub fn new(world: &'a World, before: Before, work: &'a Work) -> Option<Recomputed<'a>> {
+        if world.scene().last_edit(before.time, world.time()).is_some() {
+            return None;
+        }
         Some(Recomputed { world, prescribed: world.solver.prescribed()?, before, work: Tally::new(work, None) })
     }
 

@@ -63,7 +63,7 @@ fn extended(range: Option<[f64; 2]>, number: f64) -> [f64; 2] {
 struct PairPlot {
     phase: String,
     distance: LineId,
-    thresholds: Vec<(LineId, f64)>,
+    thresholds: Vec<(LineId, usize)>,
     /// Lines of gap, overlap and neck.
     measures: [LineId; 3],
     /// The lane that compares phase and surfaces, and the state that was last logged.
@@ -230,7 +230,8 @@ impl PairPlots {
             }
             series.log(chunks, known.distance, pair.q, at);
             self.plotted = Some(extended(self.plotted, pair.q));
-            for &(line, level) in &known.thresholds {
+            for &(line, threshold) in &known.thresholds {
+                let Some(level) = view.schema.level(threshold, [pair.a, pair.b], at.time) else { continue };
                 series.log(chunks, line, level, at);
                 self.plotted = Some(extended(self.plotted, level));
                 // A constant line has no new values, but should keep up with a live plot.
@@ -274,8 +275,10 @@ impl PairPlots {
             chunks.log(&pair.phase, since, &StateChange::single(schema.phases[phase].name));
             for (at, q) in before {
                 series.log(chunks, pair.distance, q, at);
-                for &(line, level) in &pair.thresholds {
-                    series.log(chunks, line, level, at);
+                for &(line, threshold) in &pair.thresholds {
+                    if let Some(level) = schema.level(threshold, [a, b], at.time) {
+                        series.log(chunks, line, level, at);
+                    }
                 }
                 self.plotted = Some(extended(self.plotted, q));
                 self.in_reach.insert((a, b));
@@ -325,11 +328,13 @@ impl PairPlot {
         let entity = |family: &Entity| family.of(&[&name]);
         Series::style(chunks, &entity(&PAIR_DISTANCE), &format!("q {name}"), rgb, 2.0, Interpolation::Linear);
         let thresholds = schema.thresholds.iter().enumerate().filter_map(|(index, threshold)| {
-            let level = schema.level(index, a, b)?;
             let entity = PAIR_LEVEL.of(&[&name, threshold.name]);
-            let name = format!("{} {level}", threshold.label);
+            let name = match schema.level(index, [a, b], 0.0) {
+                _ if schema.own_levels.is_changing() => threshold.label.to_owned(),
+                level => format!("{} {}", threshold.label, level?),
+            };
             Series::style(chunks, &entity, &name, threshold.color, 1.0, Interpolation::Step);
-            Some((series.line(chunks, &entity, Interpolation::Step), level))
+            Some((series.line(chunks, &entity, Interpolation::Step), index))
         });
         let thresholds = thresholds.collect();
         let names = || schema.phases.iter().map(|phase| phase.name);
