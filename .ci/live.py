@@ -88,6 +88,18 @@ def check(page, folder):
     last = page.evaluate("run.levels.find(level => level.label.startsWith('merge')).q")
     assert abs(last - (0.97 + 0.002 * 99)) < 1e-9, last
 
+    page.evaluate(f"seek({int(page.locator(MERGE).get_attribute('data-step')) + 20})")
+    page.locator("#branch").click()
+    split = 'input[type="range"][data-key="influence.split_at"]'
+    page.evaluate(SET, [split, "1.18"])
+    until(page, "document.querySelector('#toml').textContent.includes('[[edit]]') && run.levels.length > 0", 30)
+    page.locator("#branch").click()
+    page.locator('details[data-group="poke"] summary').click()
+    page.locator("#poke").click()
+    until(page, "document.querySelector('#toml').textContent.includes('[[point]]')", 30)
+    until(page, FOLLOWS, 60)
+    assert page.inner_text("#message") == "", page.inner_text("#message")
+
     page.locator("#save-recording").click()
     until(page, "document.querySelector('#saved').textContent.includes('two-live.rrd')", 60)
     replayed = subprocess.run([sys.argv[1], "replay", f"{folder}/two-live.rrd"], capture_output=True, text=True)

@@ -4,14 +4,62 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-/// What a page asks for: the experiment with other values, and the step that it shows.
+use crate::observe::{self, Variation};
+
+/// What a page asks for: a variation of the experiment, and the step that it shows.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Change {
     /// Values of parameters by key.
     pub values: BTreeMap<String, f64>,
+    /// Values from an instant on.
+    pub branches: Vec<Branch>,
+    /// A force point that acts on a body.
+    pub poke: Option<Poke>,
     /// The step under the time cursor.
     pub cursor: u64,
+}
+
+/// See [`observe::Branch`].
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Branch {
+    /// The instant [s].
+    pub time: f64,
+    /// Values by key.
+    pub values: BTreeMap<String, f64>,
+}
+
+/// See [`observe::Poke`].
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct Poke {
+    /// Name of the body.
+    pub body: String,
+    /// Where it is [scene unit].
+    pub at: [f64; 3],
+    /// Its radius [scene unit].
+    pub radius: f64,
+    /// Strength of its attraction [1/s²].
+    pub strength: f64,
+}
+
+impl Change {
+    /// What it varies.
+    pub fn variation(&self) -> Variation {
+        let branch = |Branch { time, values }: &Branch| observe::Branch { time: *time, values: values.clone() };
+        let poke = |Poke { body, at, radius, strength }: &Poke| observe::Poke {
+            body: body.clone(),
+            at: (*at).into(),
+            radius: *radius,
+            strength: *strength,
+        };
+        Variation {
+            values: self.values.clone(),
+            branches: self.branches.iter().map(branch).collect(),
+            poke: self.poke.as_ref().map(poke),
+        }
+    }
 }
 
 /// Why a change has no run.

@@ -14,7 +14,7 @@ use std::{
 use serde::Serialize;
 
 use super::{
-    change::{Change, Problem},
+    change::{Branch, Change, Poke, Problem},
     feed::Feed,
     lock,
     outline::{Outline, hex},
@@ -23,7 +23,7 @@ use super::{
 };
 use crate::{
     atomic::AtomicFile,
-    observe::{self, Experiment, Frame, Want},
+    observe::{self, BodyFrame, Experiment, Frame, Schema, Want, schema::BodySchema},
     sdk::LogMsg,
     stream::{
         self, Recorder, Settings,
@@ -40,6 +40,8 @@ const RECORDING: usize = 256 << 20;
 const BATCH: usize = 16;
 /// A run that takes longer reports its progress, at this interval.
 const PATIENCE: Duration = Duration::from_millis(300);
+/// Bodies of larger scenes cannot be poked: a list of more names is no choice.
+const MAX_POKED: usize = 1000;
 /// Upper limit on the numbers that are tried for the name of a saved file.
 const NAMES: usize = 10_000;
 
@@ -95,8 +97,20 @@ struct Scene {
     steps: u64,
     parameters: Vec<Parameter>,
     legend: Vec<Entry>,
-    /// The changed values by key.
+    /// The bodies that a force point can act on.
+    bodies: Vec<Body>,
+    /// The change that the runs have.
     values: BTreeMap<String, f64>,
+    branches: Vec<Branch>,
+    poke: Option<Poke>,
+}
+
+/// A body at the start.
+#[derive(Serialize)]
+struct Body {
+    name: String,
+    radius: f64,
+    at: [f64; 3],
 }
 
 #[derive(Serialize)]
@@ -109,6 +123,7 @@ struct Parameter {
     value: f64,
     min: f64,
     max: f64,
+    can_branch: bool,
 }
 
 /// A colour, and what has it.
@@ -192,7 +207,12 @@ impl Runs {
     pub fn replace(&self, experiment: Arc<dyn Experiment>) {
         self.want(|wanted| {
             let parameters = experiment.parameters();
-            wanted.change.values.retain(|key, _| parameters.iter().any(|parameter| parameter.key == *key));
+            let is_known = |key: &String| parameters.iter().any(|parameter| parameter.key == *key);
+            let Change { values, branches, poke, .. } = &mut wanted.change;
+            values.retain(|key, _| is_known(key));
+            branches.iter_mut().for_each(|branch| branch.values.retain(|key, _| is_known(key)));
+            let schema = experiment.schema();
+            *poke = poke.take().filter(|poke| schema.bodies.iter().any(|body| body.name == poke.body));
             wanted.experiment = experiment;
         });
         self.send_scene();
@@ -217,7 +237,7 @@ impl Runs {
 
     fn send_scene(&self) {
         let wanted = lock(&self.wanted);
-        let (experiment, values) = (Arc::clone(&wanted.experiment), wanted.change.values.clone());
+        let (experiment, change) = (Arc::clone(&wanted.experiment), wanted.change.clone());
         drop(wanted);
         let schema = experiment.schema();
         let parameters = experiment.parameters().into_iter().map(|parameter| Parameter {
@@ -229,6 +249,7 @@ impl Runs {
             value: parameter.value,
             min: parameter.range[0],
             max: parameter.range[1],
+            can_branch: parameter.can_branch,
         });
         let phases = schema.phases.iter().map(|phase| (phase.name, phase.color, false));
         let terms = schema.terms.iter().filter(|term| term.is_shown && term.can_act);
@@ -240,7 +261,10 @@ impl Runs {
             steps: schema.steps,
             parameters: parameters.collect(),
             legend: phases.chain(terms).map(entry).collect(),
-            values,
+            bodies: bodies_to_poke(&*experiment, &schema),
+            values: change.values,
+            branches: change.branches,
+            poke: change.poke,
         };
         self.feed.send("scene", &scene);
     }
@@ -248,7 +272,7 @@ impl Runs {
     /// Runs what is asked for, until [`Runs::end`].
     pub fn work(&self) {
         while let Some((job, experiment, change, number)) = self.next_job() {
-            let varied = experiment.varied(&change.values);
+            let varied = experiment.varied(&change.variation());
             let done = match (varied, job) {
                 (Err(invalid), _) => Err(Problem { key: invalid.key, text: invalid.text }),
                 (Ok(varied), Job::Run) => self.run(&*varied, number, change.cursor),
@@ -258,7 +282,7 @@ impl Runs {
                     saved
                 }
                 (Ok(_), Job::Thresholds(key)) => {
-                    let marks = thresholds::find(&*experiment, &change.values, &key, &|| self.is_current(number));
+                    let marks = thresholds::find(&*experiment, &change.variation(), &key, &|| self.is_current(number));
                     marks.into_iter().for_each(|marks| self.feed.send("marks", &Marks { key: key.clone(), marks }));
                     Ok(())
                 }
@@ -440,4 +464,20 @@ fn write_new(path: &Path, text: &str) -> io::Result<()> {
 fn memory(frame: &Frame) -> usize {
     let of_body = |body: &observe::BodyFrame| 24 * body.positions.len() * (2 + body.terms.len());
     size_of::<Frame>() + frame.bodies.iter().map(of_body).sum::<usize>()
+}
+
+/// The first bodies of an experiment, where they are at the start.
+fn bodies_to_poke(experiment: &dyn Experiment, schema: &Schema) -> Vec<Body> {
+    if !experiment.can_poke() || schema.bodies.len() > MAX_POKED {
+        return Vec::new();
+    }
+    let Ok(simulation) = experiment.start() else { return Vec::new() };
+    let mut frame = Frame::default();
+    simulation.observe(Want::default(), &mut frame);
+    let body = |(body, now): (&BodySchema, &BodyFrame)| Body {
+        name: body.name.clone(),
+        radius: body.radius,
+        at: now.centre.into(),
+    };
+    schema.bodies.iter().zip(&frame.bodies).map(body).collect()
 }

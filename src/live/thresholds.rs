@@ -1,11 +1,9 @@
 //! The values of a parameter at which the outcome of a run changes.
 
-use std::collections::BTreeMap;
-
 use serde::Serialize;
 
 use super::outline::outcome_of;
-use crate::observe::{Experiment, StepSummary};
+use crate::observe::{Experiment, StepSummary, Variation};
 
 /// Number of values for which the outcome is found first.
 const SAMPLES: usize = 24;
@@ -24,16 +22,16 @@ pub struct Mark {
 /// differs between two of [`SAMPLES`] values. `None` if `is_current` says that nobody waits for them any more.
 pub fn find(
     experiment: &dyn Experiment,
-    values: &BTreeMap<String, f64>,
+    variation: &Variation,
     key: &str,
     is_current: &dyn Fn() -> bool,
 ) -> Option<Vec<Mark>> {
     let parameters = experiment.parameters();
     let [low, high] = parameters.iter().find(|parameter| parameter.key == key)?.range;
     let outcome = |value: f64| {
-        let mut values = values.clone();
-        values.insert(key.to_owned(), value);
-        outcome(experiment, &values, is_current)
+        let mut variation = variation.clone();
+        variation.values.insert(key.to_owned(), value);
+        outcome(experiment, &variation, is_current)
     };
     let at = |k: usize| low + (high - low) * k as f64 / (SAMPLES - 1) as f64;
     let samples = (0..SAMPLES).map(|k| Some((at(k), outcome(at(k))?))).collect::<Option<Vec<_>>>()?;
@@ -64,12 +62,8 @@ enum Outcome {
 }
 
 /// `None` if nobody waits for it any more.
-fn outcome(
-    experiment: &dyn Experiment,
-    values: &BTreeMap<String, f64>,
-    is_current: &dyn Fn() -> bool,
-) -> Option<Outcome> {
-    let Ok(varied) = experiment.varied(values) else { return Some(Outcome::None) };
+fn outcome(experiment: &dyn Experiment, variation: &Variation, is_current: &dyn Fn() -> bool) -> Option<Outcome> {
+    let Ok(varied) = experiment.varied(variation) else { return Some(Outcome::None) };
     let Ok(mut simulation) = varied.start() else { return Some(Outcome::None) };
     let (steps, mut events, mut summary) = (simulation.schema().steps, Vec::new(), StepSummary::default());
     while simulation.steps_taken() < steps {

@@ -75,10 +75,10 @@ pub mod metaballs;
 pub mod side_by_side;
 mod variation;
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::sync::Arc;
 
 use crate::{
-    observe::{Experiment, InvalidVariation, Parameter, Refusal, Schema, Simulation},
+    observe::{Experiment, InvalidVariation, Parameter, Refusal, Schema, Simulation, Variation},
     scene::{Integrator, Model, Scene, template::Override},
     sim::{Options, World},
     text::did_you_mean,
@@ -144,8 +144,12 @@ impl Experiment for SceneRun {
         variation::parameters(self)
     }
 
-    fn varied(&self, values: &BTreeMap<String, f64>) -> Result<Arc<dyn Experiment>, InvalidVariation> {
-        variation::varied(self, values)
+    fn can_poke(&self) -> bool {
+        self.scene.model != Model::Metaballs
+    }
+
+    fn varied(&self, variation: &Variation) -> Result<Arc<dyn Experiment>, InvalidVariation> {
+        variation::varied(self, variation)
     }
 }
 

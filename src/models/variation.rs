@@ -1,12 +1,16 @@
 //! Scenes with other numbers: what `meldscope live` varies.
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::{
+    collections::BTreeMap,
+    fmt::{self, Write as _},
+    sync::Arc,
+};
 
 use super::SceneRun;
 use crate::{
-    observe::{Experiment, InvalidVariation, Parameter},
+    observe::{Branch, Experiment, InvalidVariation, Parameter, Poke, Variation},
     scene::{
-        Scene,
+        Model, Scene,
         numbers::{Number, numbers},
         template::{KeyPath, Setting, Template},
     },
@@ -15,6 +19,7 @@ use crate::{
 /// The numbers of a scene that get sliders.
 pub fn parameters(run: &SceneRun) -> Vec<Parameter> {
     let parameter = |number: Number| Parameter {
+        can_branch: run.scene.model == Model::Oscillators && Scene::can_edit(&number.path),
         key: number.path,
         group: number.group,
         label: number.name,
@@ -26,30 +31,88 @@ pub fn parameters(run: &SceneRun) -> Vec<Parameter> {
     numbers(&run.scene).into_iter().map(parameter).collect()
 }
 
-/// The scene with other numbers.
+/// The scene with other numbers, with further edits, and with a force point.
 ///
 /// # Errors
 /// A key is unknown, or the scene with these values is invalid.
-pub fn varied(run: &SceneRun, values: &BTreeMap<String, f64>) -> Result<Arc<dyn Experiment>, InvalidVariation> {
-    if values.is_empty() {
+pub fn varied(run: &SceneRun, variation: &Variation) -> Result<Arc<dyn Experiment>, InvalidVariation> {
+    if variation.is_empty() {
         return Ok(Arc::new(run.clone()));
     }
+    let Variation { values, branches, poke } = variation;
     let name = &run.scene.name;
+    let mut added = String::new();
+    if let Some(poke) = poke {
+        let _ = write_point(&mut added, poke, &run.scene);
+    }
+    for branch in branches.iter().filter(|branch| !branch.values.is_empty()) {
+        let _ = write_edit(&mut added, branch);
+    }
+    let text = if values.is_empty() { run.scene.source.clone() } else { with_values(run, values)? };
+    // an embedded mesh ends the text
+    let (own, meshes) = text.split_at(Scene::without_meshes(&text).len());
+    let scene = Scene::parse(&format!("{own}{added}{meshes}"), name).map_err(|error| {
+        let mut keys = branches.iter().flat_map(|branch| branch.values.keys());
+        let only = keys.clone().next().filter(|_| keys.clone().count() == 1);
+        let key = keys.find(|key| error.key.contains(key.as_str())).or(only).cloned();
+        InvalidVariation { key, text: SceneText { error: &error, is_edit: error.key.starts_with("edit") }.to_string() }
+    })?;
+    Ok(Arc::new(SceneRun { scene, options: run.options }))
+}
+
+/// An error in a text that nobody has seen: without its place.
+struct SceneText<'a> {
+    error: &'a crate::scene::SceneError,
+    is_edit: bool,
+}
+
+impl fmt::Display for SceneText<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let crate::scene::SceneError { key, message, help, .. } = self.error;
+        let what = if self.is_edit { "this branch" } else { key };
+        write!(f, "{what}: {message}")?;
+        help.iter().try_for_each(|help| write!(f, "; {help}"))
+    }
+}
+
+fn write_point(text: &mut String, poke: &Poke, scene: &Scene) -> fmt::Result {
+    let Poke { body, at, radius, strength } = poke;
+    let is_taken = |name: &str| scene.points.iter().any(|point| point.name == name);
+    let name = (1..).map(|n| if n == 1 { "poke".to_owned() } else { format!("poke-{n}") }).find(|name| !is_taken(name));
+    let (act, own) = if *strength < 0.0 { ("repel", "beta") } else { ("attract", "alpha") };
+    write!(
+        text,
+        "\n[[point]]\nname = \"{}\"\nmotion = {{ fixed = [{:?}, {:?}, {:?}] }}\nradius = {radius:?}\nact = \"{act}\"\n\
+         {own} = {:?}\nbodies = [\"{body}\"]\n",
+        name.unwrap_or_default(),
+        at.x,
+        at.y,
+        at.z,
+        strength.abs(),
+    )
+}
+
+fn write_edit(text: &mut String, branch: &Branch) -> fmt::Result {
+    let set: Vec<String> = branch.values.iter().map(|(key, value)| format!("\"{key}\" = {value:?}")).collect();
+    write!(text, "\n[[edit]]\ntime = {:?}\nset = {{ {} }}\n", branch.time, set.join(", "))
+}
+
+/// The text of the scene with other numbers.
+fn with_values(run: &SceneRun, values: &BTreeMap<String, f64>) -> Result<String, InvalidVariation> {
     let unknown = |text: String| InvalidVariation { key: None, text };
-    let template = Template::new(&run.scene.source, name, None).map_err(|error| unknown(error.to_string()))?;
+    let template =
+        Template::new(&run.scene.source, &run.scene.name, None).map_err(|error| unknown(error.to_string()))?;
     let mut settings = Vec::with_capacity(values.len());
     for (key, &value) in values {
         let path = KeyPath::parse(key).map_err(|text| InvalidVariation { key: Some(key.clone()), text })?;
         settings.push((path, Setting::Number(value)));
     }
-    let text = template.text(settings.iter().map(|(path, setting)| (path, setting))).map_err(|error| {
+    template.text(settings.iter().map(|(path, setting)| (path, setting))).map_err(|error| {
         // the error names the key as the parser knows it, which for an item of an array is not its path
         let last = |key: &str| key.rsplit('.').next().unwrap_or_default().split('[').next().map(str::to_owned);
         let is_it = |key: &&String| error.key == **key || last(&error.key).is_some_and(|name| last(key) == Some(name));
         let changed = values.keys().find(|key| error.key == **key).or_else(|| values.keys().find(is_it)).cloned();
         let key = changed.or_else(|| Some(error.key.clone()).filter(|key| !key.is_empty()));
         InvalidVariation { key, text: error.to_string() }
-    })?;
-    let scene = Scene::parse(&text, name).map_err(|error| unknown(error.to_string()))?;
-    Ok(Arc::new(SceneRun { scene, options: run.options }))
+    })
 }

@@ -24,7 +24,7 @@ pub mod surface;
 
 pub use event::{BodyEvent, Instant, PairEvent};
 pub use frame::{BodyFrame, Frame, MotionFrame, NetForce, PairFrame, Want};
-pub use parameter::{InvalidVariation, Parameter};
+pub use parameter::{Branch, InvalidVariation, Parameter, Poke, Variation};
 pub use row::EventRow;
 pub use schema::Schema;
 pub use simulation::{

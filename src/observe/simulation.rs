@@ -1,7 +1,6 @@
 //! Simulations that can be stepped and observed.
 
 use std::{
-    collections::BTreeMap,
     fmt::Debug,
     sync::{Arc, atomic::AtomicBool},
     time::Duration,
@@ -12,7 +11,7 @@ use glam::DVec3;
 use crate::model::hermite::Hermite;
 
 use super::{
-    InvalidVariation, Parameter,
+    InvalidVariation, Parameter, Variation,
     event::{BodyEvent, Instant, PairEvent},
     frame::{BodyFrame, Frame, PairFrame, Want},
     schema::Schema,
@@ -209,12 +208,17 @@ pub trait Experiment: Debug + Send + Sync {
         Vec::new()
     }
 
-    /// The experiment with other values of [parameters](Experiment::parameters), by key.
+    /// Whether it knows [`Variation::poke`].
+    fn can_poke(&self) -> bool {
+        false
+    }
+
+    /// The experiment with other values of [parameters](Experiment::parameters).
     ///
     /// # Errors
     /// A key is unknown or a value is invalid, or such a variation is not supported.
-    fn varied(&self, values: &BTreeMap<String, f64>) -> Result<Arc<dyn Experiment>, InvalidVariation> {
-        let _ = values;
+    fn varied(&self, variation: &Variation) -> Result<Arc<dyn Experiment>, InvalidVariation> {
+        let _ = variation;
         Err(InvalidVariation { key: None, text: "this simulation has no parameters".to_owned() })
     }
 }

@@ -80,6 +80,9 @@ pub fn numbers(scene: &Scene) -> Vec<Number> {
     for point in tables(&document, "point") {
         let Some(name) = point.get("name").and_then(Value::as_str) else { continue };
         numbers.item(&keys::POINT, &format!("point {name}"), &format!("point.{name}"), point, |_| None);
+        // it has the strength of what it does
+        let other = if point.get("act").and_then(Value::as_str) == Some("repel") { "alpha" } else { "beta" };
+        numbers.found.retain(|number| number.path != format!("point.{name}.{other}"));
     }
     numbers.found
 }

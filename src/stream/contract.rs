@@ -113,6 +113,8 @@ entities! {
         "Names of the pairs of bodies between which forces act, as classes of arrows.";
     FORCE = "/world/forces/CAUSE" ["Arrows3D"]
         "Accelerations of vertices by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre.";
+    POINTS = "/world/points" ["Ellipsoids3D"]
+        "The influence spheres of force points, while they act.";
     TRAILS = "/world/trails" ["LineStrips3D"]
         "The path of the centre of each free body, one segment per frame; not with more than 64 bodies.";
     PLANE = "/world/planes/N" ["Mesh3D"]

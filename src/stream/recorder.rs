@@ -27,7 +27,7 @@ use super::{
     parts::{
         FrameView, batch::BatchedBodies, bodies::SeparateBodies, forces::Forces, groups::GroupPlots, heat::Heat,
         lines::Lines, marks, merged::MergedEntities, net_forces::NetForces, numbers::FrameNumbers, pairs,
-        pairs::PairPlots, planes, spheres::SphereEntities, trails::Trails,
+        pairs::PairPlots, planes, points::Points, spheres::SphereEntities, trails::Trails,
     },
     series::Series,
     settings::{FORMAT, Frames, Trigger, application, recording_id},
@@ -103,6 +103,7 @@ struct StateParts {
     merged: MergedEntities,
     surfaces: Surfaces,
     spheres: SphereEntities,
+    points: Option<Points>,
     forces: Option<Forces>,
     net_forces: Option<NetForces>,
     lines: Lines,
@@ -522,13 +523,14 @@ impl StateParts {
         let net_forces = if detail != Detail::Surface { NetForces::new(schema, chunks) } else { None };
         let lines = Lines::new(schema, settings, chunks);
         let merged = MergedEntities::new(schema, interrupt, chunks);
-        StateParts { extractor, merged, surfaces, spheres, forces, net_forces, lines }
+        let points = Points::new(schema, chunks);
+        StateParts { extractor, merged, surfaces, spheres, points, forces, net_forces, lines }
     }
 
     /// Logs changed values, and measures `pairs`; returns the time spent on extraction, now and ahead.
     fn log(&mut self, view: FrameView<'_>, pairs: &[[usize; 2]], chunks: &mut Chunks) -> [Duration; 2] {
         let start = Clock::now();
-        let StateParts { extractor, merged, surfaces, spheres, forces, net_forces, lines } = self;
+        let StateParts { extractor, merged, surfaces, spheres, points, forces, net_forces, lines } = self;
         if let Some(forces) = forces {
             forces.extract(view, extractor);
         }
@@ -547,6 +549,9 @@ impl StateParts {
             net_forces.log(view, chunks);
         }
         spheres.log(view, chunks);
+        if let Some(points) = points {
+            points.log(view, chunks);
+        }
         lines.log(view, chunks);
         [extracting, ahead]
     }

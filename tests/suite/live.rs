@@ -212,6 +212,37 @@ fn what_is_saved_replaces_nothing_and_replays() {
     }
 }
 
+/// A branch is an `[[edit]]` of the saved scene and a force point a `[[point]]`, and the recording replays.
+#[test]
+fn branches_and_force_points_become_parts_of_the_scene() {
+    let page = Page::two();
+    let mut feed = page.feed();
+    let merged = time(&feed.run(1), "merge a~b");
+    let change = r#"{"values": {"influence.alpha": 150},
+        "branches": [{"time": 1.9, "values": {"influence.split_at": 1.06, "influence.merge_at": 1.0}}],
+        "poke": {"body": "b", "at": [2.5, -1.2, 0], "radius": 0.6, "strength": -80}, "cursor": 120}"#;
+    assert_eq!(page.post("change", change), 204);
+    let run = feed.run(2);
+    assert_eq!(time(&run, "merge a~b"), merged);
+    let split = time(&run, "split a~b");
+    assert!(split < 3.0, "{split}");
+    for (what, extension) in [("scene", "toml"), ("recording", "rrd")] {
+        assert_eq!(page.post("save", &format!(r#"{{"what": "{what}"}}"#)), 204);
+        feed.next("saved", |message| message["text"].as_str().is_some_and(|text| text.contains(extension)));
+    }
+    let scene = Scene::load(&page.dir.path().join("page.toml")).expect("a scene");
+    assert_eq!((scene.edits[0].time, scene.edits[0].set.len()), (1.9, 2));
+    assert_eq!((scene.points[0].strength, scene.points[0].bodies.as_deref()), (-80.0, Some(&[1][..])));
+    let recorded = Recorded::open(&page.dir.path().join("page.rrd")).expect("a recording");
+    assert!(matches!(replay::verify(&recorded, |_| true), Ok(replay::Verdict::Identical)));
+
+    let wrong = r#"{"branches": [{"time": 1.0, "values": {"influence.merge_at": 1.3}}]}"#;
+    assert_eq!(page.post("change", wrong), 204);
+    let problem = feed.next("problem", |_| true);
+    assert_eq!(problem["key"], "influence.merge_at", "{problem}");
+    assert!(problem["text"].as_str().is_some_and(|text| text.contains("merge_at (1.3)")), "{problem}");
+}
+
 #[test]
 fn only_who_knows_the_address_gets_the_page() {
     let page = Page::two();

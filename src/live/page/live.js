@@ -7,13 +7,16 @@
 const $ = (id) => document.getElementById(id);
 const NARROW = { top: "Hidden", blueprint: "Hidden", selection: "Hidden", time: "Hidden" };
 
-let scene = null; // name, dt, steps, parameters, legend
+let scene = null; // name, dt, steps, parameters, legend, bodies
 let run = null; // the run on screen: number, events, plots
 let before = null; // the run that it is compared with
 let pinned = null; // the run that the user pinned
 let cursor = 0; // step
 let playing = false;
 let values = new Map(); // changed values by key
+let branches = []; // [{ time, values: Map }] in order of time: values from an instant on, each an [[edit]] of the scene
+let isBranching = false; // whether changes go to the last branch
+let poke = null; // { body, at, radius, strength }: a force point
 
 // ---------------------------------------------------------------------------------------------------------------- server
 
@@ -42,7 +45,8 @@ async function send() {
   isSending = true;
   while (isStale) {
     isStale = false;
-    const problem = await post("change", { values: Object.fromEntries(values), cursor }).catch((error) => ({ text: `the program does not answer: ${error.message}` }));
+    const later = branches.filter(({ values }) => values.size > 0).map(({ time, values }) => ({ time, values: Object.fromEntries(values) }));
+    const problem = await post("change", { values: Object.fromEntries(values), branches: later, poke, cursor }).catch((error) => ({ text: `the program does not answer: ${error.message}` }));
     if (problem) showProblem(problem);
   }
   isSending = false;
@@ -62,6 +66,9 @@ const handlers = {
     scene = message;
     cursor = Math.min(cursor, message.steps);
     values = new Map(Object.entries(message.values));
+    branches = message.branches.map(({ time, values }) => ({ time, values: new Map(Object.entries(values)) }));
+    isBranching = false;
+    poke = message.poke;
     $("scene").textContent = message.name;
     document.title = `${message.name} – meldscope live`;
     $("cursor").max = message.steps;
@@ -108,10 +115,17 @@ const rows = new Map(); // the elements of each parameter by key
 const parameterOf = (key) => rows.get(key);
 const shown = (value) => String(Number(value.toPrecision(6)));
 
-const valueOf = (parameter) => values.get(parameter.key) ?? parameter.value;
+// The value that a slider shows: at the end of the run, if changes go to a branch; else at its start.
+function valueOf(parameter) {
+  const later = isBranching ? branches.findLast((branch) => branch.values.has(parameter.key)) : undefined;
+  return later?.values.get(parameter.key) ?? values.get(parameter.key) ?? parameter.value;
+}
 
 function change(parameter, value) {
-  if (value === parameter.value) values.delete(parameter.key);
+  if (isBranching && parameter.can_branch) {
+    branches.at(-1).values.delete(parameter.key);
+    if (value !== valueOf(parameter)) branches.at(-1).values.set(parameter.key, value);
+  } else if (value === parameter.value) values.delete(parameter.key);
   else values.set(parameter.key, value);
   rows.get(parameter.key).show();
   send();
@@ -131,7 +145,58 @@ function showSliders() {
       details.dataset.group = group;
       return details;
     }),
+    ...(scene.bodies.length > 0 ? [pokeSection(open)] : []),
   );
+}
+
+// A force point beside a body, and the sliders that move it.
+function pokeSection(open) {
+  const bodies = element("select", { ariaLabel: "body to poke" }, ...scene.bodies.map(({ name }) => element("option", {}, name)));
+  const button = element("button", { id: "poke" }, poke ? "Take away" : "Poke");
+  const fields = element("div", {});
+  const number = (label, unit, [min, max], value, set) => {
+    const track = element("input", { type: "range", min, max, step: "any", value, ariaLabel: label });
+    track.dataset.key = `poke.${label}`;
+    const exact = element("output", {}, shown(value));
+    track.addEventListener("input", () => {
+      poke = { ...poke, ...set(Number(track.value)) };
+      exact.textContent = shown(Number(track.value));
+      send();
+    });
+    return element("div", { className: "parameter" }, element("label", {}, label, " ", element("span", { className: "unit" }, unit)), exact, element("div", { className: "track" }, track));
+  };
+  if (poke) {
+    const { at, radius } = scene.bodies.find(({ name }) => name === poke.body);
+    bodies.value = poke.body;
+    const moved = (axis) => (value) => ({ at: poke.at.with(axis, value) });
+    fields.append(
+      number("strength", "1/s²; repels below 0", [-500, 500], poke.strength, (strength) => ({ strength })),
+      number("radius", "scene unit", [0.1 * radius, 3 * radius], poke.radius, (radius) => ({ radius })),
+      ...["x", "y", "z"].map((label, axis) => number(label, "scene unit", [at[axis] - 4 * radius, at[axis] + 4 * radius], poke.at[axis], moved(axis))),
+    );
+  }
+  const place = () => {
+    const { name, at, radius } = scene.bodies.find(({ name }) => name === bodies.value);
+    poke = { body: name, at: [at[0], at[1] - 1.6 * radius, at[2]], radius, strength: -150 };
+  };
+  const again = () => {
+    showSliders();
+    send();
+  };
+  button.addEventListener("click", () => {
+    if (poke) poke = null;
+    else place();
+    again();
+  });
+  bodies.addEventListener("change", () => {
+    if (!poke) return;
+    place();
+    again();
+  });
+  const summary = element("summary", { title: "a force point that attracts or repels the vertices of one body" }, "poke");
+  const details = element("details", { open: open.has("poke") || poke !== null }, summary, element("div", { className: "row" }, bodies, button), fields);
+  details.dataset.group = "poke";
+  return details;
 }
 
 function slider(parameter) {
@@ -198,18 +263,60 @@ function asToml() {
     if (!tables.has(header)) tables.set(header, []);
     tables.get(header).push(`${inner && kind === "body" ? `${inner}.` : ""}${name} = ${value}`);
   }
-  return [...tables].map(([header, lines]) => [header, ...lines].filter((line) => line !== "").join("\n")).join("\n\n");
+  const changed = [...tables].map(([header, lines]) => [header, ...lines].filter((line) => line !== "").join("\n"));
+  if (poke) {
+    const [act, name] = poke.strength < 0 ? ["repel", "beta"] : ["attract", "alpha"];
+    changed.push(`[[point]]\nname = "poke"\nmotion = { fixed = [${poke.at.map(shown).join(", ")}] }\nradius = ${shown(poke.radius)}\nact = "${act}"\n${name} = ${shown(Math.abs(poke.strength))}\nbodies = ["${poke.body}"]`);
+  }
+  for (const { time, values } of branches) {
+    if (values.size > 0) changed.push(`[[edit]]\ntime = ${time}\nset = { ${[...values].map(([key, value]) => `"${key}" = ${value}`).join(", ")} }`);
+  }
+  return changed.join("\n\n");
 }
 
 function showChanges() {
   $("toml").textContent = asToml();
   $("flags").textContent = [...values].map(([key, value]) => `--set ${key}=${value}`).join(" ");
-  $("reset").disabled = values.size === 0;
+  $("reset").disabled = values.size === 0 && branches.length === 0 && poke === null;
+  $("branches").replaceChildren(
+    ...branches.map((branch) => {
+      const remove = element("button", { title: "take this branch away", ariaLabel: "take this branch away" }, "✕");
+      remove.addEventListener("click", () => {
+        branches = branches.filter((other) => other !== branch);
+        isBranching &&= branches.length > 0;
+        showAll();
+        send();
+      });
+      return element("li", {}, `from ${branch.time.toFixed(4)} s: ${branch.values.size} changed `, remove);
+    }),
+  );
+  $("branch").setAttribute("aria-pressed", String(isBranching));
+  $("branch").textContent = isBranching ? `Changing from ${branches.at(-1).time.toFixed(4)} s on` : "Branch here";
 }
+
+function showAll() {
+  for (const { show } of rows.values()) show();
+  showChanges();
+}
+
+$("branch").addEventListener("click", () => {
+  isBranching = !isBranching;
+  branches = branches.filter(({ values }) => values.size > 0);
+  if (isBranching) {
+    // what came later would be changed by what is now before it
+    const time = cursor * scene.dt;
+    branches = branches.filter((branch) => branch.time <= time);
+    if (branches.at(-1)?.time !== time) branches.push({ time, values: new Map() });
+  }
+  showAll();
+});
 
 $("reset").addEventListener("click", () => {
   values = new Map();
-  for (const { show } of rows.values()) show();
+  branches = [];
+  isBranching = false;
+  poke = null;
+  showSliders();
   send();
 });
 
@@ -308,6 +415,7 @@ function showPlot() {
     parts.push(draw("line", { class: "threshold", x1: left, x2: width - right, y1: y(q), y2: y(q), stroke: color }));
     parts.push(draw("text", { x: width - right - 2, y: y(q) - 3, "text-anchor": "end", fill: color }, `${label} ${shown(q)}`));
   }
+  for (const { time } of branches) parts.push(draw("line", { class: "plotted-branch", x1: x(time / scene.dt), x2: x(time / scene.dt), y1: top, y2: height - bottom }));
   if (before && before !== run) for (const line of before.plots) parts.push(draw("path", { class: "before", d: path(line) }));
   run.plots.forEach((line, index) => {
     const color = COLORS[index % COLORS.length];

@@ -12,6 +12,7 @@
 //! | `/groups/A/…` | [`groups`] |
 //! | `/world/trails` | [`trails`] |
 //! | `/world/planes/N` | [`planes`] |
+//! | `/world/points` | [`points`] |
 //! | `/pairs/A~B/…`, `/events` | [`pairs`] |
 //! | `/legend/…` | [`heat`] |
 //! | `/marks/…` | [`marks`] |
@@ -31,6 +32,7 @@ pub mod net_forces;
 pub mod numbers;
 pub mod pairs;
 pub mod planes;
+pub mod points;
 pub mod spheres;
 pub mod trails;
 pub mod vertices;
