@@ -1,5 +1,15 @@
-//! The built-in scenes: those in `recordings/`, beside their golden recordings, and one that is too large to have a
-//! golden recording.
+//! The built-in scenes: those in `recordings/`, beside their golden recordings, those of the thesis's figures, and one
+//! that is too large to have a golden recording.
+//!
+//! | thesis | scene |
+//! | --- | --- |
+//! | Fig. 2.2a and b: a lattice deforms, springs are cut | `figure-2-2b` |
+//! | Fig. 2.2c: nodes are split | `figure-2-2c` |
+//! | Fig. 2.3: metaballs join | `figure-2-3` |
+//! | Fig. 4.1: an outside force | `figure-4-1`; `push` is larger and faster |
+//! | Fig. 4.2: two objects | `figure-4-2`; `two` is larger, with hysteresis and a snap |
+//! | Fig. 4.3: three objects | `figure-4-3`; `three` is larger, and of different sizes |
+//! | section 4.3: very different sizes | `section-4-3`, and its cure `size_ratio` |
 
 use super::Scene;
 
@@ -15,7 +25,7 @@ pub struct Builtin {
 }
 
 /// All built-in scenes, in the order in which they are listed to users.
-pub const ALL: [Builtin; 10] = [
+pub const ALL: [Builtin; 17] = [
     scene("push", include_str!("../../recordings/push.toml")),
     scene("two", include_str!("../../recordings/two.toml")),
     scene("three", include_str!("../../recordings/three.toml")),
@@ -33,10 +43,21 @@ pub const ALL: [Builtin; 10] = [
         ],
     },
     scene("rain", include_str!("rain.toml")),
+    bar("figure-2-2b", include_str!("thesis/figure-2-2b.toml")),
+    bar("figure-2-2c", include_str!("thesis/figure-2-2c.toml")),
+    scene("figure-2-3", include_str!("thesis/figure-2-3.toml")),
+    scene("figure-4-1", include_str!("thesis/figure-4-1.toml")),
+    scene("figure-4-2", include_str!("thesis/figure-4-2.toml")),
+    scene("figure-4-3", include_str!("thesis/figure-4-3.toml")),
+    scene("section-4-3", include_str!("thesis/section-4-3.toml")),
 ];
 
 const fn scene(name: &'static str, text: &'static str) -> Builtin {
     Builtin { name, text, meshes: &[] }
+}
+
+const fn bar(name: &'static str, text: &'static str) -> Builtin {
+    Builtin { name, text, meshes: &[("bar.obj", include_str!("../../recordings/bar.obj"))] }
 }
 
 impl Builtin {
@@ -47,8 +68,7 @@ impl Builtin {
 }
 
 impl Scene {
-    /// A built-in scene: `push`, `two`, `three`, `size_ratio`, `crowd`, `collide`, `orbit`, `drop`, `mesh` or `rain`; `None`
-    /// for other names.
+    /// A built-in scene, by its name in [`ALL`]; `None` for other names.
     pub fn builtin(name: &str) -> Option<Scene> {
         let builtin = ALL.iter().find(|builtin| builtin.name == name)?;
         // a test parses every built-in scene, so an error means a broken build; the scene then counts as unknown

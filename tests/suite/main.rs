@@ -30,6 +30,7 @@ mod skipping;
 mod stability;
 mod stranger;
 mod sweep;
+mod thesis;
 mod tolerance;
 mod union;
 mod viewer;

@@ -1,0 +1,146 @@
+//! The scenes of the thesis's figures show what their captions describe.
+
+use glam::DVec3;
+use meldscope::{
+    Scene, World,
+    observe::{Experiment as _, StepSummary},
+    scene::Integrator,
+};
+
+/// The motion of a scene's vertices.
+#[derive(Debug, Default)]
+struct Moved {
+    /// The largest displacement of each body over the run [radii].
+    largest: Vec<f64>,
+    /// The largest displacement after each step, of all bodies [radii].
+    after: Vec<f64>,
+    /// The largest change of a displacement in one step [radii].
+    per_step: f64,
+    /// Phase changes: name, pair, time [s].
+    events: Vec<(&'static str, u32, u32, f64)>,
+}
+
+fn moved(scene: Scene) -> Moved {
+    let mut world = World::new(scene).expect("enough memory");
+    let all = |world: &World| -> Vec<Vec<DVec3>> {
+        let of = |body: usize| (0..world.body(body).vertex_count()).map(move |i| world.body(body).displacement(i));
+        (0..world.body_count()).map(|body| of(body).collect()).collect()
+    };
+    let mut moved = Moved { largest: vec![0.0; world.body_count()], ..Moved::default() };
+    let mut before = all(&world);
+    for _ in 0..world.scene().steps() {
+        let report = world.step();
+        assert_eq!(report.failure, None);
+        moved.events.extend(report.events.iter().map(|event| (event.name(), event.a, event.b, event.time)));
+        let now = all(&world);
+        let mut after = 0.0;
+        for (body, largest) in moved.largest.iter_mut().enumerate() {
+            let radius = world.body(body).scene().radius;
+            let displacement = world.body(body).max_displacement() / radius;
+            *largest = f64::max(*largest, displacement);
+            after = f64::max(after, displacement);
+            for (x, then) in now[body].iter().zip(&before[body]) {
+                moved.per_step = moved.per_step.max(x.distance(*then) / radius);
+            }
+        }
+        moved.after.push(after);
+        before = now;
+    }
+    moved
+}
+
+fn figure(name: &str) -> Scene {
+    let scene = Scene::builtin(name).expect("a built-in scene");
+    assert_eq!(scene.integrator, Integrator::Thesis, "{name} uses the author's scheme");
+    scene
+}
+
+/// Whether events are these, at times measured to a millisecond.
+fn assert_events(moved: &Moved, expected: &[(&str, u32, u32, f64)]) {
+    let is_same = moved.events.len() == expected.len()
+        && moved.events.iter().zip(expected).all(|(found, expected)| {
+            (found.0, found.1, found.2) == (expected.0, expected.1, expected.2) && (found.3 - expected.3).abs() < 1e-3
+        });
+    assert!(is_same, "{:?}", moved.events);
+}
+
+/// "When the force is gone, the shape returns to its original state in waves."
+#[test]
+fn figure_4_1_ripples_back() {
+    let scene = figure("figure-4-1");
+    assert_eq!((scene.vertex_count(), scene.pushes.len(), scene.points.len()), (266, 0, 1));
+    let (start, end) = (scene.points[0].end(), scene.duration);
+    let step = |t: f64| (t / scene.dt).round() as usize - 1;
+    let moved = moved(scene.clone());
+    // Measured: 0.261 and 0.0323.
+    assert!(moved.largest[0] > 0.2 && moved.largest[0] < 0.3 && moved.per_step < 0.035, "{moved:?}");
+    // every vertex swings: displacements rise and fall, lower each time
+    let after = &moved.after[step(start)..step(end)];
+    let crests: Vec<f64> = after.windows(3).filter(|x| x[1] > x[0] && x[1] >= x[2]).map(|x| x[1]).collect();
+    assert!(crests.len() > 6 && crests.windows(2).all(|crests| crests[1] < crests[0]), "{crests:?}");
+    assert!(after[after.len() - 1] < 0.02, "{after:?}");
+}
+
+/// "As the objects approach, they merge gradually, and their shapes change with the distance."
+#[test]
+fn figure_4_2_merges_gradually() {
+    let scene = figure("figure-4-2");
+    assert_eq!((scene.vertex_count(), scene.bodies.len()), (532, 2));
+    let moved = moved(scene);
+    // Measured: 0.201 and 0.0137; `two` has 0.82 and 0.098.
+    assert!(moved.largest.iter().all(|largest| (0.15..0.3).contains(largest)), "{:?}", moved.largest);
+    assert!(moved.per_step < 0.02, "{}", moved.per_step);
+    assert_events(&moved, &[("merge", 0, 1, 0.6757), ("split", 0, 1, 3.6024)]);
+}
+
+/// "In this case, too, the shapes change smoothly with the distances."
+#[test]
+fn figure_4_3_merges_gradually() {
+    let scene = figure("figure-4-3");
+    assert_eq!((scene.vertex_count(), scene.bodies.len()), (798, 3));
+    let moved = moved(scene);
+    assert!(moved.largest.iter().all(|largest| (0.15..0.3).contains(largest)), "{:?}", moved.largest);
+    assert!(moved.per_step < 0.03, "{}", moved.per_step);
+    assert_events(
+        &moved,
+        &[
+            ("merge", 1, 2, 1.0646),
+            ("merge", 0, 1, 1.2340),
+            ("merge", 0, 2, 1.2340),
+            ("split", 0, 1, 3.8257),
+            ("split", 0, 2, 3.8257),
+            ("split", 1, 2, 3.8579),
+        ],
+    );
+}
+
+/// "If the sizes differ extremely, merging and splitting fail": with the author's strengths, not with relative ones.
+#[test]
+fn section_4_3_breaks_a_small_body() {
+    let broken = figure("section-4-3");
+    let cure = Scene::builtin("size_ratio").expect("a built-in scene");
+    let paths = |scene: &Scene| scene.bodies.iter().map(|body| format!("{:?}", body.motion)).collect::<Vec<_>>();
+    assert_eq!(paths(&broken), paths(&cure));
+    let [broken, cure] = [broken, cure].map(|scene| moved(scene).largest[1]);
+    assert!(broken > 3.0 && cure < 0.6, "{broken} {cure}");
+}
+
+/// Cutting springs loses the volume of their cells, splitting nodes does not.
+#[test]
+fn figure_2_2_cuts_cells_or_splits_nodes() {
+    let torn = |name: &str, event: &str| {
+        let scene = Scene::builtin(name).expect("a built-in scene");
+        let (mut simulation, mut summary) = (scene.start().expect("a lattice"), StepSummary::default());
+        let mut count = 0;
+        for _ in 0..scene.steps() {
+            simulation.step();
+            simulation.summary(&mut summary);
+            assert_eq!(summary.failure, None);
+            let events = simulation.body_events();
+            assert!(events.iter().all(|found| found.name == event), "{events:?}");
+            count += events.len();
+        }
+        count
+    };
+    assert_eq!((torn("figure-2-2b", "cut cell"), torn("figure-2-2c", "split node")), (16, 36));
+}
