@@ -106,6 +106,17 @@ impl Mesh {
         self.rings
     }
 
+    /// Whether the surface encloses the centre: whether the solid angles of its triangles, seen from there, add up to a
+    /// full turn. Van Oosterom and Strackee: *The Solid Angle of a Plane Triangle* (1983).
+    pub fn encloses_centre(&self) -> bool {
+        let solid_angle = |&[a, b, c]: &[u32; 3]| {
+            let [a, b, c] = [a, b, c].map(|i| self.positions.get(i as usize));
+            let (la, lb, lc) = (a.length(), b.length(), c.length());
+            2.0 * libm::atan2(a.dot(b.cross(c)), la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb)
+        };
+        self.is_round() || self.triangles.iter().map(solid_angle).sum::<f64>() > std::f64::consts::TAU
+    }
+
     /// The mesh at the scale of a body of the given radius [scene unit].
     pub fn at(&self, radius: f64) -> Rest<'_> {
         Rest { mesh: self, radius }

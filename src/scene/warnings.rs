@@ -1,5 +1,7 @@
 //! Warnings about scenes that are valid but probably not intended.
 
+use std::collections::BTreeMap;
+
 use super::{Motion, Rotation, Scene};
 
 /// The largest number of bodies that are compared with each other.
@@ -13,9 +15,9 @@ const INSIDE_OUT: f64 = 5.0;
 
 impl Scene {
     /// Warnings about thresholds without effect, each with a level that has an effect: a `merge_at` at which no sphere
-    /// reaches the other body, a `split_at` at which the rest shapes still overlap. Also about free
-    /// bodies without a core, and about free bodies that start
-    /// so deep in a plane that it turns them inside out.
+    /// reaches the other body, a `split_at` at which the rest shapes still overlap. Also about influence spheres that do
+    /// not enclose their body, bodies that do not enclose their centre, free bodies without a core, and free bodies that
+    /// start so deep in a plane that it turns them inside out.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = [Vec::new(), Vec::new(), Vec::new()];
         for b in 0..self.bodies.len().min(MAX_BODIES) {
@@ -45,7 +47,38 @@ impl Scene {
             }
         }
         let of_pairs = warnings.into_iter().filter_map(|all| summary(all, "pair"));
-        of_pairs.chain(summary(self.inside_out(), "body")).collect()
+        let of_bodies = [self.not_enclosed(), self.hollow(), self.inside_out()];
+        of_pairs.chain(of_bodies.into_iter().filter_map(|all| summary(all, "body"))).collect()
+    }
+
+    /// Bodies that their influence sphere, which acts on others, does not enclose (3.2).
+    fn not_enclosed(&self) -> Vec<String> {
+        let reach = self.influence.reach;
+        if self.bodies.len() < 2 || reach >= 1.0 {
+            return Vec::new();
+        }
+        let warning = |name: &String| {
+            format!(
+                "reach = {reach} leaves the surface of {name} outside its influence sphere: others feel it only once they are \
+                 inside it; use a reach above 1"
+            )
+        };
+        self.bodies.iter().map(|body| warning(&body.name)).collect()
+    }
+
+    /// Bodies whose centre, which is that of their influence sphere, is outside their surface (3.2).
+    fn hollow(&self) -> Vec<String> {
+        let (mut known, mut warnings) = (BTreeMap::new(), Vec::new());
+        for body in self.bodies.iter().take(MAX_BODIES) {
+            if !*known.entry(&body.shape).or_insert_with(|| body.shape.mesh().encloses_centre()) {
+                warnings.push(format!(
+                    "the centre of {} is outside its surface: its influence sphere acts from where the body is not; use a \
+                     shape that encloses its mass centre",
+                    body.name
+                ));
+            }
+        }
+        warnings
     }
 
     /// Free bodies that start so deep in a plane that it turns them inside out: their vertices then have no unique
@@ -111,6 +144,21 @@ mod tests {
         let found = warnings("merge_at = 0.8\nsplit_at = 0.9");
         assert!(found.len() == 1 && found[0].contains("split_at = 0.9 "), "{found:?}");
         assert_eq!(warnings(""), [""; 0]);
+    }
+
+    /// The conditions of 3.2: the influence sphere encloses its body, which encloses their common centre.
+    #[test]
+    fn a_sphere_within_its_body_and_a_centre_outside_it_are_reported() {
+        let found = warnings("reach = 0.9\nmerge_at = 0.9\nsplit_at = 1.0");
+        assert!(
+            found.len() == 1 && found[0].contains("reach = 0.9 ") && found[0].contains("surface of a outside"),
+            "{found:?}"
+        );
+        assert!(found[0].ends_with("(and one more body like it)"), "{found:?}");
+        assert_eq!(warnings("reach = 1.0\nmerge_at = 0.9\nsplit_at = 1.0"), [""; 0]);
+
+        let found = Scene::builtin("mesh").unwrap().warnings();
+        assert!(found.len() == 1 && found[0].starts_with("the centre of knot is outside its surface"), "{found:?}");
     }
 
     /// A body that starts half a radius deep fails at a stiffness of 1e5, but not at 1e4.

@@ -47,7 +47,13 @@ impl Ran {
 
     /// Asserts success, with only results in the output.
     fn succeeded(self) -> Ran {
-        assert_eq!((self.status, self.err.as_str()), (0, ""), "{}", self.out);
+        self.warned_of(&[])
+    }
+
+    /// Asserts success, with these warnings beside the results.
+    fn warned_of(self, warnings: &[String]) -> Ran {
+        let warnings: String = warnings.iter().map(|warning| format!("warning: {warning}\n")).collect();
+        assert_eq!((self.status, self.err.as_str()), (0, warnings.as_str()), "{}", self.out);
         self
     }
 
@@ -333,7 +339,8 @@ fn the_built_in_scenes_are_listed_and_run() {
     }
     assert_eq!(dir.names(), [""; 0]);
     for builtin in builtin::ALL {
-        run(&dir, &["run", builtin.name, "--steps", "2", "--quiet"]).succeeded();
+        let scene = Scene::builtin(builtin.name).expect("a built-in scene");
+        run(&dir, &["run", builtin.name, "--steps", "2", "--quiet"]).warned_of(&scene.warnings());
         assert_eq!(Recording::open(&dir.file(&format!("{}.rrd", builtin.name))).steps(), 2.0);
     }
     assert_eq!(dir.names().len(), builtin::ALL.len());
@@ -1486,9 +1493,10 @@ fn the_size_of_a_recording_is_predicted() {
     let dir = Dir::new();
     for scene in ["two", "three", "crowd", "mesh"] {
         let file = format!("{scene}.rrd");
-        run(&dir, &["run", scene, "--save", &file, "--every", "2"]).succeeded();
-        let real = size(&dir.file(&file)) as f64;
+        let ran = run(&dir, &["run", scene, "--save", &file, "--every", "2"]);
         let scene = Scene::builtin(scene).expect("a scene");
+        ran.warned_of(&scene.warnings());
+        let real = size(&dir.file(&file)) as f64;
         let settings = Settings { every: 2, ..Settings::of(&scene) };
         let projected = size::project(&scene, &settings, 0).expect("a size");
         let ratio = projected.bytes as f64 / real;
