@@ -34,8 +34,10 @@ const MAX_WORK_WITHIN: u64 = 4_000_000;
 /// so.
 pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
     let stage = |name: &str, frame: Frame| StageFrame { name: name.to_owned(), frame };
-    let mut stages =
-        vec![stage("start", before.clone()), stage("influence forces", influence_only(before.clone(), world.scene()))];
+    let mut stages = vec![
+        stage("start", before.clone()),
+        stage("influence forces", only(before.clone(), world.scene(), is_influence)),
+    ];
     let max = (MAX_VERTICES / world.scene().vertex_count().max(1)).max(MIN_STAGES) as usize;
     let work = Work::limited(MAX_WORK, world.options().interrupt);
     let last = match Recomputed::new(world, before_step(before), &work) {
@@ -100,8 +102,11 @@ fn intervals(
         Integrator::Thesis | Integrator::Mps => {
             let predicted =
                 states.iter().enumerate().map(|(index, states)| recomputed.predict(index, states)).collect();
-            let name = "prediction, (3.6) and (3.7)".to_owned();
-            stages.push(StageFrame { name, frame: frame(end, start, predicted) });
+            let predicted = frame(end, start, predicted);
+            let restoring =
+                only(predicted.clone(), world.scene(), |cause| matches!(cause, Cause::Restoring | Cause::Damping));
+            stages.push(StageFrame { name: "prediction, (3.6) and (3.7)".to_owned(), frame: predicted });
+            stages.push(StageFrame { name: "restoring force T, (3.8)".to_owned(), frame: restoring });
         }
         Integrator::Euler | Integrator::Verlet | Integrator::Rk4 => {}
     }
@@ -204,16 +209,19 @@ pub fn within_coupled(before: &Frame, world: &World, time: f64, bodies: &[usize]
     written
 }
 
-/// The frame without the forces that do not come from influence spheres.
-fn influence_only(mut frame: Frame, scene: &Scene) -> Frame {
-    let is_influence =
-        |cause: Cause| matches!(cause, Cause::Attraction | Cause::Repulsion | Cause::Core | Cause::Point);
+/// Whether a force comes from influence spheres.
+fn is_influence(cause: Cause) -> bool {
+    matches!(cause, Cause::Attraction | Cause::Repulsion | Cause::Core | Cause::Point)
+}
+
+/// The frame with only some of the forces, and their sum as net force.
+fn only(mut frame: Frame, scene: &Scene, is_kept: impl Fn(Cause) -> bool) -> Frame {
     for body in frame.bodies.iter_mut().filter(|body| body.has_forces) {
         let [terms @ .., net] = body.terms.as_mut_slice() else { continue };
         let count = net.accelerations.len();
         net.accelerations.reset(count);
         for (cause, term) in Cause::of(scene).zip(terms) {
-            if is_influence(cause) {
+            if is_kept(cause) {
                 net.accelerations.add_times(1.0, &term.accelerations);
             } else {
                 term.accelerations.clear();
@@ -248,6 +256,34 @@ mod tests {
             "{}",
             last.name
         );
+    }
+
+    /// Fig. 3.4: the velocity after a step is that of the prediction, and T Δt (3.9).
+    #[test]
+    fn the_stages_of_the_printed_scheme_are_its_equations() {
+        let scene = Scene::builtin("figure-4-2").unwrap();
+        let mut world = World::new(scene.clone()).unwrap();
+        let (mut largest, mut compared) = (0.0, 0);
+        for _ in 0..120 {
+            let mut before = Frame::default();
+            world.observe(WANT, &mut before);
+            world.step();
+            let stages = inside(&before, &world);
+            let named = |name: &str| &stages.iter().find(|stage| stage.name == name).unwrap().frame;
+            let [predicted, restoring, end] =
+                ["prediction, (3.6) and (3.7)", "restoring force T, (3.8)", "end"].map(named);
+            for ((predicted, restoring), end) in predicted.bodies.iter().zip(&restoring.bodies).zip(&end.bodies) {
+                let Some(net) = restoring.terms.last().filter(|_| restoring.has_forces && !end.is_at_rest) else {
+                    continue;
+                };
+                for i in 0..net.accelerations.len() {
+                    let expected = predicted.velocities.get(i) + net.accelerations.get(i) * scene.dt;
+                    largest = f64::max(largest, expected.distance(end.velocities.get(i)));
+                    compared += 1;
+                }
+            }
+        }
+        assert!(compared > 10_000 && largest < 1e-13, "{compared} {largest:e}");
     }
 
     #[test]
