@@ -1,7 +1,7 @@
 //! The equations, scalar and readable, and nothing else.
 //!
-//! From the graduation thesis of 海上 一徳 (2006), 「リアルタイム 3DCG における融合・分裂を考慮したソフトボディ表現」 (soft bodies with merging and
-//! splitting in real-time 3D graphics); equation numbers are its own. Every vertex is a damped oscillator about its
+//! From 海上 一徳, 「リアルタイム 3DCG における融合・分裂を考慮したソフトボディ表現」 (soft bodies with merging and splitting in real-time 3D
+//! graphics), graduation thesis of fiscal 2006, メディア学部 ゲームサイエンスプロジェクト, adviser 渡辺 大地; equation numbers are its own. Every vertex is a damped oscillator about its
 //! rest position l, which moves with the centre c of its body; x is its displacement from there, r = c + l + x:
 //!
 //! ```text
@@ -13,8 +13,8 @@
 //! or −β (repulsion). Vertices do not act on each other.
 //!
 //! # Pair phases
-//! The thesis switches between (3.4) and (3.5) "according to the distance" without giving the distance. Here each pair
-//! is a state machine on q, the centre distance over the sum of the radii:
+//! The thesis switches between (3.4) and (3.5) "according to the distance" (section 3.2) without giving the distance: thresholds
+//! and hysteresis are ours. Here each pair is a state machine on q, the centre distance over the sum of the radii:
 //!
 //! ```text
 //! apart → merged  when q falls to merge_at         merged → apart  when q rises to split_at
@@ -39,6 +39,11 @@
 //! - **A body may respond to its own motion** (`carry`): not at all (`rigid`, the thesis in body coordinates), by c″
 //!   (`inertial`), or by c″ + 2κc′ (`world`, (3.8) read in world coordinates).
 //!
+//! # Misprints of the thesis
+//! - 3.3 says that velocity and position are advanced to u\* and r\* by (3.9) and (3.10): by (3.6) and (3.7).
+//! - 4.1 gives the influence sphere as √2 times r_e: r_e is √2 times R.
+//! - 3.1.1 calls k the spring constant: it is the damping rate; the stiffness is w².
+//!
 //! # Where the equations are
 //!
 //! | equation | where |
@@ -62,3 +67,7 @@ pub mod phase;
 pub mod shape_matching;
 
 pub use pair_law::{ForFree, PairLaw};
+
+/// The thesis that the equations come from.
+pub const THESIS: &str = "海上 一徳, 「リアルタイム 3DCG における融合・分裂を考慮したソフトボディ表現」, graduation thesis of fiscal 2006, \
+                          メディア学部 ゲームサイエンスプロジェクト, adviser 渡辺 大地";

@@ -31,6 +31,8 @@ pub struct Schema {
     pub tolerance: f64,
     /// Description of the interaction between bodies, as Markdown.
     pub law: String,
+    /// The work that the simulation follows, for the panel; empty if there is none.
+    pub credit: &'static str,
     /// Distance from a seam within which merged surfaces are smoothed [radii of the smaller body]; 0 for sharp seams.
     pub blend: f64,
     /// The bodies: at least one, with unique names.
@@ -288,6 +290,7 @@ impl Default for Schema {
             steps: 0,
             tolerance: 1e-6,
             law: String::new(),
+            credit: "",
             blend: fairing::BLEND,
             bodies: Vec::new(),
             planes: Vec::new(),

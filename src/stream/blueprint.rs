@@ -993,5 +993,6 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
     } else {
         String::new()
     };
-    head + &spheres + &merged + &arrows + &net_forces + &trails + &bound
+    let credit = if schema.credit.is_empty() { String::new() } else { format!("\nAfter {}.\n", schema.credit) };
+    head + &spheres + &merged + &arrows + &net_forces + &trails + &bound + &credit
 }

@@ -23,7 +23,7 @@ use glam::DVec3;
 
 use crate::{
     colors,
-    model::phase::Phase,
+    model::{THESIS, phase::Phase},
     observe::{
         BodyFrame, Frame, Instant, MotionFrame, NearPair, PairEvent, Schema, Shortfall, Simulation, StageFrame,
         StepFailure, StepSummary, Want, between,
@@ -324,6 +324,7 @@ pub fn schema(scene: &Scene) -> Schema {
         steps: scene.steps(),
         tolerance: scene.tolerance,
         law: law(scene),
+        credit: THESIS,
         blend: scene.blend,
         bodies,
         terms: Cause::of(scene).map(|cause| term(scene, cause)).collect(),

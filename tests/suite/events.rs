@@ -190,7 +190,7 @@ proptest! {
     }
 }
 
-/// The thesis's switch, merge_at = split_at and no core: merges and splits alternate.
+/// A switch at one distance, merge_at = split_at and no core: merges and splits alternate.
 #[test]
 fn one_switching_distance_without_core_alternates() {
     let b = sine(dvec3(1.0, 0.0, 0.0), dvec3(0.5, 0.0, 0.0), 5.0, 0.0);

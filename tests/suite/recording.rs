@@ -493,7 +493,7 @@ impl Run {
         let up = self.recording.fixed("/world").get::<ViewCoordinates>("ViewCoordinates:xyz");
         assert_eq!(up, [ViewCoordinates::RIGHT_HAND_Z_UP]);
         let about = self.recording.fixed("/about").text("TextDocument:text");
-        assert!(about.contains(&self.scene.name), "{about}");
+        assert!(about.contains(&self.scene.name) && about.contains("海上 一徳"), "{about}");
     }
 
     /// Verifies that rows are at the frames or at the exact times of events, and that no row hides another.

@@ -12,7 +12,7 @@
 //! ([`Schema::warnings`] lists those in a scene), and free bodies are rejected.
 //!
 //! # Two criteria for merging
-//! The thesis's thresholds on the centre distance give `merge` and `split` events, at the same times as for the
+//! The scene's thresholds on the centre distance give `merge` and `split` events, at the same times as for the
 //! oscillators. The surface has its own criterion: it joins when the density at the saddle between two centres reaches
 //! the threshold. These instants are `touch` and `part` events, found to rounding. The summary of a run compares the
 //! two.
