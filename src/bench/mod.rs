@@ -9,6 +9,7 @@
 //! | `bench models` | the models of a soft body, side by side | [`models`] |
 //! | `bench surface` | unions of many spheres, and scenes with the surface of every frame | [`surface`] |
 //! | `bench stability` | every integrator at the limits of every setting | [`stability`] |
+//! | `bench thesis` | the thesis's figures and claims, section by section | [`thesis`] |
 //!
 //! Errors are measured against [`reference`], an independent solution that shares no code with the integrators. Each
 //! benchmark returns a [`report::Report`], from which the terminal, `--csv` and `--svg` follow.
@@ -23,6 +24,7 @@ pub mod report;
 pub mod scale;
 pub mod stability;
 pub mod surface;
+pub mod thesis;
 
 use crate::{
     SceneError,
@@ -34,9 +36,12 @@ use reference::NoReference;
 /// Why something cannot be measured.
 #[derive(Debug, thiserror::Error)]
 pub enum MeasureError {
-    /// The built-in scene from which others are derived is missing.
-    #[error("the built-in scene \"two\" is missing")]
-    NoScene,
+    /// A built-in scene is missing.
+    #[error("the built-in scene \"{0}\" is missing")]
+    NoScene(&'static str),
+    /// A model cannot run a scene, or its run fails.
+    #[error("{0}")]
+    Model(String),
     /// A derived scene is not valid.
     #[error("a case is not a valid scene: {0}")]
     Scene(#[from] SceneError),

@@ -31,10 +31,10 @@ const DIVISORS: [f64; 5] = [0.5, 1.0, 2.0, 4.0, 8.0];
 /// Divisor of the scene's step for the converged solution of each model.
 const FINEST: f64 = 32.0;
 /// Longer steps are tried up to this multiple of the scene's step.
-const LONGEST: f64 = 64.0;
+pub(super) const LONGEST: f64 = 64.0;
 /// A run is stable while every displacement is below this [radii], or below [`STABLE_MULTIPLE`] times the largest in the
 /// run with the scene's own step.
-const STABLE_LIMIT: f64 = 10.0;
+pub(super) const STABLE_LIMIT: f64 = 10.0;
 /// See [`STABLE_LIMIT`].
 const STABLE_MULTIPLE: f64 = 3.0;
 /// Smaller errors are drawn at this value [radii].
@@ -100,7 +100,7 @@ pub fn measure(scene: &Scene, models: &[Model], progress: &mut dyn FnMut(f64)) -
     Measured { scene: scene.name.clone(), vertices: scene.vertex_count(), dt: scene.dt, rows: rows.collect() }
 }
 
-fn start(scene: &Scene) -> Result<Box<dyn Simulation>, String> {
+pub(super) fn start(scene: &Scene) -> Result<Box<dyn Simulation>, String> {
     SceneRun { scene: scene.clone(), options: Options::default() }.start()
 }
 
@@ -127,14 +127,14 @@ fn row(scene: &Scene, progress: &mut dyn FnMut(f64)) -> Result<Row, String> {
 }
 
 /// Takes a step.
-fn step(simulation: &mut dyn Simulation, summary: &mut StepSummary) -> Result<(), String> {
+pub(super) fn step(simulation: &mut dyn Simulation, summary: &mut StepSummary) -> Result<(), String> {
     simulation.step();
     simulation.summary(summary);
     summary.failure.as_ref().map_or(Ok(()), |failure| Err(failure.to_string()))
 }
 
 /// Runs a scene with everything that a recording shows.
-fn observe(scene: &Scene) -> Result<Row, String> {
+pub(super) fn observe(scene: &Scene) -> Result<Row, String> {
     let mut simulation = start(scene)?;
     let schema = simulation.schema();
     let mut merger = Merger::new(&schema, simulation.interrupt());
@@ -187,18 +187,18 @@ fn volume(schema: &Schema, frame: &Frame, body: usize, local: &mut Vectors) -> f
 }
 
 /// A run with some step.
-struct Run {
+pub(super) struct Run {
     /// Positions of all vertices relative to their centres [scene unit], `[instant][body][vertex]`, at every second
     /// instant of the scene's own steps.
     states: Vec<Vec<Vec<DVec3>>>,
     /// Time of all steps [s].
-    seconds: f64,
-    steps: u64,
+    pub seconds: f64,
+    pub steps: u64,
     /// The largest displacement at these instants, or at every step that is longer [radii].
     displacement: f64,
 }
 
-fn follow(scene: &Scene, dt: f64) -> Result<Run, String> {
+pub(super) fn follow(scene: &Scene, dt: f64) -> Result<Run, String> {
     let every = (2.0 * scene.dt / dt).round().max(1.0) as u64; // all runs include every second instant
     let scene = Scene { dt, ..scene.clone() };
     let (mut simulation, mut summary, mut frame) = (start(&scene)?, StepSummary::default(), Frame::default());
@@ -241,7 +241,7 @@ fn difference(scene: &Scene, run: &Run, finest: &Run) -> f64 {
 
 /// The largest stable step [s] among doublings of the scene's step, or else the first stable one of its halves. A run is
 /// stable if no displacement exceeds `limit` [radii].
-fn largest_step(scene: &Scene, limit: f64) -> Option<f64> {
+pub(super) fn largest_step(scene: &Scene, limit: f64) -> Option<f64> {
     let is_stable = |dt: &f64| follow(scene, *dt).is_ok_and(|run| run.displacement <= limit);
     let longest = f64::min(LONGEST * scene.dt, 0.5 * scene.duration);
     let doubled = |dt: &f64| Some(2.0 * dt).filter(|dt| *dt <= longest);

@@ -113,7 +113,7 @@ impl<T: Into<Cell>> From<Option<T>> for Cell {
 }
 
 impl fmt::Display for Table {
-    /// The title, the table with its first printed column aligned to the left, and the conclusions.
+    /// The title, the table with its first printed column and all words aligned to the left, and the conclusions.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let shown = |(column, cell): (&Column, &Cell)| match cell {
             Cell::Text(text) | Cell::Shown(_, text) => text.clone(),
@@ -130,10 +130,14 @@ impl fmt::Display for Table {
         if !self.title.is_empty() {
             writeln!(f, "{}\n", self.title)?;
         }
+        let printed = self.columns.iter().filter(|column| !column.heading.is_empty());
+        let are_words: Vec<bool> = printed.map(|column| column.kind == Kind::Text).collect();
         for line in &lines {
             let mut text = String::new();
-            for (k, (cell, width)) in line.iter().zip(&widths).enumerate() {
-                text += &if k == 0 { format!("{cell:<width$}") } else { format!("  {cell:>width$}") };
+            for (k, ((cell, width), is_word)) in line.iter().zip(&widths).zip(&are_words).enumerate() {
+                let gap = if k == 0 { "" } else { "  " };
+                text +=
+                    &if k == 0 || *is_word { format!("{gap}{cell:<width$}") } else { format!("{gap}{cell:>width$}") };
             }
             writeln!(f, "{}", text.trim_end())?;
         }

@@ -73,7 +73,7 @@ pub struct Point {
 /// # Errors
 /// [`MeasureError`]. A scene that needs too much memory ends its family, which is not an error.
 pub fn measure(settings: &Settings, progress: &mut dyn FnMut(f64)) -> Result<Measured, MeasureError> {
-    let two = Scene::builtin("two").ok_or(MeasureError::NoScene)?;
+    let two = Scene::builtin("two").ok_or(MeasureError::NoScene("two"))?;
     let cores = rayon::current_num_threads();
     let pool = |threads| ThreadPoolBuilder::new().num_threads(threads).build();
     let pools = if cores > 1 { vec![pool(1)?, pool(cores)?] } else { vec![pool(1)?] };

@@ -24,10 +24,10 @@ use crate::{
         report::{self, Column, Machine, Report},
         scale,
         stability::{self, cases::Case, drift, free},
-        surface,
+        surface, thesis,
     },
     models::{need_oscillators, side_by_side::SideBySide},
-    observe::Experiment as _,
+    observe::Experiment,
     recording::existing::{Existing, Kind},
     scene::{Integrator, Model, Scene, template::Override},
     sim::{Options, memory},
@@ -52,7 +52,7 @@ pub struct Arguments {
     /// Run the cases of `stability` with this model instead of the integrators.
     #[arg(long, value_parser = other_model, value_name = "metaballs|lattice|fem")]
     model: Option<Model>,
-    /// Record the first scene of `models` with all of them side by side.
+    /// Record the first scene of `models` with all of them side by side, or the scenes of `thesis`.
     #[arg(long, value_name = "F.rrd")]
     save: Option<PathBuf>,
     /// Write the measurements to a table: .csv, .json or .parquet.
@@ -78,6 +78,8 @@ enum What {
     Surface,
     /// Stress sweep: thousands of small scenes at the limits of every setting, with every integrator.
     Stability,
+    /// The thesis, section by section: its figures, claims and frame rates, beside what is measured here.
+    Thesis,
 }
 
 /// Maximum number of random cases.
@@ -111,20 +113,21 @@ pub fn bench(arguments: Arguments) -> Result<(), Failure> {
         What::Models => models(&arguments),
         What::Surface => surface(&arguments),
         What::Stability => stability(&arguments),
+        What::Thesis => thesis(&arguments),
     }
 }
 
 /// Rejects options that a benchmark does not have.
 fn check(arguments: &Arguments) -> Result<(), Failure> {
-    use What::{Error, Models, Record, Scale, Stability, Surface};
+    use What::{Error, Models, Record, Scale, Stability, Surface, Thesis};
     let Arguments { what, of, set, random, model, save, csv, svg } = arguments;
     let options = [
         (!of.is_empty(), "SCENE", &[Error, Scale, Record, Models, Stability][..]),
         (!set.is_empty(), "--set", &[Error, Record, Models]),
         (random.is_some(), "--random", &[Error, Stability]),
         (model.is_some(), "--model", &[Stability]),
-        (save.is_some(), "--save", &[Models]),
-        (csv.is_some(), "--csv", &[Error, Scale, Record, Models, Surface, Stability]),
+        (save.is_some(), "--save", &[Models, Thesis]),
+        (csv.is_some(), "--csv", &[Error, Scale, Record, Models, Surface, Stability, Thesis]),
         (svg.is_some(), "--svg", &[Error, Scale, Models]),
     ];
     let name =
@@ -281,7 +284,8 @@ fn record_models(scene: &Scene, path: &Path) -> Result<(), Failure> {
     let _progress = Progress::new("recording all models", Work::Uncounted).with_file(path);
     let frames = stream::record(&all, settings, &destinations).map_err(|error| Failure::Run(error.to_string()))?;
     let names = schema.model.replace('+', ", ");
-    print(&format!("saved {}: {}, {}\n", path.display(), counted(frames, "frame"), names));
+    print(&format!("saved {}: {}, {}", path.display(), counted(frames, "frame"), names));
+    print("");
     Ok(())
 }
 
@@ -312,6 +316,36 @@ fn stability(arguments: &Arguments) -> Result<(), Failure> {
     let free = free::measure(&settings.integrators).map_err(failed)?;
     drop(progress);
     claimed.finish(&stability::report(&rows, &drifts, &free), &machine)
+}
+
+fn thesis(arguments: &Arguments) -> Result<(), Failure> {
+    let claimed = Claimed::new(arguments, &thesis::columns())?;
+    if let Some(path) = &arguments.save {
+        record_thesis(path)?;
+    }
+    let progress = Progress::new("measuring the thesis", Work::Share);
+    let measured = thesis::measure(&mut |share| progress.set_share(share));
+    drop(progress);
+    let rows = measured.map_err(|error| Failure::Run(error.to_string()))?;
+    claimed.finish(&thesis::report(&rows), &Machine::detect())
+}
+
+/// Records the scenes of the thesis's figures, one after the other, in one file.
+fn record_thesis(path: &Path) -> Result<(), Failure> {
+    let scenes = thesis::SCENES.map(scene).into_iter().collect::<Result<Vec<_>, _>>()?;
+    let name = scenes.first().map_or("", |scene| &scene.name);
+    let new = Existing { application: application(name), kind: Some(Kind::Run) };
+    may_save(path, &[], &new)?;
+    announce(path, &new)?;
+    let destinations = Destinations { save: Some(path.to_owned()), ..Destinations::default() };
+    let of = |scene: &Scene| Settings::for_bodies(scene.bodies.len(), scene.steps());
+    let all = scenes.iter().map(|scene| (scene as &dyn Experiment, of(scene)));
+    let progress = Progress::new("recording the figures", Work::Uncounted).with_file(path);
+    let frames = stream::record_all(all, &destinations).map_err(|error| Failure::Run(error.to_string()))?;
+    drop(progress);
+    print(&format!("saved {}: {}, {}", path.display(), counted(frames, "frame"), thesis::SCENES.join(", ")));
+    print("");
+    Ok(())
 }
 
 /// Refuses scenes that the benchmark `what` cannot run: of another model, or larger than the memory that there is.

@@ -10,6 +10,8 @@
 //! | Fig. 4.2: two objects | `figure-4-2`; `two` is larger, with hysteresis and a snap |
 //! | Fig. 4.3: three objects | `figure-4-3`; `three` is larger, and of different sizes |
 //! | section 4.3: very different sizes | `section-4-3`, and its cure `size_ratio` |
+//!
+//! `meldscope bench thesis` measures what the thesis says of each.
 
 use super::Scene;
 

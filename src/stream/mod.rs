@@ -110,6 +110,6 @@ pub mod size;
 pub mod step;
 
 pub use pipeline::Pipeline;
-pub use record::{RecordError, record};
+pub use record::{RecordError, record, record_all};
 pub use recorder::Recorder;
 pub use settings::Settings;

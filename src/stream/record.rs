@@ -6,7 +6,7 @@ use super::{
     chunks::Audience,
     sinks::{Destinations, SinkError, Sinks},
 };
-use crate::observe::{Experiment, StepSummary};
+use crate::observe::{Experiment, Simulation, StepSummary};
 
 /// Why a run was not recorded completely.
 #[derive(Debug, thiserror::Error)]
@@ -32,9 +32,41 @@ pub fn record(
     settings: Settings,
     destinations: &Destinations,
 ) -> Result<u64, RecordError> {
-    let mut simulation = experiment.start().map_err(RecordError::Start)?;
-    let mut sinks = Sinks::open(destinations)?;
-    let steps = settings.steps.unwrap_or(experiment.schema().steps);
+    record_all([(experiment, settings)], destinations)
+}
+
+/// Runs experiments one after the other, as [`record`] does, and sends each as a recording of its own to the same
+/// destinations: a file then holds them all. Returns the number of frames of all.
+///
+/// # Errors
+/// An experiment does not start, a destination cannot be opened, or recording fails.
+pub fn record_all<'a>(
+    experiments: impl IntoIterator<Item = (&'a dyn Experiment, Settings)>,
+    destinations: &Destinations,
+) -> Result<u64, RecordError> {
+    let (mut sinks, mut frames) = (None, 0);
+    for (experiment, settings) in experiments {
+        let steps = settings.steps.unwrap_or(experiment.schema().steps);
+        let simulation = experiment.start().map_err(RecordError::Start)?;
+        let open = match sinks.take() {
+            Some(open) => open,
+            None => Sinks::open(destinations)?,
+        };
+        let (recorded, open) = record_to(simulation, steps, settings, open)?;
+        frames += recorded;
+        sinks = Some(open);
+    }
+    sinks.map(Sinks::finish).transpose()?;
+    Ok(frames)
+}
+
+/// Records a simulation. Returns the number of frames, and the sinks for what follows.
+fn record_to(
+    mut simulation: Box<dyn Simulation>,
+    steps: u64,
+    settings: Settings,
+    mut sinks: Sinks,
+) -> Result<(u64, Sinks), RecordError> {
     let recorder = Recorder::new(&*simulation, settings);
     for message in recorder.blueprint(&*simulation) {
         sinks.send(message)?;
@@ -59,7 +91,5 @@ pub fn record(
     for message in end.recorder.measured_layout(&*simulation, Tab::Scene) {
         end.sinks.send_to(Audience::Files, message)?;
     }
-    let frames = end.recorder.written();
-    end.sinks.finish()?;
-    Ok(frames)
+    Ok((end.recorder.written(), end.sinks))
 }

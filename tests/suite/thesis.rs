@@ -1,11 +1,22 @@
-//! The scenes of the thesis's figures show what their captions describe.
+//! The scenes of the thesis's figures show what their captions describe, and `bench thesis` measures its claims.
+
+use std::{
+    collections::BTreeSet,
+    fs::{self, File},
+    io::BufReader,
+    process::Command,
+};
 
 use glam::DVec3;
 use meldscope::{
     Scene, World,
+    bench::thesis::SCENES,
     observe::{Experiment as _, StepSummary},
     scene::Integrator,
+    sdk::{DecoderApp, LogMsg, StoreKind},
 };
+
+use crate::recording::Dir;
 
 /// The motion of a scene's vertices.
 #[derive(Debug, Default)]
@@ -143,4 +154,55 @@ fn figure_2_2_cuts_cells_or_splits_nodes() {
         count
     };
     assert_eq!((torn("figure-2-2b", "cut cell"), torn("figure-2-2c", "split node")), (16, 36));
+}
+
+/// One command measures every section, and records the scenes in one file.
+#[test]
+fn the_bench_has_a_row_for_every_figure() {
+    let dir = Dir::new();
+    let output = Command::new(env!("CARGO_BIN_EXE_meldscope"))
+        .args(["bench", "thesis", "--csv", "t.csv", "--save", "t.rrd"])
+        .current_dir(dir.path())
+        .output()
+        .expect("the program starts");
+    let [out, err] = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes));
+    assert!(output.status.success(), "{out}{err}");
+    assert!(out.contains("海上 一徳") && !out.contains("not measured"), "{out}");
+    let csv = fs::read_to_string(dir.file("t.csv")).expect("written");
+    let lines: Vec<&str> = csv.lines().collect();
+    assert_eq!(lines[0], "section,claim,scene,quantity,value,verdict,processor,version");
+    assert!(lines.len() > 40, "{csv}");
+    for part in
+        ["1,", "2.1.1", "2.1.2", "2.2.1", "2.2.2", "2.2.3", "3.2", "3.3", "4.1", "4.2.1", "4.2.2", "4.2.3", "4.3"]
+    {
+        assert!(lines.iter().any(|line| line.trim_start_matches('"').starts_with(part)), "{part}: {csv}");
+    }
+    for figure in ["2.1", "2.2b", "2.2c", "2.3", "3.2", "3.4", "4.1", "4.2", "4.3"] {
+        assert!(csv.contains(&format!("Fig. {figure}\"")), "{figure}: {csv}");
+    }
+    for (claim, verdict) in [
+        ("a cell has 28 springs", "yes"),
+        ("cutting springs loses volume", "yes"),
+        ("splitting nodes keeps the volume", "yes"),
+        ("facing sides bulge and join", "yes"),
+        ("(3.6)–(3.10) solve (3.2)", "no"),
+        ("not deformed extremely", "yes"),
+        ("two merge gradually", "yes"),
+        ("three change their shapes smoothly", "yes"),
+        ("very different sizes fail", "yes"),
+        ("about 30 frames/s", "faster"),
+        ("about 24 frames/s", "faster"),
+    ] {
+        let mut rows = lines.iter().filter(|line| line.contains(claim)).peekable();
+        assert!(rows.peek().is_some() && rows.all(|line| line.contains(&format!(",{verdict},"))), "{claim}: {csv}");
+    }
+
+    let file = BufReader::new(File::open(dir.file("t.rrd")).expect("saved"));
+    let stores = DecoderApp::decode_lazy(file).filter_map(|message| match message.expect("a message") {
+        LogMsg::SetStoreInfo(info) if info.info.store_id.kind() == StoreKind::Recording => Some(info.info.store_id),
+        _ => None,
+    });
+    let names: BTreeSet<String> = stores.map(|id| id.application_id().to_string()).collect();
+    assert_eq!(names.len(), SCENES.len(), "{names:?}");
+    assert!(SCENES.iter().all(|scene| names.iter().any(|name| name.contains(scene))), "{names:?}");
 }

@@ -54,6 +54,33 @@ fn events_are_those_of_the_oscillators() {
     }
 }
 
+/// "Too much force breaks springs locally" (2.1.1): strong attraction turns cells of a lattice inside out, which no spring
+/// resists. With twice the ω none is.
+#[test]
+fn too_much_force_turns_cells_of_a_lattice_inside_out() {
+    let inverted = |omega: f64| {
+        let mut scene = scene("three", Model::Lattice);
+        scene.bodies.iter_mut().for_each(|body| body.material.omega = omega);
+        let (steps, mut simulation) = (scene.steps(), start(&scene));
+        let is_inverted = |body: &Body, cell: u32| {
+            let corners = body.corners(cell);
+            let at = |i: usize| body.rest[corners[i] as usize] + body.x[corners[i] as usize];
+            let [x, y, z] = [1, 2, 4].map(|i| at(i) - at(0));
+            x.cross(y).dot(z) < 0.0
+        };
+        let mut most = 0;
+        for _ in 0..steps {
+            run(&mut simulation, 1);
+            let cells =
+                |body: &Body| (0..body.cells.cell_count() as u32).filter(|&cell| is_inverted(body, cell)).count();
+            most = most.max(simulation.bodies.iter().map(cells).sum());
+        }
+        most
+    };
+    let found = (inverted(12.0), inverted(24.0));
+    assert!(found.0 > 20 && found.1 == 0, "{found:?}");
+}
+
 /// Results are bit-identical for any number of threads, with and without observation, in the built-in scenes on paths.
 #[test]
 fn bits_do_not_depend_on_threads_or_observers() {
