@@ -114,6 +114,6 @@ pub use events::Event;
 pub use memory::TooLarge;
 pub use numerics::arrays::Vectors;
 pub use observe::{BodyForces, Energy};
-pub use report::{Diverged, EditError, Failure, Overworked, Shortfall, Stage, StepReport, Strain, Toil};
+pub use report::{Diverged, EditError, Failure, Fallback, Overworked, Shortfall, Stage, StepReport, Strain, Toil};
 pub use terms::Cause;
 pub use world::{Options, World};

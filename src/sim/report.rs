@@ -198,6 +198,28 @@ pub struct Strain {
     pub toil: Toil,
 }
 
+/// A warning that adaptive steps are too much work, and that bodies take steps of fixed length instead.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[error(
+    "step {step} (t = {time:.6} s): {bodies} bodies that act on each other, among them \"{body}\", cannot be followed at tolerance \
+     {tolerance:e} with reasonable work; they take steps of {substep:.1e} s until they are calmer, and their estimated errors \
+     are recorded"
+)]
+pub struct Fallback {
+    /// The step.
+    pub step: u64,
+    /// Simulated time at its end [s].
+    pub time: f64,
+    /// Number of bodies.
+    pub bodies: usize,
+    /// Name of the body with the largest estimated error.
+    pub body: String,
+    /// Tolerance of the scene [radii per unit of scene time].
+    pub tolerance: f64,
+    /// Length of their steps [s].
+    pub substep: f64,
+}
+
 /// What makes steps of many bodies cheaper.
 fn remedy(changes: usize, steps: u64, tolerance: f64) -> String {
     match 2 * changes as u64 >= steps {
@@ -280,6 +302,8 @@ pub struct StepReport {
     pub shortfall: Option<Shortfall>,
     /// What takes so much work that the run will end early if it goes on like this; set once.
     pub strain: Option<Strain>,
+    /// Which bodies take steps of fixed length from here on; set once.
+    pub fallback: Option<Fallback>,
     /// Why the run should end here, if it should.
     pub failure: Option<Failure>,
     /// Number of bodies that were at rest for the whole of the integrator's last step, and skipped.

@@ -105,6 +105,31 @@ impl Work {
         self.by_turn.resize_with(count, AtomicU64::default);
     }
 
+    /// Begins the turns of the bodies again that are not done; `done` is the work of the others, by turn, 0 for those.
+    pub fn repeat_turns(&mut self, done: impl Iterator<Item = u64>) {
+        self.last_turn = AtomicUsize::new(usize::MAX);
+        let mut total = self.before;
+        for (into, work) in self.by_turn.iter_mut().zip(done) {
+            *into.get_mut() = work;
+            total = total.saturating_add(work);
+        }
+        self.total = AtomicU64::new(total);
+    }
+
+    /// Work that the turns may do together [units].
+    pub fn left(&self) -> u64 {
+        self.limit.saturating_sub(self.before)
+    }
+
+    /// The first turn whose work exceeds the limit, together with that of the turns before it; `None` if the limit holds.
+    pub fn first_beyond(&self, by_turn: impl Iterator<Item = u64>) -> Option<usize> {
+        let mut all = 0u64;
+        by_turn.enumerate().find_map(|(turn, work)| {
+            all = all.saturating_add(work);
+            (all > self.left()).then_some(turn)
+        })
+    }
+
     /// Ends a step whose bodies did `work`, of which `base` is usual for their `vertices`.
     pub fn end(&mut self, work: u64, base: u64, vertices: u64) {
         self.base = base;
@@ -142,7 +167,7 @@ impl Work {
     /// The turn of the body that did the most work, among those up to the one that exceeded the limit, given the total
     /// and the work by turn; `None` if the limit holds.
     pub fn busiest(&self, all: u64, by_turn: impl Iterator<Item = u64>) -> Option<usize> {
-        let mut left = self.limit.saturating_sub(self.before);
+        let mut left = self.left();
         if all <= left {
             return None;
         }
@@ -168,12 +193,21 @@ pub struct Tally<'a> {
     done: Cell<u64>,
     reported: Cell<u64>,
     is_over: Cell<bool>,
+    /// Work that this tally may do by itself [units].
+    most: u64,
 }
 
 impl Tally<'static> {
     /// Work without a limit.
     pub fn unlimited() -> Tally<'static> {
-        Tally { work: None, turn: None, done: Cell::new(0), reported: Cell::new(0), is_over: Cell::new(false) }
+        Tally {
+            work: None,
+            turn: None,
+            done: Cell::new(0),
+            reported: Cell::new(0),
+            is_over: Cell::new(false),
+            most: u64::MAX,
+        }
     }
 }
 
@@ -182,7 +216,14 @@ impl<'a> Tally<'a> {
     pub(super) fn new(work: &'a Work, turn: Option<usize>) -> Tally<'a> {
         let is_too_much = turn.is_some_and(|turn| turn > work.last_turn.load(Ordering::Relaxed));
         let is_over = Cell::new(is_too_much || work.is_interrupted());
-        Tally { work: Some(work), turn, done: Cell::new(0), reported: Cell::new(0), is_over }
+        Tally { work: Some(work), turn, done: Cell::new(0), reported: Cell::new(0), is_over, most: u64::MAX }
+    }
+
+    /// A tally of the body in turn `turn` of a step, which may do at most this work [units].
+    pub(super) fn limited(work: &'a Work, turn: usize, most: u64) -> Tally<'a> {
+        let mut tally = Tally::new(work, Some(turn));
+        tally.most = most;
+        tally
     }
 
     /// Counts work that is about to be done. Returns whether to do it; if false, the step is abandoned.
@@ -190,6 +231,9 @@ impl<'a> Tally<'a> {
     pub fn spend(&self, units: u64) -> bool {
         let done = self.done.get().saturating_add(units);
         self.done.set(done);
+        if done > self.most {
+            self.is_over.set(true);
+        }
         if done - self.reported.get() >= GRAIN {
             self.report();
         }

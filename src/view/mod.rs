@@ -86,7 +86,8 @@ impl Simulation for World {
         let shortfall =
             |found: sim::Shortfall| Shortfall { body: found.body, error: found.error, allowed: found.allowed };
         summary.shortfall = report.shortfall.map(shortfall);
-        summary.warning = report.strain.as_ref().map(ToString::to_string);
+        let fallback = || report.fallback.as_ref().map(ToString::to_string);
+        summary.warning = report.strain.as_ref().map(ToString::to_string).or_else(fallback);
         summary.failure = report.failure.as_ref().map(StepFailure::from);
     }
 

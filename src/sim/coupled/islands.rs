@@ -89,6 +89,10 @@ pub(super) struct Job {
     pub report: Report,
     pub failure: Option<free::Failure>,
     pub work: u64,
+    /// The work that it may do in adaptive steps [units].
+    pub budget: u64,
+    /// Whether it takes steps of fixed length.
+    pub is_fixed: bool,
     /// The states within the step, once they are asked for; `Some(None)` if they cannot be found.
     dense: Mutex<Option<Option<Dense>>>,
 }
@@ -143,6 +147,9 @@ impl Job {
         work: &Tally<'_>,
         write: impl FnMut(usize, &Interpolated<'_>),
     ) -> Option<()> {
+        if self.is_fixed {
+            return None; // its steps are not accurate enough to be subdivided
+        }
         let paths = OfScene { scene, bodies: &self.all };
         let mut dense = self.dense.lock().unwrap_or_else(PoisonError::into_inner);
         let dense = dense.get_or_insert_with(|| {
@@ -235,12 +242,16 @@ impl Job {
             between.extend(on.map(|(a, _)| Pair::with_point(a, b, point.strength, window, span.start)));
         }
         let paths = OfScene { scene, bodies: &self.all };
-        let tally = Tally::new(work, Some(turn));
+        let tally = Tally::limited(work, turn, if self.is_fixed { u64::MAX } else { self.budget });
         let mut island = Island::resume(parts, scene.tolerance, span.start);
         let mut changes = std::mem::take(&mut self.report.changes);
         changes.clear();
         self.report = Report { changes, ..Report::default() };
-        self.failure = island.advance_with(scratch, span.end, &paths, &tally, &mut self.report).err();
+        self.failure = match self.is_fixed {
+            true => island.advance_in_fixed_steps(scratch, span.end, &paths, &tally, &mut self.report),
+            false => island.advance_with(scratch, span.end, &paths, &tally, &mut self.report),
+        }
+        .err();
         self.work = tally.done();
         self.parts = island.into_parts();
         self.is_done = true;

@@ -37,6 +37,9 @@ const UNDEFORMED: f64 = 0.1;
 const MAX_UNDEFORMED_TOLERANCE: f64 = 1e-5;
 /// How much farther than in free flight a body may move in a step before the step is repeated [radii].
 const SLACK: f64 = 0.05;
+/// Least and largest number of calm steps of fixed length before adaptive ones are tried again.
+const MIN_WAIT: u16 = 30;
+const MAX_WAIT: u16 = 1920;
 
 /// A body, and the engine's bookkeeping for it.
 pub(in crate::sim) struct Member {
@@ -46,6 +49,8 @@ pub(in crate::sim) struct Member {
     pub body: Body,
     /// Step length with which its island last met the tolerance [s].
     pub step_length: f64,
+    /// Whether its island takes steps of fixed length.
+    pub fixed: FixedSteps,
     /// Number of consecutive steps after which it was slow.
     pub slow_steps: u32,
     /// Its motion at the end of the first of these steps.
@@ -75,6 +80,23 @@ pub(in crate::sim) struct Member {
 pub(in crate::sim) struct Drift {
     velocity: DVec3,
     spin: DVec3,
+}
+
+/// Whether the island of a body takes steps of fixed length, because adaptive ones were too much work.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub(in crate::sim) struct FixedSteps {
+    /// Number of calm steps until adaptive ones are tried again; 0 if it takes these.
+    pub left: u16,
+    /// That number when they were last given up; 0 if they never were.
+    pub wait: u16,
+}
+
+impl FixedSteps {
+    /// After adaptive steps were given up: each time, the next try is later.
+    pub fn begin(self) -> FixedSteps {
+        let wait = (2 * self.wait).clamp(MIN_WAIT, MAX_WAIT);
+        FixedSteps { left: wait, wait }
+    }
 }
 
 /// Bounds on the motion of a body in a step.
@@ -130,6 +152,7 @@ impl Member {
             mesh,
             body,
             step_length: f64::INFINITY,
+            fixed: FixedSteps::default(),
             slow_steps: 0,
             slow_from: Drift::default(),
             is_awake: false,
@@ -150,7 +173,9 @@ impl Member {
 
     /// Takes over the state of another body with the same shape.
     pub fn resume(&mut self, before: &Member) {
-        let Member { body, step_length, slow_steps, slow_from, is_awake, extent, speed, rigid_spin, .. } = before;
+        let Member { body, step_length, fixed, slow_steps, slow_from, is_awake, extent, speed, rigid_spin, .. } =
+            before;
+        self.fixed = *fixed;
         let is_same = self.body.oscillator == body.oscillator;
         self.body = Body { shape: Arc::clone(&self.body.shape), oscillator: self.body.oscillator, ..body.clone() };
         (self.step_length, self.slow_steps, self.slow_from, self.is_awake) =
@@ -334,7 +359,9 @@ impl Member {
             return 0;
         }
         let is_steady = u64::from(self.rigid_spin.is_some());
-        let others = [u64::from(self.slow_steps), u64::from(self.is_awake) + 2 * is_steady, self.step_length.to_bits()];
+        let FixedSteps { left, wait } = self.fixed;
+        let flags = u64::from(self.is_awake) + 2 * is_steady + 4 * (u64::from(left) + (u64::from(wait) << 16));
+        let others = [u64::from(self.slow_steps), flags, self.step_length.to_bits()];
         checksum::of_body(index, &self.body, others)
     }
 

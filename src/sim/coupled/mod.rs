@@ -42,7 +42,7 @@ use self::{
     dense::Interpolated,
     explicit::Scheme,
     islands::{Conditions, Forest, Group, Job, source_at},
-    member::{Member, Shapes, driven},
+    member::{FixedSteps, Member, Shapes, driven},
     near::Near,
     neighbours::Neighbour,
 };
@@ -50,7 +50,7 @@ use super::{
     body::{BodyView, Solved},
     events::Event,
     free::{self, Field, Ledger, Pair, Parts, Scratch, Snapshot, Window},
-    report::{Failure, Overworked, Stage, StepReport, Stopwatch, Strain, Toil},
+    report::{Failure, Fallback, Overworked, Shortfall, Stage, StepReport, Stopwatch, Toil},
     solver::{Setting, Step, Takeover},
     span::Span,
     terms::{Cause, Origin, Source, Surroundings, Weighted},
@@ -71,6 +71,16 @@ const RIGID_SPIN_EVERY: u64 = 16;
 const ORDINARY: u64 = 200;
 /// Additional ordinary work per vertex in contact with a plane [units].
 const ORDINARY_HELD: u64 = 2000;
+
+/// Islands with more bodies than this may do [`MAX_ADAPTIVE`] in adaptive steps, even if the run could continue.
+const MOST_UNLIMITED: usize = 64;
+/// Largest work of adaptive steps per vertex, in large islands and those for which they were too much work before [units].
+const MAX_ADAPTIVE: u64 = 400;
+/// Bodies that take steps of fixed length rest as for this tolerance, if that of the scene is smaller [radii/s].
+const FIXED_TOLERANCE: f64 = 1e-3;
+/// Steps of fixed length are calm if their estimated error is at most this many times what the tolerance allows: adaptive
+/// ones may then be possible.
+const CALM: f64 = 10.0;
 
 /// The bodies of a coupled scene.
 pub(super) struct Coupled {
@@ -98,6 +108,8 @@ pub(super) struct Coupled {
     scratches: Mutex<Vec<Scratch>>,
     /// Energy brought to free bodies so far, by cause.
     pub ledger: Ledger,
+    /// Whether an island took steps of fixed length, which is announced once.
+    has_fixed: bool,
     /// Energy of free bodies at t = 0.
     pub first_energy: f64,
 }
@@ -126,6 +138,7 @@ impl Coupled {
             job_of: vec![0; scene.bodies.len()],
             scratches: Mutex::default(),
             ledger: Ledger::default(),
+            has_fixed: false,
             first_energy: 0.0,
         };
         let first = Span { start: 0.0, end: scene.dt };
@@ -148,6 +161,7 @@ impl Coupled {
         let &Takeover { kept, wake_all, time, .. } = takeover;
         let span = Span { start: time, end: time + scene.dt };
         (self.ledger, self.first_energy) = (before.ledger, before.first_energy);
+        self.has_fixed = before.has_fixed;
         self.move_points(scene, time);
         for (index, (member, kept)) in self.members.iter_mut().zip(kept).enumerate() {
             member.neighbours.clear();
@@ -246,6 +260,7 @@ impl Coupled {
         self.wake_pushed(step.span);
         self.wake_near_points(step);
         self.find_neighbours(step);
+        self.jobs.iter_mut().for_each(|job| job.is_fixed = false);
         if let Some(scheme) = Scheme::of(step.setting.scene.integrator) {
             return self.step_explicitly(scheme, step, stopwatch);
         }
@@ -463,6 +478,18 @@ impl Coupled {
             let known = before.get_mut(next).filter(|job| first(job) == group.bodies[0]);
             let mut job = known.map(take).unwrap_or_default();
             job.is_done &= job.group == *group;
+            let vertices = |&body: &u32| self.members[body as usize].body.shape.rest().len() as u64;
+            let fixed = group.bodies.iter().map(|&body| self.members[body as usize].fixed);
+            let fixed = fixed
+                .fold(FixedSteps::default(), |a, b| FixedSteps { left: a.left.max(b.left), wait: a.wait.max(b.wait) });
+            if !job.is_done {
+                job.is_fixed |= fixed.left > 0;
+            }
+            let is_limited = fixed.wait > 0 || group.bodies.len() > MOST_UNLIMITED;
+            job.budget = match is_limited {
+                true => MAX_ADAPTIVE * group.bodies.iter().map(vertices).sum::<u64>(),
+                false => u64::MAX,
+            };
             if !job.is_done {
                 std::mem::swap(&mut job.group, group);
             }
@@ -514,10 +541,18 @@ impl Coupled {
     fn integrate(&mut self, step: &mut Step<'_>) -> Result<(), Failure> {
         let (Setting { scene, arch, .. }, span) = (step.setting, step.span);
         step.work.begin_turns(self.jobs.len());
-        let Coupled { members, near, scratches, jobs, .. } = self;
-        islands::advance(jobs, &Conditions { scene, members, near, span, work: step.work, scratches, arch });
-        if step.work.is_interrupted() {
-            return Err(Failure::Interrupted { step: step.report.step });
+        let left = step.work.left();
+        self.jobs.iter_mut().for_each(|job| job.budget = job.budget.min(left));
+        loop {
+            let Coupled { members, near, scratches, jobs, .. } = self;
+            islands::advance(jobs, &Conditions { scene, members, near, span, work: step.work, scratches, arch });
+            if step.work.is_interrupted() {
+                return Err(Failure::Interrupted { step: step.report.step });
+            }
+            if !give_up_adaptive(jobs, step.work) {
+                break;
+            }
+            step.work.repeat_turns(jobs.iter().map(|job| if job.is_done { job.work } else { 0 }));
         }
         let all = self.jobs.iter().map(|job| job.work).sum();
         if let Some(turn) = step.work.busiest(all, self.jobs.iter().map(|job| job.work)) {
@@ -533,11 +568,6 @@ impl Coupled {
             ordinary += ORDINARY * count + ORDINARY_HELD * job.report.held;
         }
         step.work.end(all, ordinary, vertices);
-        if step.work.announce() {
-            let busiest = self.jobs.iter().max_by_key(|job| job.work);
-            let toil = busiest.map(|job| self.toil(scene, job));
-            step.report.strain = toil.map(|toil| Strain { step: step.report.step, time: span.end, toil });
-        }
         Ok(())
     }
 
@@ -548,6 +578,7 @@ impl Coupled {
         let mut stepped = 0;
         for job in &mut jobs {
             self.report_events(job, report);
+            self.report_fixed(scene, job, span, report);
             let bodies = job.group.bodies.len() as u64;
             report.substeps += job.report.body_steps;
             report.error = report.error.max(job.report.error);
@@ -612,6 +643,38 @@ impl Coupled {
         Snapshot::new(bodies, self.pairs().copied().chain(with_points).collect(), field, time)
     }
 
+    /// Counts a step of fixed length of an island, and reports its error.
+    fn report_fixed(&mut self, scene: &Scene, job: &Job, span: Span, report: &mut StepReport) {
+        if !job.is_fixed {
+            return;
+        }
+        let bodies = &job.group.bodies;
+        let before = bodies.iter().map(|&body| self.members[body as usize].fixed).max().unwrap_or_default();
+        let allowed = scene.tolerance * span.length();
+        let (error, body) = (job.report.error, job.report.shortest.map_or(0, |(_, body)| body as usize));
+        let is_calm = error <= CALM * allowed;
+        let fixed = match before.left {
+            0 => before.begin(),
+            left => FixedSteps { left: left - u16::from(is_calm), ..before },
+        };
+        bodies.iter().for_each(|&body| self.members[body as usize].fixed = fixed);
+        if error > allowed && report.shortfall.is_none_or(|worst| worst.error < error) {
+            report.shortfall = Some(Shortfall { body: bodies[body] as usize, error, allowed });
+        }
+        if !self.has_fixed {
+            self.has_fixed = true;
+            let substep = job.report.shortest.map_or(span.length(), |(length, _)| length);
+            report.fallback = Some(Fallback {
+                step: report.step,
+                time: span.end,
+                bodies: bodies.len(),
+                body: scene.bodies[bodies[body] as usize].name.clone(),
+                tolerance: scene.tolerance,
+                substep,
+            });
+        }
+    }
+
     /// Reports the events of an island.
     fn report_events(&mut self, job: &Job, report: &mut StepReport) {
         for change in &job.report.changes {
@@ -669,6 +732,10 @@ impl Coupled {
     fn sleep(&mut self, scene: &Scene, span: Span, jobs: &[Job], report: &mut StepReport) {
         for job in jobs {
             let Group { bodies, sources, pairs } = &job.group;
+            let tolerance = |member: &Member| match member.fixed.left {
+                0 => scene.tolerance,
+                _ => scene.tolerance.max(FIXED_TOLERANCE),
+            };
             let is_still = |body: &u32| {
                 let path = scene.bodies[*body as usize].path();
                 path.is_none_or(|path| path.is_still(span.end, f64::INFINITY))
@@ -680,12 +747,13 @@ impl Coupled {
                 let is_driven = is_pushed
                     || scene.bodies[*body as usize].force.is_some()
                     || points.any(|(_, point)| !point.path.is_still(span.end, f64::INFINITY));
-                !is_driven && is_still(body) && member.is_slow(scene.tolerance)
+                !is_driven && is_still(body) && member.is_slow(tolerance(member))
             };
             if sources.iter().all(is_still) && bodies.iter().all(is_slow) {
                 let mut may_sleep = true;
                 for &body in bodies {
-                    may_sleep &= self.members[body as usize].stays_slow(scene.tolerance, span.length());
+                    let member = &mut self.members[body as usize];
+                    may_sleep &= member.stays_slow(tolerance(member), span.length());
                 }
                 if may_sleep {
                     for &body in bodies {
@@ -718,10 +786,37 @@ impl Coupled {
     /// Puts a body to rest.
     fn put_to_sleep(&mut self, body: u32) {
         let member = &mut self.members[body as usize];
-        member.is_awake = false;
+        (member.is_awake, member.fixed) = (false, FixedSteps::default());
         member.sleeping_hash = member.hash(body);
         self.sleeping_hash = self.sleeping_hash.wrapping_add(member.sleeping_hash);
     }
+}
+
+/// Decides which islands take steps of fixed length because adaptive ones are too much work, and which are advanced again.
+/// Returns whether there are any.
+fn give_up_adaptive(jobs: &mut [Job], work: &Work) -> bool {
+    let beyond = work.first_beyond(jobs.iter().map(|job| job.work));
+    // later ones may have been stopped at any time
+    let known = beyond.map_or(jobs.len(), |turn| turn + 1);
+    let mut any = false;
+    for job in jobs[..known].iter_mut().filter(|job| !job.is_fixed) {
+        let is_unresolved = matches!(job.failure, Some(free::Failure::Unresolved { .. }));
+        let is_inside_out = || job.parts.bodies.iter().any(free::Body::is_inside_out);
+        if job.work > job.budget || (is_unresolved && !is_inside_out()) {
+            (job.is_fixed, job.is_done, any) = (true, false, true);
+        }
+    }
+    if beyond.is_some() && !any {
+        let adaptive = jobs[..known].iter_mut().filter(|job| !job.is_fixed);
+        if let Some(job) = adaptive.max_by_key(|job| job.work) {
+            (job.is_fixed, job.is_done, any) = (true, false, true);
+        }
+    }
+    if any {
+        let stopped = jobs[known..].iter_mut().filter(|job| job.failure.is_some() || job.work > job.budget);
+        stopped.for_each(|job| job.is_done = false);
+    }
+    any
 }
 
 /// Failures.

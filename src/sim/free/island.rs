@@ -15,6 +15,7 @@ use super::{
     observed::Snapshot,
     split::{Around, By, Motion, Piece},
     step::{Course, MIDDLE, Place, Span},
+    verlet,
 };
 use crate::{
     model::phase::Phase,
@@ -44,7 +45,7 @@ const STANDING: f64 = 1e-12;
 const MAX_GROWTH: f64 = 4.0;
 /// The reported sum of estimates is meant to bound the error: it allows for errors that grow after their step, and for
 /// residuals that are larger between the midpoints.
-const GROWTH: f64 = 2.0;
+pub(super) const GROWTH: f64 = 2.0;
 /// In islands with more bodies than this, steps do not end where a gradual change of strength begins or ends: it is
 /// smooth enough for the error estimate, and the steps of all bodies would become shorter.
 const MAX_WAITING: usize = 8;
@@ -205,6 +206,7 @@ pub(in crate::sim) struct Scratch {
     pub(super) pairs_of: Vec<Vec<u32>>,
     changes: Vec<u32>,
     pub(super) arch: Arch,
+    pub(super) verlet: verlet::Buffers,
     /// Left over from islands with more bodies.
     spare: Spare,
 }

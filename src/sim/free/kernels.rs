@@ -28,7 +28,7 @@ pub type Lane = [f64; WIDTH];
 pub type Lanes = [Lane; 3];
 
 #[inline(always)]
-fn load<S: Simd, const W: usize>(simd: S, [x, y, z]: &Lanes) -> Vector<S, W> {
+pub(super) fn load<S: Simd, const W: usize>(simd: S, [x, y, z]: &Lanes) -> Vector<S, W> {
     Vector { x: Reals::load(simd, x, 0), y: Reals::load(simd, y, 0), z: Reals::load(simd, z, 0) }
 }
 
@@ -47,7 +47,7 @@ fn store_part<S: Simd>(v: Vector<S, 1>, [x, y, z]: &mut Lanes, at: usize) {
 }
 
 #[inline(always)]
-fn store<S: Simd, const W: usize>(v: Vector<S, W>, [x, y, z]: &mut Lanes) {
+pub(super) fn store<S: Simd, const W: usize>(v: Vector<S, W>, [x, y, z]: &mut Lanes) {
     v.x.store(x, 0);
     v.y.store(y, 0);
     v.z.store(z, 0);
@@ -63,6 +63,12 @@ fn set([x, y, z]: &mut Lanes, lane: usize, v: DVec3) {
     (x[lane], y[lane], z[lane]) = (v.x, v.y, v.z);
 }
 
+/// Vector `i` of an array; panics if out of range.
+#[inline]
+pub fn at(of: &[Lanes], i: usize) -> DVec3 {
+    get(&of[i / WIDTH], i % WIDTH)
+}
+
 /// Replaces vector `i` of an array; panics if out of range.
 #[inline]
 pub fn replace(of: &mut [Lanes], i: usize, v: DVec3) {
@@ -70,14 +76,15 @@ pub fn replace(of: &mut [Lanes], i: usize, v: DVec3) {
 }
 
 /// A loop over vertices.
-trait Kernel {
+pub(super) trait Kernel {
     type Output;
 
     /// `W` registers hold [`WIDTH`] numbers.
     fn run<S: Simd, const W: usize>(self, simd: S) -> Self::Output;
 }
 
-struct InLanes<K>(K);
+/// Runs a [`Kernel`].
+pub(super) struct InLanes<K>(pub K);
 
 impl<K: Kernel> WithSimd for InLanes<K> {
     type Output = K::Output;
@@ -95,7 +102,7 @@ impl<K: Kernel> WithSimd for InLanes<K> {
 
 /// The sum of all lanes.
 #[inline(always)]
-fn total<S: Simd, const W: usize>(v: Reals<S, W>) -> f64 {
+pub(super) fn total<S: Simd, const W: usize>(v: Reals<S, W>) -> f64 {
     let mut a = [0.0; WIDTH];
     v.store(&mut a, 0);
     sum_of(a)
@@ -133,51 +140,51 @@ fn sum_of(a: Lane) -> f64 {
 
 /// The largest of all lanes; NaN if any is.
 #[inline(always)]
-fn largest<S: Simd, const W: usize>(v: Reals<S, W>) -> f64 {
+pub(super) fn largest<S: Simd, const W: usize>(v: Reals<S, W>) -> f64 {
     let mut a = [0.0; WIDTH];
     v.store(&mut a, 0);
     a.into_iter().fold(0.0, larger)
 }
 
 #[inline(always)]
-fn total_vector<S: Simd, const W: usize>(v: Vector<S, W>) -> DVec3 {
+pub(super) fn total_vector<S: Simd, const W: usize>(v: Vector<S, W>) -> DVec3 {
     DVec3::new(total(v.x), total(v.y), total(v.z))
 }
 
 /// A matrix per lane, by columns.
-type Columns<S, const W: usize> = [Vector<S, W>; 3];
+pub(super) type Columns<S, const W: usize> = [Vector<S, W>; 3];
 
 #[inline(always)]
-fn zero<S: Simd, const W: usize>(simd: S) -> Vector<S, W> {
+pub(super) fn zero<S: Simd, const W: usize>(simd: S) -> Vector<S, W> {
     Vector::splat(simd, DVec3::ZERO)
 }
 
 #[inline(always)]
-fn columns<S: Simd, const W: usize>(simd: S, a: DMat3) -> Columns<S, W> {
+pub(super) fn columns<S: Simd, const W: usize>(simd: S, a: DMat3) -> Columns<S, W> {
     [Vector::splat(simd, a.x_axis), Vector::splat(simd, a.y_axis), Vector::splat(simd, a.z_axis)]
 }
 
 /// A v.
 #[inline(always)]
-fn times<S: Simd, const W: usize>(a: &Columns<S, W>, v: Vector<S, W>) -> Vector<S, W> {
+pub(super) fn times<S: Simd, const W: usize>(a: &Columns<S, W>, v: Vector<S, W>) -> Vector<S, W> {
     a[0] * v.x + a[1] * v.y + a[2] * v.z
 }
 
 /// Adds p qᵀ.
 #[inline(always)]
-fn add_outer<S: Simd, const W: usize>(sum: &mut Columns<S, W>, p: Vector<S, W>, q: Vector<S, W>) {
+pub(super) fn add_outer<S: Simd, const W: usize>(sum: &mut Columns<S, W>, p: Vector<S, W>, q: Vector<S, W>) {
     sum[0] = sum[0] + p * q.x;
     sum[1] = sum[1] + p * q.y;
     sum[2] = sum[2] + p * q.z;
 }
 
 #[inline(always)]
-fn total_matrix<S: Simd, const W: usize>(sum: &Columns<S, W>) -> DMat3 {
+pub(super) fn total_matrix<S: Simd, const W: usize>(sum: &Columns<S, W>) -> DMat3 {
     DMat3::from_cols(total_vector(sum[0]), total_vector(sum[1]), total_vector(sum[2]))
 }
 
 #[inline(always)]
-fn cross<S: Simd, const W: usize>(p: Vector<S, W>, q: Vector<S, W>) -> Vector<S, W> {
+pub(super) fn cross<S: Simd, const W: usize>(p: Vector<S, W>, q: Vector<S, W>) -> Vector<S, W> {
     Vector { x: p.y * q.z - p.z * q.y, y: p.z * q.x - p.x * q.z, z: p.x * q.y - p.y * q.x }
 }
 

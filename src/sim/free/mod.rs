@@ -9,6 +9,7 @@
 //! | vertices on which a contact begins or ends within a step | `split` |
 //! | loops over vertices, in SIMD lanes | `kernels` |
 //! | vertices that nothing reaches in a step | `passive` |
+//! | steps of fixed length, where adaptive ones are too much work; their loops | `verlet`, `verlet_kernels` |
 //! | momentum, angular momentum, energy | [`conserved`] |
 //! | energy ledger | [`ledger`] |
 //! | forces in the current state, by cause | [`observed`] |
@@ -49,6 +50,8 @@ pub mod observed;
 mod passive;
 mod split;
 mod step;
+mod verlet;
+mod verlet_kernels;
 
 pub use crate::model::{PairLaw, shape_matching::Rotation};
 pub use body::{Body, Motion, Shape};
