@@ -67,8 +67,9 @@
 //! 6. ‥ `Island::substep` tries steps until the error is within the tolerance: `solve` → `converge`
 //! 7. ‥ ‥ `evaluate` (`force`, `kernels`) computes forces, `Course::correct` (`step`) moves bodies, `estimate_error` estimates
 //! 8. ‥ ‥ the step is shortened to end at the `first_crossing` of a threshold; `commit` makes it the state
-//! 9. again from 4 with wider bounds for bodies that moved farther than expected (`has_left_bounds`)
-//! 10. reach: `end` takes the results over, moves bodies on which nothing acts (`advance_unforced`), and lets slow ones `sleep`
+//! 9. ‥ an island for which that is too much work is advanced by `Island::advance_in_fixed_steps` (`verlet`) instead
+//! 10. again from 4 with wider bounds for bodies that moved farther than expected (`has_left_bounds`)
+//! 11. reach: `end` takes the results over, moves bodies on which nothing acts (`advance_unforced`), and lets slow ones `sleep`
 //!
 //! # What a step skips
 //! Step cost scales with active interactions, not with vertices, and skipping changes no result:

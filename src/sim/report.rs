@@ -269,7 +269,8 @@ impl Failure {
     }
 }
 
-/// A body whose estimated error exceeds the tolerance because steps cannot be made shorter.
+/// A body whose estimated error exceeds the tolerance because steps cannot be made shorter, or because shorter ones would be
+/// too much work.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shortfall {
     /// Index of the body with the largest ratio of `error` to `allowed`.
@@ -298,7 +299,7 @@ pub struct StepReport {
     /// The largest error of any vertex in the integrator's last step, as estimated by it [radii of its body]; 0 for
     /// integrators without an error estimate.
     pub error: f64,
-    /// Where the error exceeds the tolerance because steps cannot be made shorter.
+    /// Where the error exceeds the tolerance.
     pub shortfall: Option<Shortfall>,
     /// What takes so much work that the run will end early if it goes on like this; set once.
     pub strain: Option<Strain>,

@@ -12,6 +12,10 @@
 //! found in advance. In each step, bodies that can act on each other form an island. [`free`] advances it with steps of
 //! its own, which end at its events. A body on a path does not couple other bodies, because its centre is known.
 //!
+//! In a heap, contacts make all bodies one island, and its adaptive steps become very short. Where they are too much work,
+//! the island takes steps of fixed length ([`free`]'s velocity Verlet) and reports their estimated error. Work is counted,
+//! not timed, so it is the same step in every run. Adaptive steps are tried again after calm steps, each time later.
+//!
 //! How far a free body moves is known only after the step. Islands are built for the expected motion; those with a body
 //! that moved farther are rebuilt and advanced again from the start of the step.
 //!
@@ -74,10 +78,11 @@ const ORDINARY_HELD: u64 = 2000;
 
 /// Islands with more bodies than this may do [`MAX_ADAPTIVE`] in adaptive steps, even if the run could continue.
 const MOST_UNLIMITED: usize = 64;
-/// Largest work of adaptive steps per vertex, in large islands and those for which they were too much work before [units].
-const MAX_ADAPTIVE: u64 = 400;
+/// Largest work of the adaptive steps of an island in a step, in large islands and those for which they were too much work
+/// before [units]: about 0.1 s on two cores.
+const MAX_ADAPTIVE: u64 = 4_000_000;
 /// Bodies that take steps of fixed length rest as for this tolerance, if that of the scene is smaller [radii/s].
-const FIXED_TOLERANCE: f64 = 1e-3;
+const FIXED_TOLERANCE: f64 = 1e-2;
 /// Steps of fixed length are calm if their estimated error is at most this many times what the tolerance allows: adaptive
 /// ones may then be possible.
 const CALM: f64 = 10.0;
@@ -478,7 +483,6 @@ impl Coupled {
             let known = before.get_mut(next).filter(|job| first(job) == group.bodies[0]);
             let mut job = known.map(take).unwrap_or_default();
             job.is_done &= job.group == *group;
-            let vertices = |&body: &u32| self.members[body as usize].body.shape.rest().len() as u64;
             let fixed = group.bodies.iter().map(|&body| self.members[body as usize].fixed);
             let fixed = fixed
                 .fold(FixedSteps::default(), |a, b| FixedSteps { left: a.left.max(b.left), wait: a.wait.max(b.wait) });
@@ -486,10 +490,7 @@ impl Coupled {
                 job.is_fixed |= fixed.left > 0;
             }
             let is_limited = fixed.wait > 0 || group.bodies.len() > MOST_UNLIMITED;
-            job.budget = match is_limited {
-                true => MAX_ADAPTIVE * group.bodies.iter().map(vertices).sum::<u64>(),
-                false => u64::MAX,
-            };
+            job.budget = if is_limited { MAX_ADAPTIVE } else { u64::MAX };
             if !job.is_done {
                 std::mem::swap(&mut job.group, group);
             }

@@ -10,7 +10,7 @@ use crate::{
         Force, Integrator, Motion, Path,
         path::{Bounds, Given, Kinematics},
     },
-    sim::{EditError, Failure, report::Toil},
+    sim::{EditError, Failure, coupled::member::FixedSteps, report::Toil, solver::Solver},
 };
 
 fn scene(text: &str) -> Scene {
@@ -177,6 +177,80 @@ fn extreme_scenes_do_not_hang() {
             assert!(took < 60.0, "{name} {integrator}: {took} s, {outcome}");
         }
     }
+}
+
+/// A heap of small spheres, whose islands take steps of fixed length from the start.
+fn heap(counts: [u32; 3], friction: f64) -> World {
+    let mut world = World::new(scene(&format!(
+        "gravity = [0, 0, -9.81]\n[material]\ndamping = 4.0\n[[plane]]\nnormal = [0, 0, 1]\nfriction = {friction:?}\n\
+         [[grid]]\nname = \"b\"\nradius = 1.0\nshape = {{ sphere = {{ stacks = 6, slices = 8 }} }}\ncount = {counts:?}\n\
+         spacing = [2.1, 2.1, 2.1]\njitter = 0.1\nmotion = {{ free = {{ from = [0, 0, 1.1] }} }}\n"
+    )))
+    .unwrap();
+    let Solver::Coupled(coupled) = &mut world.solver else { unreachable!() };
+    coupled.members.iter_mut().for_each(|member| member.fixed = FixedSteps { left: u16::MAX, wait: u16::MAX });
+    world
+}
+
+/// A heap in steps of fixed length keeps its momentum, accounts for its energy, reports its error, and does not sink into
+/// the plane.
+#[test]
+fn a_heap_in_fixed_steps_keeps_what_is_conserved() {
+    let mut world = heap([3, 3, 3], 0.0);
+    let first = world.conserved().unwrap();
+    let mut is_reported = false;
+    for step in 1..=240 {
+        let report = world.step();
+        assert!(report.failure.is_none(), "{:?}", report.failure);
+        assert_eq!(report.fallback.is_some(), step == 1);
+        is_reported |= report.shortfall.is_some_and(|shortfall| shortfall.error > shortfall.allowed);
+        let now = world.conserved().unwrap();
+        // a plane without friction acts along its normal
+        assert!((now.momentum - first.momentum).truncate().length() < 1e-9, "step {step}: {}", now.momentum);
+        assert!(now.angular_momentum.z.abs() < 1e-8, "step {step}: {}", now.angular_momentum);
+        let brought = world.ledger();
+        let left = now.energy() - first.energy() - brought.total();
+        assert!(left.abs() < 0.1 * first.energy(), "step {step}: {left} of {}", first.energy());
+        let lowest =
+            world.bodies().flat_map(|body| body.positions().map(|r| r.z).collect::<Vec<_>>()).fold(0.0, f64::min);
+        assert!(lowest > -0.5, "step {step}: {lowest}");
+    }
+    assert!(is_reported);
+}
+
+/// On a plane with friction it comes to rest and sleeps.
+#[test]
+fn a_heap_in_fixed_steps_comes_to_rest() {
+    let mut world = heap([3, 3, 3], 0.3);
+    let rests = (0..6000).any(|_| {
+        run(&mut world, 1);
+        world.resting_count() == 27
+    });
+    assert!(rests, "{} rest; {:?}", world.resting_count(), world.conserved());
+}
+
+/// Steps of fixed length are the same for any number of threads.
+#[test]
+fn fixed_steps_do_not_depend_on_threads() {
+    let [one, three] = [1, 3].map(|threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let mut world = heap([4, 4, 4], 0.3);
+            run(&mut world, 60);
+            let events: usize = world.pairs().filter(|pair| pair.phase != Phase::Apart).count();
+            (world.checksum(), events)
+        })
+    });
+    assert_eq!(one, three);
+    assert!(one.1 > 0);
+}
+
+/// Five balls on a plane with friction, which adaptive steps cannot follow, reach the end of the run.
+#[test]
+fn a_rough_heap_of_five_reaches_its_end() {
+    let mut world = heap([1, 1, 5], 0.3);
+    run(&mut world, 600);
+    assert!(world.bodies().all(|body| (0.0..10.0).contains(&body.centre().z)));
 }
 
 #[test]

@@ -323,6 +323,32 @@ fn a_free_body_follows_one_on_a_path() {
     assert!(island.bodies()[1].centre.distance(island.bodies()[0].centre) < 1.2);
 }
 
+/// Steps of fixed length end within their reported error of the exact state, and keep momentum.
+#[test]
+fn fixed_steps_stay_within_their_reported_error() {
+    let oscillator = Oscillator { omega: 12.0, damping: 1.5 };
+    let (mut exact, mut island) = (two(oscillator, LAW, 1e-6), two(oscillator, LAW, 1e-6));
+    let (mut scratch, mut report) = (Scratch::new(Arch::new()), Report::default());
+    let first = island.conserved();
+    for step in 1..=120 {
+        let end = f64::from(step) / 60.0;
+        exact.advance(end, &NoPaths, &mut Report::default()).unwrap();
+        let done = island.advance_in_fixed_steps(&mut scratch, end, &NoPaths, &Tally::unlimited(), &mut report);
+        done.unwrap();
+        let apart = |(a, b): (&Body, &Body)| {
+            (0..a.x.len()).map(|i| a.position(i).distance(b.position(i)) / a.radius).fold(0.0, f64::max)
+        };
+        let error = exact.bodies().iter().zip(island.bodies()).map(apart).fold(0.0, f64::max);
+        assert!(error <= report.error, "step {step}: {error} of {}", report.error);
+        let now = island.conserved();
+        assert!(now.momentum.distance(first.momentum) < 1e-12, "{}", now.momentum);
+        assert!(now.angular_momentum.distance(first.angular_momentum) < 1e-12, "{}", now.angular_momentum);
+    }
+    let left = island.conserved().energy() - first.energy() - report.ledger.total();
+    let scale = first.kinetic;
+    assert!(left.abs() < 0.2 * scale, "{left} of {scale}");
+}
+
 #[test]
 fn results_do_not_depend_on_the_instruction_set() {
     let outcome = |arch: Arch| {

@@ -19,12 +19,12 @@ use super::{
     body::Body,
     field::{Driven, Paths},
     island::{Change, Failure, GROWTH, Island, Report, Scratch},
-    kernels::{Lane, Lanes, by_coordinate, by_vertex},
+    kernels::{Lane, Lanes, at, by_coordinate, by_vertex, replace},
     step::Place,
-    verlet_kernels::{Drift, Drifted, Kick, Kicked, Pull, Spring},
+    verlet_kernels::{Drift, Drifted, Kick, Kicked, Pull, Spring, Support, angular_momentum, largest_change},
 };
 use crate::{
-    model::shape_matching::{best_rotation, resistance, solve},
+    model::shape_matching::{best_rotation, outer, resistance, solve},
     sim::numerics::larger,
 };
 
@@ -34,6 +34,8 @@ const MAX_ANGLE: f64 = 0.5;
 const MAX_WAY: f64 = 0.25;
 /// Least number of substeps.
 const MIN_SUBSTEPS: f64 = 2.0;
+/// Largest number of substeps: what needs more is too stiff or too fast for this scheme.
+const MAX_SUBSTEPS: f64 = 1000.0;
 /// With fewer vertices than this, a second thread does not pay off.
 const PARALLEL_VERTICES: usize = 2048;
 
@@ -59,6 +61,8 @@ pub struct Particles {
     inertia: DMat3,
     /// Largest distance of a vertex from the centre [scene unit].
     extent: f64,
+    /// Largest speed of a vertex relative to the base at the start [scene unit/s].
+    fastest: f64,
     /// Acceleration that all vertices share [scene unit/s²].
     shared: DVec3,
     pulls: Vec<Pulled>,
@@ -89,8 +93,6 @@ struct Pulled {
 struct Bond {
     /// Centre distance over the sum of the radii [–].
     q: f64,
-    /// Its rate [1/s].
-    rate: f64,
     strength: f64,
     /// Change of the strength by changes of phase in the substep [1/s²].
     jump: f64,
@@ -124,6 +126,7 @@ impl Particles {
         self.base = if body.is_free() { Place { centre: body.centre, velocity: DVec3::ZERO } } else { place };
         (self.centre, self.velocity, self.rotation) = (DVec3::ZERO, velocity, body.rotation);
         self.extent = body.shape.extent + body.x.iter().map(|x| x.length_squared()).fold(0.0, larger).sqrt();
+        self.fastest = v.iter().map(|v| v.length_squared()).fold(0.0, larger).sqrt();
         (self.error, self.lost, self.pushed) = (0.0, [0.0; 2], 0.0);
     }
 
@@ -149,7 +152,7 @@ impl Particles {
             body.spin = DVec3::ZERO;
             for (((&l, &m), &s), &rate) in shape.rest.iter().zip(&shape.masses).zip(&r).zip(&v) {
                 let a = axes * l;
-                stretched += crate::model::shape_matching::outer(m * a, s);
+                stretched += outer(m * a, s);
                 turning += m * a.cross(rate);
                 body.spin += m * s.cross(rate);
             }
@@ -174,9 +177,10 @@ impl Particles {
         let spin = self.spin(arch, body);
         let slowed = libm::exp(-2.0 * body.oscillator.damping * damped);
         let (velocity, centre) = if is_free { (self.velocity, self.centre) } else { Default::default() };
-        let Drifted { first, fit, squares, relative, farthest } = Drift {
+        let Drifted { first, fit, squares, relative, power, farthest } = Drift {
             r: &mut self.r,
             v: &mut self.v,
+            a: &self.a,
             rest: &body.shape.lanes,
             masses: &body.shape.lanes_masses,
             centre,
@@ -187,13 +191,14 @@ impl Particles {
         }
         .find(arch);
         if is_free {
-            self.lost[0] += 0.5 * (1.0 - slowed * slowed) * relative;
+            // at the mean of the velocities before the kick and after damping, like the work of other forces
+            self.lost[0] += 0.5 * (1.0 - slowed) * ((1.0 + slowed) * relative - damped * power);
             let mass = body.shape.mass;
             self.centre = first / mass;
             self.extent = farthest.sqrt() + (self.centre - centre).length();
             if body.turns() {
                 self.rotation = best_rotation(fit, self.rotation);
-                self.inertia = resistance(squares - crate::model::shape_matching::outer(first, self.centre));
+                self.inertia = resistance(squares - outer(first, self.centre));
             }
         } else {
             self.extent = farthest.sqrt();
@@ -205,14 +210,7 @@ impl Particles {
         if !body.turns() {
             return DVec3::ZERO;
         }
-        let momentum = super::verlet_kernels::angular_momentum(
-            arch,
-            &self.r,
-            &self.v,
-            &body.shape.lanes_masses,
-            self.centre,
-            self.velocity,
-        );
+        let momentum = angular_momentum(arch, &self.r, &self.v, &body.shape.lanes_masses, self.centre, self.velocity);
         solve(self.inertia, momentum)
     }
 }
@@ -244,7 +242,7 @@ impl Substep<'_> {
         Spring { r: &own.r, a: &mut own.a, rest, axes, centre, stiffness: omega * omega }.find(arch);
         for plane in &field.planes {
             if plane.depth(own.base.centre + own.centre) + own.extent > 0.0 {
-                super::verlet_kernels::Support {
+                Support {
                     r: &own.r,
                     a: &mut own.a,
                     normal: plane.normal,
@@ -259,10 +257,10 @@ impl Substep<'_> {
                 for (vertex, (&l, &m)) in body.shape.rest.iter().zip(&body.shape.masses).enumerate() {
                     let facing = -(axes * l).normalize_or_zero().dot(push.direction);
                     let force = push.direction * (push.strength * f64::max(0.0, facing));
-                    let a = super::kernels::at(&own.a, vertex);
-                    super::kernels::replace(&mut own.a, vertex, a + force);
+                    let a = at(&own.a, vertex);
+                    replace(&mut own.a, vertex, a + force);
                     if body.is_free() {
-                        own.pushed += self.h * m * force.dot(super::kernels::at(&own.v, vertex));
+                        own.pushed += self.h * m * force.dot(at(&own.v, vertex));
                     }
                 }
             }
@@ -290,7 +288,7 @@ impl Substep<'_> {
             own.pulls.push(Pulled { pair, source, force: pulled.force, power: pulled.power, potential });
         }
         if !self.is_first {
-            let change = super::verlet_kernels::largest_change(arch, &own.a, &own.a_before).sqrt();
+            let change = largest_change(arch, &own.a, &own.a_before).sqrt();
             let swing = 1.0 / omega.max(2.0 * body.oscillator.damping).max(1.0);
             own.error += change * self.h * (self.h + swing) / 12.0;
         }
@@ -376,8 +374,7 @@ impl Island {
                 }
             }
             stiffest = larger(stiffest, stiffness);
-            let u = body.u.iter().map(|u| u.length_squared()).fold(0.0, larger).sqrt();
-            fastest = larger(fastest, speed + u + body.frame_spin().length() * body.shape.extent);
+            fastest = larger(fastest, all.fastest + all.base.velocity.length());
             smallest = f64::min(smallest, body.radius);
         }
         let by_angle = span * f64::sqrt(stiffest) / MAX_ANGLE;
@@ -410,6 +407,9 @@ impl Island {
         over(is_parallel, &mut scratch.verlet.all, |i, own| own.begin(&self.bodies[i], first[i]));
         let count = self.count_substeps(scratch, end);
         let h = (end - start) / count;
+        if !(count <= MAX_SUBSTEPS) {
+            return Err(Failure::Unresolved { body: 0, time: start, step: h });
+        }
         let Scratch { verlet: Buffers { all, bonds, reactions }, pairs_of, .. } = scratch;
         bonds.clear();
         bonds.extend(self.pairs.iter().map(|pair| Bond {
@@ -451,39 +451,20 @@ impl Island {
             over(is_parallel, all, |i, own| substep.pull(i, own));
             reactions.clear();
             reactions.resize(self.bodies.len(), DVec3::ZERO);
-            for (i, own) in all.iter().enumerate() {
-                for pulled in &own.pulls {
-                    let source = pulled.source as usize;
-                    reactions[source] -= pulled.force;
-                    let bond = &bonds[pulled.pair as usize];
-                    let is_driven = self.bodies[source].is_prescribed() != self.bodies[i].is_prescribed();
-                    if is_driven {
-                        let power = match self.bodies[i].is_free() {
-                            true => pulled.force.dot(centres[source].velocity),
-                            false => -(pulled.power + pulled.force.dot(centres[i].velocity)),
-                        };
-                        // the owner of the path: the source, or the body itself
-                        let path = if self.bodies[i].is_free() { pulled.source } else { i as u32 };
-                        *report.ledger.of_source(path, &self.field) += h * power;
-                    }
-                    if self.bodies[source].is_free() || self.bodies[i].is_free() {
-                        let law = &self.pairs[pulled.pair as usize].law;
-                        let slope =
-                            law.rim(self.pairs[pulled.pair as usize].phase).map_or(0.0, |rim| rim.slope(bond.q));
-                        report.ledger.core += h * slope * bond.rate * pulled.potential;
-                        if let Some(change) = bond.change {
-                            let energy = bond.jump * pulled.potential;
-                            report.ledger.events += energy;
-                            report.changes[change].energy += energy;
-                        }
-                    }
+            for pulled in all.iter().flat_map(|own| &own.pulls) {
+                reactions[pulled.source as usize] -= pulled.force;
+                let bond = &bonds[pulled.pair as usize];
+                if let Some(change) = bond.change {
+                    let energy = bond.jump * pulled.potential;
+                    report.ledger.events += energy;
+                    report.changes[change].energy += energy;
                 }
             }
+            self.add_work(all, &centres, 0.5 * h, t, report);
             for (i, own) in all.iter_mut().enumerate() {
                 let body = &self.bodies[i];
                 own.shared = if body.is_free() {
                     let given = self.field.given(i, t, centres[i].centre, centres[i].velocity);
-                    own.pushed += h * body.mass() * given.dot(centres[i].velocity);
                     self.field.gravity + given + reactions[i] / body.mass()
                 } else {
                     -paths.at(i, t, false).carry
@@ -493,6 +474,13 @@ impl Island {
             let drift = if k < count { h } else { 0.5 * h };
             let substep = Substep { island: self, pairs_of, bonds, centres: &centres, arch, t, h, is_first: false };
             over(is_parallel, all, |i, own| substep.move_on(i, own, drift));
+            // powers are those in the middle of the kick
+            for (own, (body, place)) in all.iter().zip(self.bodies.iter().zip(&mut centres)) {
+                if body.is_free() {
+                    place.velocity = own.velocity;
+                }
+            }
+            self.add_work(all, &centres, 0.5 * h, t, report);
             t_before = t;
         }
         let mut worst = (0.0, 0.0, 0);
@@ -532,8 +520,36 @@ impl Island {
         if report.shortest.is_none_or(|(shortest, _)| h < shortest) {
             report.shortest = Some((h, worst.2 as u32));
         }
-        // the phases at the end are those of the middle of the last substep; what passed since then is found next
         Ok(())
+    }
+
+    /// Adds the work of half a kick, `h` [s] at `t` [s], at which the centres have these velocities: of changing strengths, of
+    /// spheres on paths and force points, and of forces set by a program.
+    fn add_work(&self, all: &[Particles], centres: &[Place], h: f64, t: f64, report: &mut Report) {
+        for (i, own) in all.iter().enumerate() {
+            let (body, place) = (&self.bodies[i], centres[i]);
+            if body.is_free() && !self.field.forces.is_empty() {
+                let given = self.field.given(i, t, place.centre, place.velocity);
+                report.ledger.pushes += h * body.mass() * given.dot(place.velocity);
+            }
+            for pulled in &own.pulls {
+                let (source, to) = (&self.bodies[pulled.source as usize], centres[pulled.source as usize]);
+                let pair = &self.pairs[pulled.pair as usize];
+                if source.is_prescribed() != body.is_prescribed() {
+                    let (path, power) = match body.is_free() {
+                        true => (pulled.source, pulled.force.dot(to.velocity)),
+                        false => (i as u32, -(pulled.power + pulled.force.dot(place.velocity))),
+                    };
+                    *report.ledger.of_source(path, &self.field) += h * power;
+                }
+                if let Some(rim) = pair.law.rim(pair.phase).filter(|_| source.is_free() || body.is_free()) {
+                    let radii = body.radius + source.radius;
+                    let apart = to.centre - place.centre;
+                    let rate = apart.normalize_or_zero().dot(to.velocity - place.velocity) / radii;
+                    report.ledger.core += h * rim.slope(apart.length() / radii) * rate * pulled.potential;
+                }
+            }
+        }
     }
 
     /// Changes the phases of pairs that passed a threshold between two instants [s], and sets the strengths.
@@ -545,7 +561,7 @@ impl Island {
             let q = apart.length() / radii;
             let rate = apart.normalize_or_zero().dot(velocity) / radii;
             let old = bond.q;
-            *bond = Bond { q, rate, ..Bond::default() };
+            *bond = Bond { q, ..Bond::default() };
             for _ in 0..2 {
                 let passed = pair.transitions().find(|way| if way.falling { q < way.level } else { q > way.level });
                 let Some(way) = passed else { break };
@@ -561,7 +577,8 @@ impl Island {
                 report.changes.push(Change { time, pair: index, q: way.level, rate, from, to: way.to, energy: 0.0 });
                 pair.phase = way.to;
             }
-            bond.strength = pair.law.strength(pair.phase, q);
+            // the kick is half before the change and half after it
+            bond.strength = pair.law.strength(pair.phase, q) - 0.5 * bond.jump;
         }
     }
 }

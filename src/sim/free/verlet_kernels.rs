@@ -199,7 +199,7 @@ pub struct Kick<'a> {
 pub struct Kicked {
     /// Σ m v.
     pub momentum: DVec3,
-    /// Kinetic energy lost by friction.
+    /// Energy lost by friction.
     pub rubbed: f64,
 }
 
@@ -213,7 +213,8 @@ impl Kernel for Kick<'_> {
         let (none, one) = (Reals::splat(simd, 0.0), Reals::splat(simd, 1.0));
         let (mut momentum, mut rubbed) = (zero::<S, W>(simd), none);
         for (((r, v), a), m) in r.iter().zip(v).zip(a).zip(masses) {
-            let mut now = load(simd, v) + (load(simd, a) + shared) * h;
+            let before = load(simd, v);
+            let mut now = before + (load(simd, a) + shared) * h;
             let m = Reals::load(simd, m, 0);
             for (plane, offset) in planes {
                 let normal = Vector::splat(simd, plane.normal);
@@ -230,9 +231,9 @@ impl Kernel for Kick<'_> {
                 let left = none.larger(square.sqrt() - slowing);
                 let rate = slowing / (left * left + slip).sqrt();
                 let lost = slide * (rate / (one + rate));
-                let after = slide - lost;
-                rubbed = rubbed + m * (square - after.length_squared()) * 0.5;
                 now = now - lost;
+                // at the mean of the velocities before and after the kick, like the work of other forces
+                rubbed = rubbed + m * lost.dot((before + now) * 0.5 + moving);
             }
             momentum = momentum + now * m;
             store(now, v);
@@ -251,6 +252,8 @@ impl Kick<'_> {
 pub struct Drift<'a> {
     pub r: &'a mut [Lanes],
     pub v: &'a mut [Lanes],
+    /// The accelerations of the kick.
+    pub a: &'a [Lanes],
     pub rest: &'a [Lanes],
     pub masses: &'a [Lane],
     /// The rigid motion.
@@ -272,6 +275,8 @@ pub struct Drifted {
     pub squares: DMat3,
     /// Σ m |v|² of the velocities relative to the rigid motion, before damping.
     pub relative: f64,
+    /// Σ m v·a of these velocities.
+    pub power: f64,
     /// The largest squared distance from the old centre.
     pub farthest: f64,
 }
@@ -281,16 +286,17 @@ impl Kernel for Drift<'_> {
 
     #[inline(always)]
     fn run<S: Simd, const W: usize>(self, simd: S) -> Drifted {
-        let Drift { r, v, rest, masses, centre, velocity, spin, slowed, h } = self;
+        let Drift { r, v, a, rest, masses, centre, velocity, spin, slowed, h } = self;
         let splat = |v| Vector::<S, W>::splat(simd, v);
         let (centre, velocity, spin) = (splat(centre), splat(velocity), splat(spin));
         let (none, none_of) = (Reals::splat(simd, 0.0), zero::<S, W>(simd));
-        let (mut relative, mut farthest) = (none, none);
-        for ((r, v), m) in r.iter_mut().zip(&mut *v).zip(masses) {
+        let (mut relative, mut power, mut farthest) = (none, none, none);
+        for (((r, v), a), m) in r.iter_mut().zip(&mut *v).zip(a).zip(masses) {
             let at = load(simd, r);
             let rigid = velocity + cross(spin, at - centre);
             let own = load(simd, v) - rigid;
             relative = relative + own.length_squared() * Reals::load(simd, m, 0);
+            power = power + own.dot(load(simd, a)) * Reals::load(simd, m, 0);
             let now = rigid + own * slowed;
             store(now, v);
             let at = at + now * h;
@@ -312,6 +318,7 @@ impl Kernel for Drift<'_> {
             fit: total_matrix(&fit),
             squares: total_matrix(&squares),
             relative: total(relative),
+            power: total(power),
             farthest: largest(farthest),
         }
     }
