@@ -151,15 +151,6 @@ impl Approach {
     }
 }
 
-/// The vertex of the parabola through three points (t, y), if it is a minimum between the first and the last.
-pub(crate) fn lowest([(t0, y0), (t1, y1), (t2, y2)]: [(f64, f64); 3]) -> Option<(f64, f64)> {
-    let (slope, next) = ((y1 - y0) / (t1 - t0), (y2 - y1) / (t2 - t1));
-    let curvature = (next - slope) / (t2 - t0);
-    let time = 0.5 * (t0 + t1) - 0.5 * slope / curvature;
-    let lowest = y0 + (time - t0) * (slope + curvature * (time - t1));
-    (curvature > 0.0 && t0 < time && time < t2).then_some((time, lowest))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

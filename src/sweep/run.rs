@@ -35,7 +35,7 @@ use super::{
 };
 use crate::{
     Scene, World,
-    analysis::{approach::lowest, touch::Touches},
+    analysis::touch::Touches,
     model::phase::Phase,
     models,
     observe::{Frame, Simulation as _, StepSummary, Want, surface::Finding},
@@ -459,6 +459,15 @@ impl Pair {
         let nothing = (f64::NEG_INFINITY, f64::INFINITY);
         Pair { is_merged: false, since: time, met: relative, merged: None, split: None, last: [nothing; 2] }
     }
+}
+
+/// The vertex of the parabola through three points (t, y), if it is a minimum between the first and the last.
+fn lowest([(t0, y0), (t1, y1), (t2, y2)]: [(f64, f64); 3]) -> Option<(f64, f64)> {
+    let (slope, next) = ((y1 - y0) / (t1 - t0), (y2 - y1) / (t2 - t1));
+    let curvature = (next - slope) / (t2 - t0);
+    let time = 0.5 * (t0 + t1) - 0.5 * slope / curvature;
+    let lowest = y0 + (time - t0) * (slope + curvature * (time - t1));
+    (curvature > 0.0 && t0 < time && time < t2).then_some((time, lowest))
 }
 
 /// Time of the last phase change of a scene whose bodies are all on non-periodic paths [s]; `None` if there is none, or

@@ -169,6 +169,11 @@ fn of_many_changes_the_last_is_answered() {
     }
     feed.next("frames", |message| message["number"] == 101);
     assert_eq!(page.get("runs/101.rrd").0, 200);
+    // few of the hundred may have begun
+    for number in 102..105 {
+        assert_eq!(page.post("change", &format!(r#"{{"values": {{"influence.alpha": {number}}}}}"#)), 204);
+        feed.next("frames", |message| message["number"] == number);
+    }
     assert_eq!(page.get("runs/1.rrd").0, 404, "old runs are taken away");
 }
 
