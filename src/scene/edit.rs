@@ -66,8 +66,7 @@ impl Scene {
 
     /// When the last edit in [start, end) is entered, if there is one [s].
     pub(crate) fn last_edit(&self, start: f64, end: f64) -> Option<f64> {
-        let inside = self.edits.iter().map(|edit| edit.time).filter(|time| (start..end).contains(time));
-        inside.last()
+        self.edits.iter().map(|edit| edit.time).rfind(|time| (start..end).contains(time))
     }
 
     /// Whether an edit leads to a scene that needs the coupled solver.
