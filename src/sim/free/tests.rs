@@ -349,6 +349,24 @@ fn fixed_steps_stay_within_their_reported_error() {
     assert!(left.abs() < 0.2 * scale, "{left} of {scale}");
 }
 
+/// Steps of fixed length, and their work, do not depend on what the buffers held before.
+#[test]
+fn fixed_steps_do_not_depend_on_reused_buffers() {
+    let run = |scratch: &mut Scratch| {
+        let mut island = two(Oscillator { omega: 12.0, damping: 1.5 }, LAW, 1e-6);
+        let work = Tally::unlimited();
+        for step in 1..=40 {
+            let end = f64::from(step) / 60.0;
+            island.advance_in_fixed_steps(scratch, end, &NoPaths, &work, &mut Report::default()).unwrap();
+        }
+        let positions = |body: &Body| (0..body.x.len()).map(|i| body.position(i).to_array()).collect::<Vec<_>>();
+        (island.bodies().iter().map(positions).collect::<Vec<_>>(), work.done())
+    };
+    let mut scratch = Scratch::new(Arch::new());
+    let first = run(&mut scratch);
+    assert_eq!(first, run(&mut scratch));
+}
+
 #[test]
 fn results_do_not_depend_on_the_instruction_set() {
     let outcome = |arch: Arch| {

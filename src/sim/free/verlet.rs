@@ -120,8 +120,18 @@ impl Particles {
         let v: Vec<DVec3> = rest.map(|(i, &l)| velocity + spin.cross(axes * l) + of(&body.u, i)).collect();
         by_coordinate(&r, &mut self.r);
         by_coordinate(&v, &mut self.v);
+        // nothing is left of the body that used these buffers before
         for array in [&mut self.a, &mut self.a_before] {
+            array.clear();
             array.resize(self.r.len(), Lanes::default());
+        }
+        self.pulls.clear();
+        self.inertia = DMat3::ZERO;
+        if body.turns() {
+            let moments = r.iter().zip(&body.shape.masses).map(|(&r, &m)| (m * r, outer(m * r, r)));
+            let (first, squares) =
+                moments.fold((DVec3::ZERO, DMat3::ZERO), |(first, sum), (m, square)| (first + m, sum + square));
+            self.inertia = resistance(squares - outer(first, first / body.shape.mass));
         }
         self.base = if body.is_free() { Place { centre: body.centre, velocity: DVec3::ZERO } } else { place };
         (self.centre, self.velocity, self.rotation) = (DVec3::ZERO, velocity, body.rotation);
