@@ -1,6 +1,6 @@
 //! The soft-body models side by side: cost, error, stability, volume loss, and times of merging and splitting.
 //!
-//! Nothing here depends on a particular model: everything is measured through [`Simulation`].
+//! Nothing here depends on a particular model: everything is measured through [`Simulation`](crate::observe::Simulation).
 
 use std::time::Instant;
 
@@ -15,7 +15,7 @@ use crate::{
     analysis::{surface::Merger, touch::Touches},
     geometry::Vectors,
     models::SceneRun,
-    observe::{Experiment as _, Frame, Schema, Simulation, StepSummary, SurfaceEvent, Want, surface::Finding},
+    observe::{Experiment as _, Frame, Run, Schema, SurfaceEvent, Want, surface::Finding},
     scene::Model,
     sim::Options,
     svg,
@@ -100,8 +100,15 @@ pub fn measure(scene: &Scene, models: &[Model], progress: &mut dyn FnMut(f64)) -
     Measured { scene: scene.name.clone(), vertices: scene.vertex_count(), dt: scene.dt, rows: rows.collect() }
 }
 
-pub(super) fn start(scene: &Scene) -> Result<Box<dyn Simulation>, String> {
-    SceneRun { scene: scene.clone(), options: Options::default() }.start()
+/// A run of a scene, at its start.
+pub(super) fn start(scene: &Scene) -> Result<Run, String> {
+    let simulation = SceneRun { scene: scene.clone(), options: Options::default() }.start()?;
+    Ok(Run::new(simulation, Some(scene.steps())))
+}
+
+/// Takes a step; returns whether there was one left.
+pub(super) fn step(run: &mut Run) -> Result<bool, String> {
+    run.valid_step().map_err(|failure| failure.to_string())
 }
 
 fn row(scene: &Scene, progress: &mut dyn FnMut(f64)) -> Result<Row, String> {
@@ -126,27 +133,17 @@ fn row(scene: &Scene, progress: &mut dyn FnMut(f64)) -> Result<Row, String> {
     Ok(row)
 }
 
-/// Takes a step.
-pub(super) fn step(simulation: &mut dyn Simulation, summary: &mut StepSummary) -> Result<(), String> {
-    simulation.step();
-    simulation.summary(summary);
-    summary.failure.as_ref().map_or(Ok(()), |failure| Err(failure.to_string()))
-}
-
 /// Runs a scene with everything that a recording shows.
 pub(super) fn observe(scene: &Scene) -> Result<Row, String> {
-    let mut simulation = start(scene)?;
-    let schema = simulation.schema();
-    let mut merger = Merger::new(&schema, simulation.interrupt());
-    let mut touches = Touches::new(&*simulation);
-    let (mut frame, mut summary, mut found) = (Frame::default(), StepSummary::default(), Vec::new());
+    let mut run = start(scene)?;
+    let schema = run.simulation.schema();
+    let mut merger = Merger::new(&schema, run.simulation.interrupt());
+    let mut touches = Touches::new(&*run.simulation);
+    let (mut frame, mut found, mut local) = (Frame::default(), Vec::new(), Vectors::default());
     let (mut seconds, mut events, mut volumes) = (0.0, Vec::new(), Vec::new());
-    let (mut local, steps) = (Vectors::default(), scene.steps());
-    for at in 0..=steps {
-        let clock = Instant::now();
-        if at > 0 {
-            step(&mut *simulation, &mut summary)?;
-        }
+    let mut clock = Instant::now();
+    loop {
+        let simulation = &*run.simulation;
         simulation.observe(Want::ALL, &mut frame);
         let merged = merger.merge(&schema, &frame, &[]);
         seconds += clock.elapsed().as_secs_f64();
@@ -154,14 +151,19 @@ pub(super) fn observe(scene: &Scene) -> Result<Row, String> {
         let of_groups: f64 = merged.groups.iter().map(|group| group.volume).sum();
         let alone = (0..frame.bodies.len()).filter(|&body| !merged.is_merged.get(body).copied().unwrap_or(false));
         volumes.push(of_groups + alone.map(|body| volume(&schema, &frame, body, &mut local)).sum::<f64>());
-        if at > 0 {
-            touches.step(&*simulation, &frame, &summary.events, &mut found);
+        if simulation.steps_taken() > 0 {
+            let phases = &run.summary.events;
+            touches.step(simulation, &frame, phases, &mut found);
             let surfaces = found.iter().filter(|event| matches!(event.what, Finding::Touch | Finding::Part));
             let surfaces = surfaces.map(|event: &SurfaceEvent| (event.name(), event.a, event.b, event.time));
-            let phases = summary.events.iter().map(|event| (event.name, event.a, event.b, event.time));
+            let phases = phases.iter().map(|event| (event.name, event.a, event.b, event.time));
             let named =
                 |(name, a, b, time): (&str, usize, usize, f64)| (format!("{name} {}", schema.pair_name(a, b)), time);
             events.extend(surfaces.chain(phases).map(named));
+        }
+        clock = Instant::now();
+        if !step(&mut run)? {
+            break;
         }
     }
     events.sort_by(|x, y| x.1.total_cmp(&y.1));
@@ -169,8 +171,8 @@ pub(super) fn observe(scene: &Scene) -> Result<Row, String> {
     let lost = volumes.first().map(|first| 1.0 - least / first).filter(|lost| lost.is_finite());
     Ok(Row {
         build: 0.0,
-        frame: seconds / steps.max(1) as f64,
-        memory: simulation.memory(),
+        frame: seconds / scene.steps().max(1) as f64,
+        memory: run.simulation.memory(),
         points: vec![],
         largest_step: None,
         volume_lost: lost.unwrap_or(0.0),
@@ -186,8 +188,8 @@ fn volume(schema: &Schema, frame: &Frame, body: usize, local: &mut Vectors) -> f
     now.mesh_of(of).triangles().iter().map(|&[a, b, c]| corner(a).dot(corner(b).cross(corner(c))) / 6.0).sum()
 }
 
-/// A run with some step.
-pub(super) struct Run {
+/// The motion in a run with some step.
+pub(super) struct Trajectory {
     /// Positions of all vertices relative to their centres [scene unit], `[instant][body][vertex]`, at every second
     /// instant of the scene's own steps.
     states: Vec<Vec<Vec<DVec3>>>,
@@ -198,35 +200,36 @@ pub(super) struct Run {
     displacement: f64,
 }
 
-pub(super) fn follow(scene: &Scene, dt: f64) -> Result<Run, String> {
+pub(super) fn follow(scene: &Scene, dt: f64) -> Result<Trajectory, String> {
     let every = (2.0 * scene.dt / dt).round().max(1.0) as u64; // all runs include every second instant
     let scene = Scene { dt, ..scene.clone() };
-    let (mut simulation, mut summary, mut frame) = (start(&scene)?, StepSummary::default(), Frame::default());
-    let schema = simulation.schema();
-    let mut run = Run { states: vec![], seconds: 0.0, steps: scene.steps(), displacement: 0.0 };
-    let mut local = Vectors::default();
-    for at in 1..=run.steps {
+    let (mut run, mut frame, mut local) = (start(&scene)?, Frame::default(), Vectors::default());
+    let schema = run.simulation.schema();
+    let mut trajectory = Trajectory { states: vec![], seconds: 0.0, steps: scene.steps(), displacement: 0.0 };
+    loop {
         let clock = Instant::now();
-        step(&mut *simulation, &mut summary)?;
-        run.seconds += clock.elapsed().as_secs_f64();
-        if !at.is_multiple_of(every) {
+        if !step(&mut run)? {
+            return Ok(trajectory);
+        }
+        trajectory.seconds += clock.elapsed().as_secs_f64();
+        if !run.simulation.steps_taken().is_multiple_of(every) {
             continue;
         }
-        simulation.observe(Want::default(), &mut frame);
+        run.simulation.observe(Want::default(), &mut frame);
         let mut state = Vec::with_capacity(frame.bodies.len());
         for (now, body) in frame.bodies.iter().zip(&schema.bodies) {
             let displacement = now.max_displacement / body.radius;
-            run.displacement = if displacement <= run.displacement { run.displacement } else { displacement };
+            let largest = &mut trajectory.displacement;
+            *largest = if displacement <= *largest { *largest } else { displacement };
             now.local_positions(now.rest_of(body), &mut local);
             state.push(local.iter().take(body.vertex_count()).collect());
         }
-        run.states.push(state);
+        trajectory.states.push(state);
     }
-    Ok(run)
 }
 
 /// The largest distance between a vertex's positions in two runs, at common instants [radii]; infinite if NaN.
-fn difference(scene: &Scene, run: &Run, finest: &Run) -> f64 {
+fn difference(scene: &Scene, run: &Trajectory, finest: &Trajectory) -> f64 {
     let mut largest = 0.0f64;
     for (one, other) in run.states.iter().zip(&finest.states) {
         for ((one, other), body) in one.iter().zip(other).zip(&scene.bodies) {

@@ -14,6 +14,7 @@ use glam::DVec3;
 use super::report::{Cell, Column, Report, Table};
 use crate::{
     atomic,
+    models::SceneRun,
     observe::{BodyFrame, Experiment as _, Frame, Schema},
     recording::{
         Recorded,
@@ -22,12 +23,13 @@ use crate::{
     },
     scene::Scene,
     sdk::{Arrows3D, Mesh3D, RecordingStream, RecordingStreamBuilder, RecordingStreamResult, Scalars, Transform3D},
-    sim::World,
+    sim::{Options, World},
     stream::{
         Pipeline, Recorder, Settings,
         contract::{BODY, BODY_SURFACE, DIAGNOSTIC, FORCE},
         extract::{Arrows, Extractor, Surface},
         pipeline::send,
+        record::record,
         settings::{Detail, Frames},
         sinks::{Destinations, Serve, Sinks},
         step::{StepRecord, StepWatch},
@@ -326,7 +328,10 @@ fn entities_in(file: &Path) -> Result<usize, String> {
 /// A description of what failed.
 pub fn verify(scene: &Scene) -> Result<Verification, String> {
     let file = temporary_file()?;
-    record_thinly(scene, &file)?;
+    let experiment = SceneRun { scene: scene.clone(), options: Options::default() };
+    let settings = Settings { frames: Frames::Thin, ..Settings::of(scene) };
+    let destinations = Destinations { save: Some(file.clone()), ..Destinations::default() };
+    record(&experiment, settings, &destinations).map_err(|error| error.to_string())?;
     let mut best = vec![[f64::INFINITY; 2]; scene.steps() as usize];
     let (mut run, mut replay) = (f64::INFINITY, f64::INFINITY);
     let begin = Instant::now();
@@ -362,20 +367,6 @@ pub fn verify(scene: &Scene) -> Result<Verification, String> {
     std::fs::remove_file(&file).ok();
     let [step, both] = [0, 1].map(|which| best.iter().map(|best| best[which]).sum::<f64>() / best.len() as f64);
     Ok(Verification { scene: scene.name.clone(), step, checksum: both - step, run, replay })
-}
-
-fn record_thinly(scene: &Scene, file: &Path) -> Result<(), String> {
-    let destinations = Destinations { save: Some(file.to_owned()), ..Destinations::default() };
-    let mut sinks = Sinks::open(&destinations).map_err(|error| error.to_string())?;
-    let mut world = world(scene)?;
-    let mut recorder = Recorder::new(&world, Settings { frames: Frames::Thin, ..Settings::of(scene) });
-    for _ in 0..scene.steps() {
-        world.step();
-        recorder.observe(&world);
-    }
-    recorder.finish(&world);
-    send(&mut sinks, recorder.take()).map_or(Ok(()), Err)?;
-    sinks.finish().map(drop).map_err(|error| error.to_string())
 }
 
 // --- results --------------------------------------------------------------------------------------------------------

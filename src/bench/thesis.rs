@@ -17,7 +17,6 @@ use crate::{
         cells::Cells,
         lattice::{Constants, Lattice},
     },
-    observe::StepSummary,
     scene::{Integrator, Model, TearMode},
     text::{significant, thousands},
 };
@@ -238,11 +237,10 @@ fn torn(name: &'static str, cells: u32) -> Result<Torn, MeasureError> {
     scene.lattice.cells = cells;
     let all = scene.bodies.first().and_then(|body| Cells::cover(&body.shape.mesh(), cells, None));
     let all = all.map_or(0, |cells| cells.cell_count());
-    let mut simulation = models::start(&scene).map_err(MeasureError::Model)?;
+    let mut run = models::start(&scene).map_err(MeasureError::Model)?;
     let (mut cut, mut split) = (0, 0);
-    for _ in 0..scene.steps() {
-        models::step(&mut *simulation, &mut StepSummary::default()).map_err(MeasureError::Model)?;
-        let events = simulation.body_events();
+    while models::step(&mut run).map_err(MeasureError::Model)? {
+        let events = run.simulation.body_events();
         cut += events.iter().filter(|event| event.name == "cut cell").count();
         split += events.iter().filter(|event| event.name == "split node").count();
     }

@@ -21,7 +21,7 @@ use crate::{
     analysis::{surface::Merger, touch::Touches},
     atomic::{self, AtomicFile},
     models::SceneRun,
-    observe::{Experiment as _, Frame, Simulation, StepSummary, Want, row::rows},
+    observe::{Experiment as _, Frame, Run, Want, row::rows},
     recording::{Recorded, existing::Existing},
     scene::template::Override,
     sim::Options,
@@ -75,16 +75,16 @@ pub struct Arguments {
     every: u64,
 }
 
-/// A run to export: its initial state, its last step, and the recording that it must reproduce, if any.
+/// A run to export, its last step, and the recording that it must reproduce, if any.
 struct Source {
-    simulation: Box<dyn Simulation>,
+    run: Run,
     last: u64,
     recorded: Option<Recorded>,
 }
 
 /// Writes the surfaces and tables of a run.
 pub fn export(arguments: Arguments) -> Result<(), Failure> {
-    let Source { mut simulation, last, recorded } = source(&arguments)?;
+    let Source { mut run, last, recorded } = source(&arguments)?;
     let (from, to) = (arguments.from.unwrap_or(0), arguments.to.unwrap_or(last));
     if from > to {
         return Err(Failure::Input(format!("there are no steps from {from} to {to}: the last is {last}")));
@@ -92,7 +92,8 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
     if to > last {
         return Err(Failure::Input(format!("--to {to} is beyond the last step, {last}")));
     }
-    let schema = simulation.schema();
+    run.last = Some(to);
+    let schema = run.simulation.schema();
     let is_wanted = |step: u64| (from..=to).contains(&step) && (step - from).is_multiple_of(arguments.every);
     let (stem, format) = (file_stem(&schema.name), arguments.format);
     let folder = arguments.mesh.as_ref().map(|path| Folder { path, stem, format });
@@ -111,11 +112,12 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
     let want = Want { scalars: scalars.is_some(), forces: forces.is_some() };
     let needs_frames = folder.is_some() || pairs.is_some() || scalars.is_some() || states.is_some() || forces.is_some();
 
-    let (mut merger, mut frame, mut summary) = (Merger::new(&schema, None), Frame::default(), StepSummary::default());
+    let (mut merger, mut frame) = (Merger::new(&schema, None), Frame::default());
     let (mut files, mut size, mut overlapping) = (0, 0, 0);
-    let (mut touches, mut surfaces) = (events.is_some().then(|| Touches::new(&*simulation)), Vec::new());
+    let (mut touches, mut surfaces) = (events.is_some().then(|| Touches::new(&*run.simulation)), Vec::new());
     let progress = Progress::new("", Work::Units("step", Some(to)));
     loop {
+        let simulation = &*run.simulation;
         let step = simulation.steps_taken();
         progress.step(step, simulation.time());
         if let Some(recorded) = &recorded
@@ -137,7 +139,7 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
             table.add(&schema, &frame)?;
         }
         if let Some(table) = scalars.as_mut().filter(|_| is_wanted(step)) {
-            table.add(&schema, &frame, &summary)?;
+            table.add(&schema, &frame, &run.summary)?;
         }
         if let Some(table) = states.as_mut().filter(|_| is_wanted(step)) {
             table.add(&schema, &frame)?;
@@ -145,20 +147,19 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
         if let Some(table) = forces.as_mut().filter(|_| is_wanted(step)) {
             table.add(&schema, &frame)?;
         }
-        if step >= to {
-            break;
-        }
-        simulation.step();
-        simulation.summary(&mut summary);
-        if let Some(failure) = &summary.failure {
+        let has_stepped = run.valid_step().map_err(|failure| {
             let written =
                 folder.as_ref().map(|folder| format!("; {} contains the steps up to here", folder.path.display()));
-            return Err(Failure::Run(format!("{failure}{}", written.unwrap_or_default())));
+            Failure::Run(format!("{failure}{}", written.unwrap_or_default()))
+        })?;
+        if !has_stepped {
+            break;
         }
         if let (Some(table), Some(touches)) = (&mut events, &mut touches) {
+            let (simulation, phases) = (&*run.simulation, &run.summary.events);
             simulation.observe(Want::default(), &mut frame);
-            touches.step(&*simulation, &frame, &summary.events, &mut surfaces);
-            let all = rows(&summary.events, &surfaces, simulation.body_events());
+            touches.step(simulation, &frame, phases, &mut surfaces);
+            let all = rows(phases, &surfaces, simulation.body_events());
             all.iter().filter(|row| (from..=to).contains(&row.step())).try_for_each(|row| table.add(&schema, row))?;
         }
     }
@@ -195,15 +196,15 @@ fn source(arguments: &Arguments) -> Result<Source, Failure> {
             return Err(Failure::Input("--set is for scenes: a recording is exported as it was made".to_owned()));
         }
         let recorded = Recorded::open(path).map_err(Failure::input)?;
-        let simulation = recorded.start()?;
-        return Ok(Source { simulation, last: recorded.last(), recorded: Some(recorded) });
+        let (simulation, last) = (recorded.start()?, recorded.last());
+        return Ok(Source { run: Run::new(simulation, Some(last)), last, recorded: Some(recorded) });
     }
     let overrides = Overrides { set: arguments.set.clone(), ..Overrides::default() };
     let scene = overrides.apply(run::scene(&arguments.scene)?, &arguments.scene)?;
     let last = scene.steps();
     expense::announce(&scene, None)?;
     let simulation = SceneRun { scene, options: Options::default() }.start().map_err(Failure::Input)?;
-    Ok(Source { simulation, last, recorded: None })
+    Ok(Source { run: Run::new(simulation, Some(last)), last, recorded: None })
 }
 
 /// The output folder.

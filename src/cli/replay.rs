@@ -11,7 +11,7 @@ use super::{
 };
 use crate::{
     models,
-    observe::{Frame, Refusal, Schema, Simulation, StepSummary, Want},
+    observe::{Frame, Refusal, Run, Schema, Simulation, Want},
     recording::{
         Recorded,
         existing::{Existing, Kind},
@@ -178,22 +178,22 @@ fn check_end(recorded: &Recorded) -> Result<(), Failure> {
 /// ones.
 fn vary(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
     let (was, overrides) = (&recorded.schema, &arguments.overrides);
-    let mut run = recorded.run.clone();
+    let mut settings = recorded.run.clone();
     let scene = Scene::parse(&was.source, &was.name).map_err(Failure::input)?;
     let scene = overrides.apply(scene, &was.name)?;
     let sets = |key: &str| overrides.set.iter().any(|one| one.key() == key);
     if overrides.integrator.is_some() || sets("integrator") {
-        run.insert("integrator".to_owned(), scene.integrator.name().into());
+        settings.insert("integrator".to_owned(), scene.integrator.name().into());
     }
     if overrides.model.is_some() || sets("model") {
-        run.insert("model".to_owned(), scene.model.name().into());
+        settings.insert("model".to_owned(), scene.model.name().into());
     }
     for (key, number) in [("dt", scene.dt), ("tolerance", scene.tolerance)] {
         if sets(key) {
-            run.insert(key.to_owned(), number.into());
+            settings.insert(key.to_owned(), number.into());
         }
     }
-    let set = run.entry("set").or_insert_with(|| toml::Value::Array(Vec::new()));
+    let set = settings.entry("set").or_insert_with(|| toml::Value::Array(Vec::new()));
     if let toml::Value::Array(set) = set {
         set.extend(overrides.set.iter().map(|one| one.to_string().into()));
     }
@@ -201,19 +201,20 @@ fn vary(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
         None => schema.integrator.clone(),
         Some(model) => format!("{} of {model}", schema.integrator),
     };
-    let experiment = models::read(&was.name, &was.source, &run)
+    let experiment = models::read(&was.name, &was.source, &settings)
         .map_err(|(Refusal::Source(what) | Refusal::Run(what))| Failure::Input(what))?;
-    let mut simulation = experiment.start().map_err(Failure::Input)?;
+    let simulation = experiment.start().map_err(Failure::Input)?;
     let schema = experiment.schema();
     let steps = (recorded.last() as f64 * was.dt / schema.dt).round() as u64;
     let (from, to) = range(arguments, steps)?;
     let mut saver = Saver::open(arguments, recorded, &schema, from..=to)?;
 
-    let (mut frame, mut summary, mut events) = (Frame::default(), StepSummary::default(), Vec::new());
+    let (mut frame, mut events) = (Frame::default(), Vec::new());
     let mut largest = (0.0, 0.0, String::new());
-    let mut failure = None;
     let progress = Progress::new("", Work::Units("step", Some(steps)));
+    let mut run = Run::new(simulation, Some(steps));
     loop {
+        let simulation = &*run.simulation;
         progress.step(simulation.steps_taken(), simulation.time());
         simulation.observe(Want::default(), &mut frame);
         for (body, now) in schema.bodies.iter().zip(&frame.bodies) {
@@ -222,22 +223,16 @@ fn vary(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
                 largest = (displacement, frame.at.time, body.name.clone());
             }
         }
-        if !saver.observe(&*simulation) || frame.at.step >= steps || failure.is_some() {
+        events.extend(run.summary.events.iter().map(|event| schema.describe(event)));
+        if !saver.observe(simulation) || !run.step() {
             break;
         }
-        simulation.step();
-        simulation.summary(&mut summary);
-        failure = summary.failure.as_ref().map(ToString::to_string);
-        if summary.failure.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
-            break;
-        }
-        events.extend(summary.events.iter().map(|event| schema.describe(event)));
     }
     drop(progress);
     print(&format!(
         "{}: {} of {} s with {}, tolerance {:e}, instead of {} of {} s with {}, tolerance {:e}; not verified",
         recorded.path.display(),
-        counted(simulation.steps_taken(), "step"),
+        counted(run.simulation.steps_taken(), "step"),
         schema.dt,
         named(&schema),
         schema.tolerance,
@@ -256,7 +251,7 @@ fn vary(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
         print(&format!("    {event}"));
     }
     saver.finish()?;
-    match saver.failure.or(failure) {
+    match saver.failure.or(run.failure.map(|failure| failure.to_string())) {
         Some(failure) => Err(Failure::Run(failure)),
         None => Ok(()),
     }

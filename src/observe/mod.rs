@@ -10,6 +10,7 @@
 //! | the events of a step as rows, in order of time | [`row`] |
 //! | the parameters of an experiment | [`parameter`] |
 //! | the traits of a simulation, and of the experiment that creates it | [`simulation`] |
+//! | the steps of a simulation up to its end | [`run`] |
 //!
 //! The recorder, `replay`, `check` and `diff` depend on nothing else. Nothing here depends on Rerun, on files or on a
 //! particular simulation.
@@ -18,6 +19,7 @@ pub mod event;
 pub mod frame;
 pub mod parameter;
 pub mod row;
+pub mod run;
 pub mod schema;
 pub mod simulation;
 pub mod surface;
@@ -26,6 +28,7 @@ pub use event::{BodyEvent, Instant, PairEvent};
 pub use frame::{BodyFrame, Frame, MotionFrame, NetForce, PairFrame, Want};
 pub use parameter::{Branch, InvalidVariation, Parameter, Poke, Variation};
 pub use row::EventRow;
+pub use run::Run;
 pub use schema::Schema;
 pub use simulation::{
     Experiment, NearPair, Refusal, Shortfall, Simulation, StageFrame, StepFailure, StepSummary, between,

@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     analysis::Worst,
-    observe::{Frame, Schema, Simulation, StepSummary, Want},
+    observe::{Frame, Run, Schema, Want},
     stream::{
         settings::Frames,
         sinks::{Saved, SinkError},
@@ -51,7 +51,7 @@ pub struct Difference {
 /// Frames from a file or from a new run of the scene.
 enum FrameSource {
     Stored(Box<FrameReader>),
-    Replayed { simulation: Box<dyn Simulation>, last: u64, has_begun: bool, events: Vec<RecordedEvent> },
+    Replayed { run: Box<Run>, has_begun: bool, events: Vec<RecordedEvent> },
 }
 
 impl FrameSource {
@@ -59,24 +59,22 @@ impl FrameSource {
         if recorded.settings.frames != Frames::Thin {
             return Ok(FrameSource::Stored(Box::new(FrameReader::open(recorded)?)));
         }
-        let simulation = recorded.start()?;
-        Ok(FrameSource::Replayed { simulation, last: recorded.last(), has_begun: false, events: Vec::new() })
+        let run = Box::new(Run::again(recorded.start()?, recorded.last()));
+        Ok(FrameSource::Replayed { run, has_begun: false, events: Vec::new() })
     }
 
     fn next(&mut self, recorded: &Recorded) -> Result<Option<RecordedFrame>, ReadError> {
         match self {
             FrameSource::Stored(frames) => frames.next(),
-            FrameSource::Replayed { simulation, last, has_begun, events } => {
+            FrameSource::Replayed { run, has_begun, events } => {
                 if std::mem::replace(has_begun, true) {
-                    if simulation.steps_taken() >= *last {
+                    if !super::replay::step(run, &recorded.path)? {
                         return Ok(None);
                     }
-                    let mut summary = StepSummary::default();
-                    super::replay::step(&mut **simulation, &mut summary, &recorded.path)?;
-                    events.extend(summary.events.iter().map(|event| RecordedEvent::of(&recorded.schema, event)));
+                    events.extend(run.summary.events.iter().map(|event| RecordedEvent::of(&recorded.schema, event)));
                 }
                 let mut frame = Frame::default();
-                simulation.observe(Want::default(), &mut frame);
+                run.simulation.observe(Want::default(), &mut frame);
                 Ok(Some(RecordedFrame::of(&recorded.schema, &frame)))
             }
         }

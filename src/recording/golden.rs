@@ -5,7 +5,7 @@
 //! diverge, and at regular intervals the full displacements ([`GOLDEN_STATES`]) and geometric quantities ([`GOLDEN_SURFACES`]).
 
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     path::{Path, PathBuf},
     sync::Arc,
 };
@@ -25,7 +25,7 @@ use crate::{
     analysis::{Worst, surface::Merger},
     geometry::Vectors,
     hash,
-    observe::{BodyFrame, Experiment, Frame, Schema, Simulation, StepSummary, Want, schema::BodySchema},
+    observe::{BodyFrame, Experiment, Frame, Run, Schema, Simulation, Want, schema::BodySchema},
     sdk::{
         self, AnyValues,
         arrow::{
@@ -88,21 +88,20 @@ pub fn bless(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<Blesse
 /// As for [`bless`].
 pub fn prepare(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<(Blessed, Option<Complete>), BlessError> {
     let settings = Settings { frames: Frames::Thin, ..Settings::of(scene) };
-    let mut simulation = scene.start().map_err(BlessError::Scene)?;
-    let (schema, mut frame, mut summary) = (simulation.schema(), Frame::default(), StepSummary::default());
+    let simulation = scene.start().map_err(BlessError::Scene)?;
+    let (schema, mut frame) = (simulation.schema(), Frame::default());
     let mut sinks = Sinks::open(&Destinations { save: Some(path.to_owned()), ..Destinations::default() })?;
     let mut recorder = Recorder::new(&*simulation, settings);
     recorder.log_property(BLESSED, reason);
     recorder.log_property(COUNTS, &counts(&schema));
     let mut merger = Merger::new(&schema, None);
     let mut checksums = vec![simulation.checksum()];
-    for step in 1..=schema.steps {
-        simulation.step();
-        simulation.summary(&mut summary);
-        if let Some(failure) = &summary.failure {
-            return Err(BlessError::Scene(failure.to_string()));
-        }
-        recorder.observe(&*simulation);
+    let mut run = Run::new(simulation, Some(schema.steps));
+    while run.valid_step().map_err(|failure| BlessError::Scene(failure.to_string()))? {
+        let simulation = &*run.simulation;
+        let step = simulation.steps_taken();
+        let has_state = step.is_multiple_of(STATE_EVERY) || step == schema.steps;
+        recorder.observe(simulation);
         checksums.push(simulation.checksum());
         simulation.observe(Want::default(), &mut frame);
         let awake: Vec<usize> = (0..frame.bodies.len()).filter(|&index| is_kept(&schema, &frame, index)).collect();
@@ -115,9 +114,9 @@ pub fn prepare(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<(Ble
         if !awake.is_empty() {
             let hashes = |&i: &usize| vertex_hashes(&schema.bodies[i], &frame.bodies[i]);
             let hashes: Vec<u16> = awake.iter().flat_map(hashes).collect();
-            recorder.log(GOLDEN_VERTICES.path, &*simulation, &bodies(Arc::new(UInt16Array::from(hashes)), HASHES));
+            recorder.log(GOLDEN_VERTICES.path, simulation, &bodies(Arc::new(UInt16Array::from(hashes)), HASHES));
         }
-        if !awake.is_empty() && (step % STATE_EVERY == 0 || step == schema.steps) {
+        if !awake.is_empty() && has_state {
             let displacements = |&i: &usize| {
                 let now = &frame.bodies[i];
                 (0..schema.bodies[i].vertex_count()).flat_map(|vertex| now.displacement(vertex).to_array())
@@ -129,22 +128,22 @@ pub fn prepare(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<(Ble
             if !frames.is_empty() {
                 state = state.with_component_from_data(FRAMES.0, Arc::new(Float64Array::from(frames)));
             }
-            recorder.log(GOLDEN_STATES.path, &*simulation, &state);
+            recorder.log(GOLDEN_STATES.path, simulation, &state);
         }
-        if step % STATE_EVERY == 0 || step == schema.steps {
+        if has_state {
             let (names, values): (Vec<String>, Vec<f64>) = surfaces(&mut merger, &schema, &frame).into_iter().unzip();
             if !names.is_empty() {
                 let quantities = AnyValues::default()
                     .with_component::<Text>(QUANTITIES.0, names)
                     .with_component_from_data(VALUES.0, Arc::new(Float64Array::from(values)));
-                recorder.log(GOLDEN_SURFACES.path, &*simulation, &quantities);
+                recorder.log(GOLDEN_SURFACES.path, simulation, &quantities);
             }
         }
-        if step % 256 == 0 {
+        if step.is_multiple_of(256) {
             recorder.take().into_iter().try_for_each(|message| sinks.send(message))?;
         }
     }
-    recorder.finish(&*simulation);
+    recorder.finish(&*run.simulation);
     recorder.take().into_iter().try_for_each(|message| sinks.send(message))?;
     let (finished, file) = sinks.complete();
     let saved = finished?.save;
@@ -291,18 +290,17 @@ pub struct First {
 pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -> Result<GoldenOutcome, ReadError> {
     let recorded = Recorded::open_as(golden, &|name, text, run| scene.read(name, text, run))?;
     let counts_then = Details::counts(golden)?;
-    let mut simulation = start(scene, golden)?;
-    let (schema, mut summary) = (simulation.schema(), StepSummary::default());
+    let simulation = start(scene, golden)?;
+    let schema = simulation.schema();
+    let mut run = Run::again(simulation, schema.steps);
     let mut events = Vec::new();
     let mut first = None;
     let golden_surfaces = read_surfaces(golden)?;
     let (mut merger, mut frame) = (Merger::new(&schema, None), Frame::default());
     let mut deviations = Deviations::new(schema.tolerance, ROUNDING);
-    for step in 0..=schema.steps {
-        if step > 0 {
-            replay::step(&mut *simulation, &mut summary, golden)?;
-            events.extend(summary.events.iter().map(|event| RecordedEvent::of(&schema, event)));
-        }
+    loop {
+        let simulation = &*run.simulation;
+        let step = simulation.steps_taken();
         if let (None, Some(golden)) = (first, recorded.checksum(step))
             && simulation.checksum() != golden
         {
@@ -316,6 +314,10 @@ pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -
                 deviations.compare(entity, step, frame.at.time, [golden, found]);
             }
         }
+        if !replay::step(&mut run, golden)? {
+            break;
+        }
+        events.extend(run.summary.events.iter().map(|event| RecordedEvent::of(&schema, event)));
     }
     let surfaces = deviations.finish();
     let counts_now = counts(&schema);
@@ -370,24 +372,21 @@ fn read_surfaces(path: &Path) -> Result<BTreeMap<u64, Values>, ReadError> {
 
 /// Runs a scene again and compares it with the details of its golden recording from `step` on.
 fn compare_details(
-    mut simulation: Box<dyn Simulation>,
+    simulation: Box<dyn Simulation>,
     schema: &Schema,
     recorded: &Recorded,
     details: &Details,
     step: u64,
     difference: &mut GoldenDifference,
 ) -> Result<(), ReadError> {
-    let (mut frame, mut summary) = (Frame::default(), StepSummary::default());
-    for now in 0..=recorded.last().min(schema.steps) {
-        if now > 0 {
-            replay::step(&mut *simulation, &mut summary, &recorded.path)?;
-        }
-        if now != step && !details.states.contains_key(&now) {
-            continue;
-        }
-        simulation.observe(Want::default(), &mut frame);
+    let last = recorded.last().min(schema.steps);
+    let (mut run, mut frame) = (Run::again(simulation, last), Frame::default());
+    let steps: BTreeSet<u64> = details.states.keys().copied().chain([step]).collect();
+    for now in steps.into_iter().take_while(|now| *now <= last) {
+        replay::go_to(now, &mut run, &recorded.path)?;
+        run.simulation.observe(Want::default(), &mut frame);
         if now == step {
-            let sums = [recorded.checksum(step).unwrap_or_default(), simulation.checksum()];
+            let sums = [recorded.checksum(step).unwrap_or_default(), run.simulation.checksum()];
             difference.first = Some(details.first_difference(schema, &frame, sums));
         }
         if let Some(state) = details.states.get(&now) {
@@ -411,7 +410,7 @@ fn tolerance(schema: &Schema, time: f64) -> f64 {
 
 /// Writes a recording that shows both runs.
 fn show(
-    mut simulation: Box<dyn Simulation>,
+    simulation: Box<dyn Simulation>,
     schema: &Schema,
     details: &Details,
     difference: &GoldenDifference,
@@ -433,14 +432,13 @@ fn show(
     };
     let mut comparison = Comparison::new(schema, &simulation.framing(false), &plan, path)?;
     difference.events.iter().for_each(|change| comparison.change(schema, change));
-    let (mut frame, mut local, mut summary) = (Frame::default(), Vectors::default(), StepSummary::default());
+    let (mut frame, mut local) = (Frame::default(), Vectors::default());
+    let mut run = Run::again(simulation, schema.steps);
     for (&step, state) in details.states.iter().take_while(|(step, _)| **step <= schema.steps) {
-        while simulation.steps_taken() < step {
-            if replay::step(&mut *simulation, &mut summary, path).is_err() {
-                return comparison.finish().map(|_| ());
-            }
+        if replay::go_to(step, &mut run, path).is_err() {
+            break;
         }
-        simulation.observe(Want::default(), &mut frame);
+        run.simulation.observe(Want::default(), &mut frame);
         comparison.frame(schema, frame.at, tolerance(schema, frame.at.time), |index| {
             let (body, now) = (&schema.bodies[index], &frame.bodies[index]);
             now.local_positions(now.rest_of(body), &mut local);

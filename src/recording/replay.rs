@@ -5,7 +5,7 @@ use std::path::Path;
 use super::{ReadError, Recorded, frames};
 use crate::{
     analysis::Worst,
-    observe::{Frame, Simulation, StepSummary, Want},
+    observe::{Frame, Run, Simulation, Want},
 };
 
 /// The result of a replay.
@@ -43,16 +43,14 @@ impl Divergence {
     /// The recording cannot be read.
     pub fn worst(&self, recorded: &Recorded) -> Result<Option<Worst>, ReadError> {
         let mut stream = frames::FrameReader::open(recorded)?;
-        let Ok(mut simulation) = recorded.start() else { return Ok(None) };
-        let (mut now, mut summary) = (Frame::default(), StepSummary::default());
+        let Ok(simulation) = recorded.start() else { return Ok(None) };
+        let (mut run, mut now) = (Run::again(simulation, recorded.last()), Frame::default());
         while let Some(frame) = stream.next()? {
             if frame.step < self.step || frame.step > recorded.last() {
                 continue;
             }
-            while simulation.steps_taken() < frame.step {
-                step(&mut *simulation, &mut summary, &recorded.path)?;
-            }
-            simulation.observe(Want::default(), &mut now);
+            go_to(frame.step, &mut run, &recorded.path)?;
+            run.simulation.observe(Want::default(), &mut now);
             if let Some(worst) = frame.compare(&recorded.schema, &now) {
                 return Ok(Some(worst));
             }
@@ -68,17 +66,17 @@ impl Divergence {
 /// The scene cannot be run here, or the recording is damaged: a single checksum differs and the next ones are right,
 /// which no simulation can produce.
 pub fn verify(recorded: &Recorded, mut observe: impl FnMut(&dyn Simulation) -> bool) -> Result<Verdict, ReadError> {
-    let mut simulation = recorded.start()?;
-    let mut last_step = recorded.last();
-    let mut summary = StepSummary::default();
+    let mut run = Run::again(recorded.start()?, recorded.last());
     let mut divergence = None;
     loop {
+        let simulation = &*run.simulation;
         let step = simulation.steps_taken();
         if let (Some(expected), None) = (recorded.checksum(step), &divergence) {
             let found = simulation.checksum();
             if found != expected {
                 divergence = Some(Divergence { step, time: simulation.time(), recorded: expected, replayed: found });
-                last_step = last_step.min(step + 1); // one more, to see whether the two agree again
+                // one more, to see whether the two agree again
+                run.last = Some(recorded.last().min(step + 1));
             }
         } else if let (Some(expected), Some(found)) = (recorded.checksum(step), &divergence)
             && simulation.checksum() == expected
@@ -86,36 +84,37 @@ pub fn verify(recorded: &Recorded, mut observe: impl FnMut(&dyn Simulation) -> b
             let what = format!("the checksum of step {} is wrong, but the next one is right", found.step);
             return Err(ReadError::Damaged { path: recorded.path.clone(), at: None, what });
         }
-        if divergence.is_none() && !observe(&*simulation) {
+        if divergence.is_none() && !observe(simulation) || !self::step(&mut run, &recorded.path)? {
             break;
         }
-        if step >= last_step {
-            break;
-        }
-        self::step(&mut *simulation, &mut summary, &recorded.path)?;
     }
     if let Some(divergence) = divergence {
         return Ok(Verdict::Divergent(divergence));
     }
-    if recorded.failure.is_some() && summary.failure.is_none() && simulation.steps_taken() == recorded.last() {
-        simulation.step(); // the step that was not recorded, because it was not completed
-        simulation.summary(&mut summary);
+    if recorded.failure.is_some() && run.failure.is_none() && run.simulation.steps_taken() == recorded.last() {
+        run.last = None; // the step that was not recorded, because it was not completed
+        run.step();
     }
-    let replayed = summary.failure.as_ref().map(ToString::to_string);
+    let replayed = run.failure.as_ref().map(ToString::to_string);
     Ok(match &recorded.failure {
         Some(recorded) if replayed.as_ref() != Some(recorded) => Verdict::OtherEnd { replayed },
         _ => Verdict::Identical,
     })
 }
 
-/// Takes a step; a step that is not completed is an error.
-pub(super) fn step(simulation: &mut dyn Simulation, summary: &mut StepSummary, path: &Path) -> Result<(), ReadError> {
-    simulation.step();
-    simulation.summary(summary);
-    match &summary.failure {
+/// Takes a step; one that is not completed is an error. Returns whether there was one to take.
+pub(super) fn step(run: &mut Run, path: &Path) -> Result<bool, ReadError> {
+    let has_stepped = run.step();
+    match &run.failure {
         Some(failure) if !failure.is_whole_step() => {
             Err(ReadError::Failed { path: path.to_owned(), failure: Box::new(failure.clone()) })
         }
-        _ => Ok(()),
+        _ => Ok(has_stepped),
     }
+}
+
+/// Takes the steps up to this one.
+pub(super) fn go_to(step: u64, run: &mut Run, path: &Path) -> Result<(), ReadError> {
+    while run.simulation.steps_taken() < step && self::step(run, path)? {}
+    Ok(())
 }

@@ -6,7 +6,7 @@ use super::{
     chunks::Audience,
     sinks::{Destinations, SinkError, Sinks},
 };
-use crate::observe::{Experiment, Simulation, StepSummary};
+use crate::observe::{Experiment, Run, Simulation};
 
 /// Why a run was not recorded completely.
 #[derive(Debug, thiserror::Error)]
@@ -62,7 +62,7 @@ pub fn record_all<'a>(
 
 /// Records a simulation. Returns the number of frames, and the sinks for what follows.
 fn record_to(
-    mut simulation: Box<dyn Simulation>,
+    simulation: Box<dyn Simulation>,
     steps: u64,
     settings: Settings,
     mut sinks: Sinks,
@@ -72,23 +72,15 @@ fn record_to(
         sinks.send(message)?;
     }
     let mut pipeline = Pipeline::start(&*simulation, recorder, sinks)?;
-    let mut summary = StepSummary::default();
-    while simulation.steps_taken() < steps {
-        simulation.step();
-        simulation.summary(&mut summary);
-        let is_whole_step = summary.failure.as_ref().is_none_or(|failure| failure.is_whole_step());
-        if is_whole_step {
-            pipeline.observe(&*simulation, None).map_err(RecordError::Recording)?;
-        }
-        if summary.failure.is_some() {
-            break;
-        }
+    let mut run = Run::new(simulation, Some(steps));
+    while run.step() {
+        pipeline.observe(&*run.simulation, None).map_err(RecordError::Recording)?;
     }
     let mut end = pipeline.finish().map_err(RecordError::Recording)?;
-    if let Some(failure) = end.failure.take().or_else(|| end.finish(&*simulation)) {
+    if let Some(failure) = end.failure.take().or_else(|| end.finish(&*run.simulation)) {
         return Err(RecordError::Recording(failure));
     }
-    for message in end.recorder.measured_layout(&*simulation, Tab::Scene) {
+    for message in end.recorder.measured_layout(&*run.simulation, Tab::Scene) {
         end.sinks.send_to(Audience::Files, message)?;
     }
     Ok((end.recorder.written(), end.sinks))

@@ -1,17 +1,14 @@
 //! Predicts the size of a recording from a few sample frames, which are encoded and discarded. The choice of samples
 //! depends on the scene and the settings alone, so that equal runs give equal predictions.
 
-use std::{
-    io::{self, Write},
-    sync::atomic::Ordering,
-};
+use std::io::{self, Write};
 
 use super::{
     Recorder, Settings,
     contract::{STACKED, TIMING},
     settings::{Detail, Frames},
 };
-use crate::observe::{Experiment, Frame, Simulation, StepSummary, Want};
+use crate::observe::{Experiment, Frame, Run, Simulation, StepFailure, Want};
 use crate::sdk::{CrateVersion, EncodeError, Encoder, EncodingOptions, LogMsg, StoreKind};
 
 /// Recordings stay below this size unless requested otherwise [bytes].
@@ -58,7 +55,7 @@ impl Projection {
 }
 
 /// Projects the size of a run's recording: `None` if it cannot be larger than `min_size` [bytes], if it has no known
-/// end, or if the scene does not start. For a large scene, only the beginning is simulated and extrapolated.
+/// end, or if the scene does not start or is interrupted. For a large scene, only the beginning is simulated and extrapolated.
 pub fn project(experiment: &dyn Experiment, settings: &Settings, min_size: u64) -> Option<Projection> {
     let steps = settings.steps.filter(|_| settings.frames == Frames::All)?;
     let schema = experiment.schema();
@@ -71,36 +68,31 @@ pub fn project(experiment: &dyn Experiment, settings: &Settings, min_size: u64) 
     let samples = if last < steps { MIN_SAMPLES } else { SAMPLES };
     let stride = settings.every * (last / settings.every / samples).max(1);
 
-    let mut simulation = experiment.start().ok()?;
-    let is_interrupted =
-        |simulation: &dyn Simulation| simulation.interrupt().is_some_and(|flag| flag.load(Ordering::Relaxed));
-    if is_interrupted(&*simulation) {
-        return None;
-    }
+    let simulation = experiment.start().ok()?;
     let sampled = |detail| Settings { every: stride, detail, ..settings.clone() };
     let detail = if settings.detail == Detail::Surface { Detail::Surface } else { Detail::Forces };
     let mut probes = vec![Probe::new(&*simulation, sampled(detail))?];
     if settings.detail != Detail::Surface {
         probes.push(Probe::new(&*simulation, sampled(Detail::Surface))?);
     }
-    let (mut frame, mut summary) = (Frame::default(), StepSummary::default());
-    let (mut vertices, mut samples_taken) = (0, 0);
-    while simulation.steps_taken() < last {
-        simulation.step();
-        simulation.summary(&mut summary);
-        if summary.failure.is_some() || is_interrupted(&*simulation) {
-            break;
-        }
+    let (mut frame, mut vertices, mut samples_taken) = (Frame::default(), 0, 0);
+    let mut run = Run::new(simulation, Some(last));
+    while matches!(run.valid_step(), Ok(true)) {
+        let simulation = &*run.simulation;
         if simulation.steps_taken().is_multiple_of(stride) {
             simulation.observe(Want::default(), &mut frame);
             let deformed = schema.bodies.iter().zip(&frame.bodies).filter(|(_, now)| !now.is_at_rest);
             vertices += deformed.map(|(body, _)| body.vertex_count() as u64).sum::<u64>();
             samples_taken += 1;
-            probes.iter_mut().for_each(|probe| probe.recorder.observe(&*simulation));
+            probes.iter_mut().for_each(|probe| probe.recorder.observe(simulation));
         }
     }
+    if let Some(StepFailure::Interrupted(_)) = run.failure {
+        return None;
+    }
+    let simulation = &*run.simulation;
     let seen = simulation.steps_taken();
-    let sizes: Option<Vec<u64>> = probes.into_iter().map(|probe| probe.finish(&*simulation, frames)).collect();
+    let sizes: Option<Vec<u64>> = probes.into_iter().map(|probe| probe.finish(simulation, frames)).collect();
     let (bytes, without_forces) = match sizes?[..] {
         [bytes] => (bytes, None),
         [bytes, without] => (bytes, Some(without)),

@@ -14,7 +14,7 @@ use super::{Judged, Verdict, cases::Case};
 use crate::{
     bench::MeasureError,
     models::SceneRun,
-    observe::{Experiment as _, Frame, StepSummary, Want},
+    observe::{Experiment as _, Frame, Run, Want},
     scene::{Integrator, Model},
     sim::Options,
 };
@@ -74,22 +74,21 @@ fn timed(case: impl FnOnce(&'static AtomicBool) -> Verdict) -> Verdict {
     })
 }
 
-fn verdict(run: &SceneRun) -> Verdict {
-    let mut simulation = match run.start() {
+fn verdict(scene: &SceneRun) -> Verdict {
+    let simulation = match scene.start() {
         Ok(simulation) => simulation,
         Err(why) => return Verdict::Stopped(why),
     };
-    let (mut summary, mut frame) = (StepSummary::default(), Frame::default());
-    for _ in 0..run.scene.steps().min(MAX_STEPS) {
-        simulation.step();
-        simulation.summary(&mut summary);
-        if let Some(failure) = &summary.failure {
-            return Verdict::Stopped(failure.to_string());
+    let mut run = Run::new(simulation, Some(scene.scene.steps().min(MAX_STEPS)));
+    let mut frame = Frame::default();
+    loop {
+        match run.valid_step() {
+            Ok(true) => run.simulation.observe(Want::default(), &mut frame),
+            Ok(false) => return Verdict::Passed,
+            Err(failure) => return Verdict::Stopped(failure.to_string()),
         }
-        simulation.observe(Want::default(), &mut frame);
         if !frame.bodies.iter().all(|body| body.centre.is_finite() && body.max_displacement.is_finite()) {
             return Verdict::Failed("not finite, and not reported".to_owned());
         }
     }
-    Verdict::Passed
 }
