@@ -10,11 +10,12 @@ use std::{
 use rayon::prelude::*;
 
 use super::{
-    Failure, announce, may_save,
+    Failure, announce,
+    load::scene,
+    may_save,
     overrides::Overrides,
     print, print_lines,
     progress::{Progress, Work},
-    run::scene,
     say,
 };
 use crate::{

@@ -346,7 +346,7 @@ fn scripts(paths: &[PathBuf]) -> Result<Vec<Script>, Failure> {
     files
         .into_iter()
         .map(|file| {
-            let scene = super::run::read(&file)?;
+            let scene = super::load::read(&file)?;
             let name = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
             Ok(Script { scene, golden: file.with_extension("rrd"), name })
         })

@@ -11,11 +11,11 @@ use std::{
 };
 
 use super::{
-    Failure, expense, one_of,
+    Failure, expense, load, one_of,
     overrides::Overrides,
     print,
     progress::{Progress, Work},
-    run, say,
+    say,
 };
 use crate::{
     analysis::{surface::Merger, touch::Touches},
@@ -200,7 +200,7 @@ fn source(arguments: &Arguments) -> Result<Source, Failure> {
         return Ok(Source { run: Run::new(simulation, Some(last)), last, recorded: Some(recorded) });
     }
     let overrides = Overrides { set: arguments.set.clone(), ..Overrides::default() };
-    let scene = overrides.apply(run::scene(&arguments.scene)?, &arguments.scene)?;
+    let scene = overrides.apply(load::scene(&arguments.scene)?, &arguments.scene)?;
     let last = scene.steps();
     expense::announce(&scene, None)?;
     let simulation = SceneRun { scene, options: Options::default() }.start().map_err(Failure::Input)?;

@@ -11,6 +11,7 @@ mod explain;
 mod export;
 mod interrupt;
 mod live;
+mod load;
 mod overrides;
 mod progress;
 mod reference;

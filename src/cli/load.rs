@@ -1,0 +1,58 @@
+//! Scenes that a command line names: files and built-ins.
+
+use std::path::Path;
+
+use super::{
+    Failure,
+    progress::{Progress, Work},
+};
+use crate::{
+    recording::existing::Existing,
+    scene::{Scene, builtin},
+    text::did_you_mean,
+};
+
+/// Reads a scene file; meshes may take long.
+pub fn read(path: &Path) -> Result<Scene, Failure> {
+    let progress = Progress::new("reading the scene", Work::Share);
+    let loaded = Scene::load_watched(path, &|mesh, share| {
+        progress.stage(format!("reading {mesh}"));
+        progress.set_share(share);
+    });
+    loaded.map_err(Failure::input)
+}
+
+/// The built-in scene with this name, or the scene in this file.
+pub fn scene(name: &str) -> Result<Scene, Failure> {
+    match Scene::builtin(name) {
+        Some(scene) => Ok(scene),
+        None if !Path::new(name).exists() && !name.contains(['/', '\\', '.']) => {
+            let names = builtin::ALL.map(|builtin| builtin.name);
+            let hint = did_you_mean(name, names.into_iter());
+            Err(Failure::Input(format!(
+                "no scene {name:?}{hint} (there is no such file, and the built-in scenes are {}; see `meldscope scenes`)",
+                names.join(", ")
+            )))
+        }
+        None => {
+            let path = Path::new(name);
+            if Existing::is_recording(path) {
+                let word = shell_word(name);
+                return Err(Failure::Input(format!(
+                    "{name} is a recording, not a scene: `meldscope replay {word}` runs it again"
+                )));
+            }
+            read(path)
+        }
+    }
+}
+
+/// Quotes a path for a shell, if necessary.
+pub fn shell_word(path: &str) -> String {
+    let is_plain = |c: char| c.is_alphanumeric() || "/._-+@%:,".contains(c);
+    match path.starts_with('-') {
+        true => shell_word(&format!("./{path}")),
+        false if path.chars().all(is_plain) => path.to_owned(),
+        false => format!("'{}'", path.replace('\'', r"'\''")),
+    }
+}

@@ -1,0 +1,175 @@
+//! The main loop of a run.
+
+use std::{
+    sync::atomic::Ordering,
+    time::{Duration, Instant},
+};
+
+use super::{Arguments, CHECK_INTERVAL, console::Console, destined_live, events::Events, settings, watch::Changes};
+use crate::{
+    cli::{
+        Failure,
+        interrupt::{HAS_STEPPED, STOP},
+        sink_failure,
+    },
+    observe::{Run, Schema, Simulation, StepFailure, row::rows},
+    scene::Scene,
+    stream::{
+        Pipeline, Recorder,
+        chunks::Audience,
+        contract,
+        pipeline::{PipelineEnd, send},
+        settings::Settings,
+        sinks::{Finished, Serving, Sinks},
+    },
+};
+
+/// The clock is looked at only every few steps.
+const STEPS_BETWEEN_CHECKS: u64 = 16;
+
+/// The result of a run.
+pub struct Outcome {
+    pub simulation: Box<dyn Simulation>,
+    pub schema: Schema,
+    pub settings: Settings,
+    /// Number of frames in the recording.
+    pub frames: u64,
+    pub events: Events,
+    /// Closest approaches of pairs that did not change phase.
+    pub approaches: Vec<String>,
+    /// Wall time of the simulation alone, and including recording [s].
+    pub seconds: [f64; 2],
+}
+
+/// A run whose recording is complete and whose destinations are still open.
+pub struct Simulated {
+    pub outcome: Outcome,
+    pub sinks: Sinks,
+    pub failure: Option<String>,
+    /// The edited scene that ended the run, if any.
+    pub next: Option<Scene>,
+}
+
+impl Simulated {
+    /// Finishes every destination.
+    pub fn conclude(self, console: &Console) -> Result<(Outcome, Finished), Failure> {
+        let finished = self.sinks.finish();
+        let Some(failure) = self.failure else {
+            let finished = finished.map_err(|error| Failure::Run(error.to_string()))?;
+            return Ok((self.outcome, finished));
+        };
+        let finished = finished.ok();
+        let serving = finished.as_ref().and_then(|finished| finished.serving.as_ref());
+        console.notes(serving.and_then(Serving::refused).as_slice());
+        let saved = finished.and_then(|finished| finished.save);
+        let saved = saved.map(|saved| format!("; {} contains the steps up to here", saved.path.display()));
+        Err(Failure::Run(format!("{failure}{}", saved.unwrap_or_default())))
+    }
+}
+
+/// The main loop: step, then record. Ends early when `changes` reports an edited scene.
+pub fn simulate(
+    simulation: Box<dyn Simulation>,
+    mut sinks: Sinks,
+    arguments: &Arguments,
+    mut changes: Option<&mut Changes>,
+    console: &mut Console,
+) -> Result<Simulated, Failure> {
+    let is_live = destined_live(arguments);
+    let schema = simulation.schema();
+    let settings = settings(arguments, &schema)?;
+    // without its own number, a restarted run would have the id of the previous one, and a viewer would append to that
+    let number = changes.as_mut().map_or(0, |changes| changes.next_run());
+    let warnings: Vec<String> = schema.warnings.iter().map(|warning| format!("warning: {warning}")).collect();
+    console.notes(&warnings);
+    console.begin(&settings, arguments.save.as_deref());
+    let mut recorder = Recorder::numbered(&*simulation, settings.clone(), number);
+    // first write what a replay needs, because the run may be killed at any moment
+    let mut first = recorder.take();
+    let rest = first.split_off(Recorder::HEAD.min(first.len()));
+    let layout = recorder.blueprint_at(&*simulation, arguments.tab);
+    let mut failure = send(&mut sinks, first.into_iter().chain(layout).chain(rest));
+    if arguments.save.is_some() && !is_live {
+        // flush, so that a killed run leaves a file that names its scene
+        failure = failure.or(sinks.flush().err().map(|error| error.to_string()));
+    }
+    let mut pipeline = Pipeline::start(&*simulation, recorder, sinks).map_err(sink_failure)?;
+    console.progress.stage("");
+    let (mut events, mut next) = (Events::default(), None);
+    let (start, mut simulating) = (Instant::now(), Duration::ZERO);
+    let mut looked = start;
+    let mut run = Run::new(simulation, settings.steps);
+    while failure.is_none() && next.is_none() && !STOP.load(Ordering::Relaxed) {
+        let step = Instant::now();
+        let has_stepped = run.step();
+        simulating += step.elapsed();
+        HAS_STEPPED.store(true, Ordering::Relaxed);
+        if !has_stepped {
+            break;
+        }
+        let (simulation, summary) = (&*run.simulation, &mut run.summary);
+        if let Some(warning) = summary.warning.take() {
+            console.notes(&[format!("warning: {warning}")]);
+        }
+        if let Some(shortfall) = summary.shortfall {
+            events.missed(summary.at, shortfall);
+        }
+        let due = arguments.realtime.then(|| start + Duration::from_secs_f64(simulation.time().min(1e9)));
+        let lag = due.map(|due| Instant::now().saturating_duration_since(due));
+        failure = pipeline.observe(simulation, lag).err();
+        let surfaces = pipeline.surface_events();
+        for row in rows(&summary.events, &surfaces, simulation.body_events()) {
+            events.add(&row, &schema);
+        }
+        if let Some(due) = due {
+            failure = failure.or(pipeline.hand_over().err());
+            wait_until(due);
+        }
+        let is_time = simulation.steps_taken().is_multiple_of(STEPS_BETWEEN_CHECKS) || arguments.realtime;
+        console.progress.step(simulation.steps_taken(), simulation.time());
+        if is_time && looked.elapsed() >= CHECK_INTERVAL {
+            looked = Instant::now();
+            console.notes(&pipeline.notes());
+            next = changes.as_mut().and_then(|changes| changes.scene(arguments, console));
+        }
+    }
+
+    // The steps simulated so far are saved, however the run ended.
+    console.progress.stage("finishing the recording");
+    let mut end = pipeline.finish().map_err(Failure::Run)?;
+    let seconds = [simulating, start.elapsed()].map(|time| time.as_secs_f64());
+    let Run { simulation, failure: failed, .. } = run;
+    let failed = failed.filter(|failure| !matches!(failure, StepFailure::Interrupted(_)));
+    let failed = failed.map(|failure| failure.to_string());
+    if let Some(failed) = &failed {
+        end.recorder.log_property(contract::FAILURE, failed);
+    }
+    let unsent = end.finish(&*simulation);
+    let PipelineEnd { recorder, mut sinks, mut notes, failure: recording } = end;
+    let failure = failed.or(failure).or(recording).or(unsent);
+    let layout = recorder.measured_layout(&*simulation, arguments.tab);
+    let unsent = layout.into_iter().find_map(|message| sinks.send_to(Audience::Files, message).err());
+    let failure = failure.or(unsent.map(|error| error.to_string()));
+    notes.append(&mut sinks.notes());
+    notes.extend(events.inaccuracy(&schema));
+    notes.extend(recorder.dropped_frames());
+    if next.is_none() {
+        notes.extend(recorder.missed_event());
+    }
+    console.end();
+    console.notes(&notes);
+    let (frames, approaches) = (recorder.written(), recorder.approaches());
+    let outcome = Outcome { simulation, schema, settings, frames, events, approaches, seconds };
+    Ok(Simulated { outcome, sinks, failure, next })
+}
+
+/// Sleeps until `due`, or until an interrupt.
+fn wait_until(due: Instant) {
+    while !STOP.load(Ordering::Relaxed) {
+        let left = due.saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            return;
+        }
+        std::thread::sleep(left.min(Duration::from_millis(50)));
+    }
+}
