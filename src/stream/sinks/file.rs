@@ -283,7 +283,7 @@ impl Target {
 pub(super) struct Writer {
     target: Target,
     queue: Arc<Queue>,
-    thread: Option<JoinHandle<Option<Written>>>,
+    thread: Option<JoinHandle<Option<u64>>>,
     /// Number of messages sent.
     sent: u64,
     held: Option<Held>,
@@ -300,17 +300,10 @@ struct Held {
 
 /// The complete output of a writer. A file still has its temporary name, and keeps it unless it is placed.
 pub struct Complete {
-    pub(super) written: Written,
+    /// Size of the recording, footer included [bytes].
+    pub(super) bytes: u64,
     target: Target,
     held: Option<Held>,
-}
-
-/// The output of a writer.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Written {
-    /// Size of the recording, footer included [bytes].
-    pub bytes: u64,
-    pub messages: u64,
 }
 
 impl Writer {
@@ -371,15 +364,15 @@ impl Writer {
 
     /// Waits until everything is written and synced. A file still has its temporary name.
     pub fn finish(mut self) -> Result<Complete, SinkError> {
-        let written = self.join()?;
+        let bytes = self.join()?;
         let held = self.held.take();
         if let Some(Held { partial: Some(_), file, .. }) = &held {
             file.sync_all().map_err(|err| self.target.error("sync", err))?;
         }
-        Ok(Complete { written, target: self.target.clone(), held })
+        Ok(Complete { bytes, target: self.target.clone(), held })
     }
 
-    fn join(&mut self) -> Result<Written, SinkError> {
+    fn join(&mut self) -> Result<u64, SinkError> {
         self.queue.close();
         let gone = || SinkError::Thread {
             target: self.target.name(),
@@ -387,7 +380,7 @@ impl Writer {
         };
         let result = self.thread.take().map(JoinHandle::join);
         match (result, self.queue.failure()) {
-            (Some(Ok(Some(written))), _) => Ok(written),
+            (Some(Ok(Some(bytes))), _) => Ok(bytes),
             (_, Some(failure)) => Err(failure),
             _ => Err(gone()),
         }
@@ -492,40 +485,35 @@ impl<W: Write> Write for Counted<W> {
     }
 }
 
-/// Writes all messages of the queue, then the footer.
-fn write<W: Write>(target: &Target, queue: &Queue, out: W) -> Result<Written, SinkError> {
+/// Writes all messages of the queue, then the footer; returns the size [bytes].
+fn write<W: Write>(target: &Target, queue: &Queue, out: W) -> Result<u64, SinkError> {
     let out = BufWriter::with_capacity(BUFFER, Counted { out, bytes: 0 });
     let mut encoder = Encoder::new_eager(CrateVersion::LOCAL, EncodingOptions::PROTOBUF_COMPRESSED, out)
         .map_err(|err| target.encode_error(err))?;
-    let result = encode(target, queue, &mut encoder);
-    let messages = match result {
-        Ok(messages) => messages,
-        Err(err) => {
-            // a footer after half a message would corrupt the file further: discard the buffer
-            encoder.into_inner().map(BufWriter::into_parts).ok();
-            return Err(err);
-        }
-    };
+    if let Err(err) = encode(target, queue, &mut encoder) {
+        // a footer after half a message would corrupt the file further: discard the buffer
+        encoder.into_inner().map(BufWriter::into_parts).ok();
+        return Err(err);
+    }
     let out = encoder.into_inner().map_err(|err| target.encode_error(err))?;
     let out = out.into_inner().map_err(|err| target.error("write", err.into_error()))?;
-    Ok(Written { bytes: out.bytes, messages })
+    Ok(out.bytes)
 }
 
-fn encode<W: Write>(target: &Target, queue: &Queue, encoder: &mut Encoder<W>) -> Result<u64, SinkError> {
-    let mut messages = 0;
+fn encode<W: Write>(target: &Target, queue: &Queue, encoder: &mut Encoder<W>) -> Result<(), SinkError> {
+    let mut has_begun = false;
     // the header has not been flushed yet
     let mut is_flushed = false;
     let mut flushed_at = Instant::now();
     loop {
         let idle = (!is_flushed).then(|| FLUSH_EVERY.saturating_sub(flushed_at.elapsed()));
         let batch = queue.take(BATCH, idle);
-        if messages == 0 {
+        if !has_begun {
             flushed_at = Instant::now(); // no data was at risk before
         }
         for msg in &batch.messages {
             encoder.append(msg).map_err(|err| target.encode_error(err))?;
-            messages += 1;
-            is_flushed = false;
+            (has_begun, is_flushed) = (true, false);
         }
         if batch.last {
             encoder.finish().map_err(|err| target.encode_error(err))?;
@@ -537,7 +525,7 @@ fn encode<W: Write>(target: &Target, queue: &Queue, encoder: &mut Encoder<W>) ->
         }
         queue.done(&batch, batch.messages.len(), is_flushed);
         if batch.last {
-            return Ok(messages);
+            return Ok(());
         }
     }
 }

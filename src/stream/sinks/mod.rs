@@ -1,4 +1,4 @@
-//! Destinations of a recording: a file, standard output, viewers, a server for viewers, memory, or several of these.
+//! Destinations of a recording: a file, standard output, viewers, a server for viewers, or several of these.
 //!
 //! Every destination has its own thread behind a queue that is bounded in bytes, and receives messages in the order in
 //! which they were sent. Files and pipes receive every message; the run waits for them if they are slow. A viewer
@@ -37,7 +37,7 @@ pub use serve::{Host, Serving};
 use super::chunks::Audience;
 use crate::sdk::{self, LogMsg};
 use crate::text::{counted, listed};
-use file::{Claim, Writer, Written};
+use file::{Claim, Writer};
 use live::Live;
 use note::seconds;
 use queue::Parcel;
@@ -110,7 +110,6 @@ pub struct Sinks {
     writers: Vec<Writer>,
     viewers: Vec<Live>,
     server: Option<Server>,
-    memory: Option<Vec<LogMsg>>,
     notes: Vec<String>,
     /// Whether a file or pipe has the messages that a viewer misses.
     is_recorded: bool,
@@ -121,14 +120,8 @@ pub struct Sinks {
 pub struct Finished {
     /// The file that was saved.
     pub save: Option<Saved>,
-    /// Bytes written to standard output.
-    pub stdout: Option<u64>,
-    /// The result of each connected viewer.
-    pub viewers: Vec<Watched>,
     /// Notes for the user since the last [`Sinks::notes`].
     pub notes: Vec<String>,
-    /// Messages kept by [`Sinks::memory`].
-    pub memory: Vec<LogMsg>,
     /// The servers: they stay up as long as this value lives.
     pub serving: Option<Serving>,
 }
@@ -140,21 +133,6 @@ pub struct Saved {
     pub path: PathBuf,
     /// Its size [bytes].
     pub bytes: u64,
-    /// Number of messages in the file.
-    pub messages: u64,
-}
-
-/// The result of a viewer.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Watched {
-    /// The viewer's name.
-    pub name: String,
-    /// Number of messages delivered.
-    pub messages: u64,
-    /// Number of messages dropped because the viewer could not keep up.
-    pub left_out: u64,
-    /// Whether every other message was delivered.
-    pub is_complete: bool,
 }
 
 impl Sinks {
@@ -172,7 +150,14 @@ impl Sinks {
         }
         let claim = save.as_deref().map(Claim::new).transpose()?;
 
-        let mut sinks = Sinks { patience: *patience, ..Sinks::closed() };
+        let mut sinks = Sinks {
+            writers: Vec::new(),
+            viewers: Vec::new(),
+            server: None,
+            notes: Vec::new(),
+            is_recorded: false,
+            patience: *patience,
+        };
         let mut missing = Vec::new();
         if let Some(uri) = &connect {
             match live::probe(uri) {
@@ -221,22 +206,6 @@ impl Sinks {
         Ok(sinks)
     }
 
-    /// Keeps all messages in memory, for [`Finished::memory`]. Unbounded.
-    pub fn memory() -> Sinks {
-        Sinks { memory: Some(Vec::new()), ..Sinks::closed() }
-    }
-
-    fn closed() -> Sinks {
-        let patience = Destinations::default().patience;
-        let (writers, viewers, notes) = (Vec::new(), Vec::new(), Vec::new());
-        Sinks { writers, viewers, server: None, memory: None, notes, is_recorded: false, patience }
-    }
-
-    /// Whether there is a server, which should stay up after the run until the user ends it.
-    pub fn serving(&self) -> bool {
-        self.server.is_some()
-    }
-
     /// Whether there are viewers or a server, and whether there are files or pipes.
     pub fn are_live_and_recorded(&self) -> [bool; 2] {
         [!self.viewers.is_empty() || self.server.is_some(), !self.writers.is_empty()]
@@ -269,9 +238,6 @@ impl Sinks {
     pub fn send_to(&mut self, audience: Audience, msg: LogMsg) -> Result<(), SinkError> {
         let parcel = Parcel::new(msg);
         if audience != Audience::Viewers {
-            if let Some(memory) = &mut self.memory {
-                memory.push(parcel.msg.clone());
-            }
             for writer in &mut self.writers {
                 writer.send(parcel.clone())?;
             }
@@ -317,20 +283,19 @@ impl Sinks {
         }
 
         let mut failure = None;
-        let (mut save, mut stdout, mut file) = (None, None, None);
+        let (mut save, mut file, mut is_saved) = (None, None, false);
         for writer in std::mem::take(&mut self.writers) {
             let path = writer.path().map(PathBuf::from);
             match (writer.finish(), path) {
                 (Ok(complete), Some(path)) => {
-                    let Written { bytes, messages } = complete.written;
-                    save = Some(Saved { path, bytes, messages });
-                    file = Some(complete);
+                    save = Some(Saved { path, bytes: complete.bytes });
+                    (file, is_saved) = (Some(complete), true);
                 }
-                (Ok(complete), None) => stdout = Some(complete.written.bytes),
+                (Ok(_), None) => is_saved = true,
                 (Err(err), _) => failure = failure.or(Some(err)),
             }
         }
-        let (mut watched, mut lost, mut is_shown) = (Vec::new(), None, false);
+        let (mut lost, mut is_shown) = (None, false);
         for i in 0..self.viewers.len() {
             let queue = self.viewers[i].queue();
             let has_ended = queue.wait_ended(self.patience);
@@ -346,12 +311,6 @@ impl Sinks {
             }
             is_shown |= has_ended && gone.is_none();
             lost = lost.or(gone.clone()).or(given_up);
-            watched.push(Watched {
-                name: queue.name().to_owned(),
-                messages: queue.delivered(),
-                left_out: queue.left_out(),
-                is_complete: has_ended && gone.is_none() && queue.left_out() == 0,
-            });
         }
         if let Some(server) = &self.server
             && !server.live.queue().wait_drained(self.patience)
@@ -359,9 +318,8 @@ impl Sinks {
             self.notes.push("the data server is behind; it continues in the background".to_owned());
         }
         self.update_notes();
-        let is_saved = save.is_some() || stdout.is_some();
         is_shown |= self.server.as_ref().is_some_and(|server| server.live.failure().is_none());
-        if failure.is_none() && !is_saved && !is_shown && self.memory.is_none() {
+        if failure.is_none() && !is_saved && !is_shown {
             failure = lost.or_else(|| self.server_failure());
         }
         if let Some(failure) = failure {
@@ -369,10 +327,7 @@ impl Sinks {
         }
         let finished = Finished {
             save,
-            stdout,
-            viewers: watched,
             notes: std::mem::take(&mut self.notes),
-            memory: self.memory.take().unwrap_or_default(),
             serving: self.server.take().map(|server| Serving { server }),
         };
         (Ok(finished), file)
@@ -385,7 +340,6 @@ impl Sinks {
     /// Whether any destination still receives messages.
     fn is_any_left(&self) -> bool {
         !self.writers.is_empty()
-            || self.memory.is_some()
             || self.viewers.iter().any(|viewer| viewer.failure().is_none())
             || self.server.as_ref().is_some_and(|server| server.live.failure().is_none())
     }

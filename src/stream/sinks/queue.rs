@@ -322,11 +322,6 @@ impl Queue {
         &self.name
     }
 
-    /// Messages delivered so far.
-    pub fn delivered(&self) -> u64 {
-        self.lock().delivered
-    }
-
     /// Number of messages dropped so far.
     pub fn left_out(&self) -> u64 {
         self.lock().backlog.left_out
