@@ -1,8 +1,7 @@
 //! `meldscope bench`: performance and accuracy benchmarks.
 
 use std::{
-    fs::File,
-    io::{Read as _, Write as _},
+    io::Write as _,
     path::{Path, PathBuf},
     time::Duration,
 };
@@ -10,7 +9,7 @@ use std::{
 use rayon::prelude::*;
 
 use super::{
-    Failure, announce,
+    Failure, announce, is_marked,
     load::scene,
     may_save,
     overrides::Overrides,
@@ -262,7 +261,8 @@ fn models(arguments: &Arguments) -> Result<(), Failure> {
     let scenes = scenes(arguments, &["two"])?;
     let claimed = Claimed::new(arguments, &models::columns())?;
     if let (Some(path), [first, ..]) = (&arguments.save, scenes.as_slice()) {
-        record_models(first, path)?;
+        let all = SideBySide::all(first, Options::default());
+        record_all(&[&all], "all models", &all.schema().model.replace('+', ", "), path)?;
     }
     let mut measured = Vec::new();
     for scene in &scenes {
@@ -273,19 +273,18 @@ fn models(arguments: &Arguments) -> Result<(), Failure> {
     claimed.finish(&models::report(&measured, &machine), &machine)
 }
 
-/// Records all models that can run a scene.
-fn record_models(scene: &Scene, path: &Path) -> Result<(), Failure> {
-    let all = SideBySide::all(scene, Options::default());
-    let schema = all.schema();
-    let new = Existing { application: application(&schema.name), kind: Some(Kind::Run) };
+/// Records experiments in one file, one after the other.
+fn record_all(experiments: &[&dyn Experiment], what: &str, names: &str, path: &Path) -> Result<(), Failure> {
+    let name = experiments.first().map_or_else(String::new, |first| first.schema().name);
+    let new = Existing { application: application(&name), kind: Some(Kind::Run) };
     may_save(path, &[], &new)?;
     announce(path, &new)?;
     let destinations = Destinations { save: Some(path.to_owned()), ..Destinations::default() };
-    let settings = Settings::for_bodies(schema.bodies.len(), schema.steps);
-    let _progress = Progress::new("recording all models", Work::Uncounted).with_file(path);
-    let frames = stream::record(&all, settings, &destinations).map_err(|error| Failure::Run(error.to_string()))?;
-    let names = schema.model.replace('+', ", ");
-    print(&format!("saved {}: {}, {}", path.display(), counted(frames, "frame"), names));
+    let all = experiments.iter().map(|&experiment| (experiment, Settings::of(experiment)));
+    let progress = Progress::new(format!("recording {what}"), Work::Uncounted).with_file(path);
+    let frames = stream::record_all(all, &destinations).map_err(|error| Failure::Run(error.to_string()))?;
+    drop(progress);
+    print(&format!("saved {}: {}, {names}", path.display(), counted(frames, "frame")));
     print("");
     Ok(())
 }
@@ -322,31 +321,15 @@ fn stability(arguments: &Arguments) -> Result<(), Failure> {
 fn thesis(arguments: &Arguments) -> Result<(), Failure> {
     let claimed = Claimed::new(arguments, &thesis::columns())?;
     if let Some(path) = &arguments.save {
-        record_thesis(path)?;
+        let figures = thesis::SCENES.map(scene).into_iter().collect::<Result<Vec<_>, _>>()?;
+        let figures: Vec<&dyn Experiment> = figures.iter().map(|scene| scene as &dyn Experiment).collect();
+        record_all(&figures, "the figures", &thesis::SCENES.join(", "), path)?;
     }
     let progress = Progress::new("measuring the thesis", Work::Share);
     let measured = thesis::measure(&mut |share| progress.set_share(share));
     drop(progress);
     let rows = measured.map_err(|error| Failure::Run(error.to_string()))?;
     claimed.finish(&thesis::report(&rows), &Machine::detect())
-}
-
-/// Records the scenes of the thesis's figures, one after the other, in one file.
-fn record_thesis(path: &Path) -> Result<(), Failure> {
-    let scenes = thesis::SCENES.map(scene).into_iter().collect::<Result<Vec<_>, _>>()?;
-    let name = scenes.first().map_or("", |scene| &scene.name);
-    let new = Existing { application: application(name), kind: Some(Kind::Run) };
-    may_save(path, &[], &new)?;
-    announce(path, &new)?;
-    let destinations = Destinations { save: Some(path.to_owned()), ..Destinations::default() };
-    let of = |scene: &Scene| Settings::for_bodies(scene.bodies.len(), scene.steps());
-    let all = scenes.iter().map(|scene| (scene as &dyn Experiment, of(scene)));
-    let progress = Progress::new("recording the figures", Work::Uncounted).with_file(path);
-    let frames = stream::record_all(all, &destinations).map_err(|error| Failure::Run(error.to_string()))?;
-    drop(progress);
-    print(&format!("saved {}: {}, {}", path.display(), counted(frames, "frame"), thesis::SCENES.join(", ")));
-    print("");
-    Ok(())
 }
 
 /// Refuses scenes that the benchmark `what` cannot run: of another model, or larger than the memory that there is.
@@ -360,8 +343,6 @@ fn oscillators(scenes: Vec<Scene>, what: &str) -> Result<Vec<Scene>, Failure> {
 
 /// What an SVG file of this program has near its beginning.
 const DRAWN: &str = "<desc>meldscope</desc>";
-/// Number of bytes within which a file has its mark.
-const HEAD: u64 = 4096;
 
 /// The files of a benchmark: begun before anything is measured, so that "permission denied" is reported at once instead
 /// of after minutes, and put in place at the end.
@@ -384,7 +365,7 @@ impl Claimed {
             Err(TableError::Failed(why)) => Err(Failure::Run(why)),
         };
         let csv = arguments.csv.clone().map(table).transpose()?;
-        let svg = arguments.svg.clone().map(|path| claim(&path, DRAWN).map(|file| (path, file))).transpose()?;
+        let svg = arguments.svg.clone().map(|path| begin_diagram(&path).map(|file| (path, file))).transpose()?;
         Ok(Claimed { csv, svg })
     }
 
@@ -410,21 +391,16 @@ impl Claimed {
     }
 }
 
-/// Begins a file. Rejects a path that cannot be written, and an existing file without `mark` near its beginning.
-fn claim(path: &Path, mark: &str) -> Result<AtomicFile, Failure> {
+/// Begins a diagram. Rejects a path that cannot be written, and an existing file that this program did not draw.
+fn begin_diagram(path: &Path) -> Result<AtomicFile, Failure> {
     if path.is_dir() {
         return Err(unwritable(path, &std::io::ErrorKind::IsADirectory.into()));
     }
-    if path.is_file() {
-        let mut head = Vec::new();
-        let read = File::open(path).and_then(|file| file.take(HEAD).read_to_end(&mut head));
-        read.map_err(|error| unwritable(path, &error))?;
-        if !head.is_empty() && !String::from_utf8_lossy(&head).contains(mark) {
-            let path = path.display();
-            return Err(Failure::Input(format!(
-                "{path} was not written by this benchmark and is not replaced; write elsewhere or remove it first"
-            )));
-        }
+    if path.is_file() && !is_marked(path, DRAWN).map_err(|error| unwritable(path, &error))? {
+        let path = path.display();
+        return Err(Failure::Input(format!(
+            "{path} was not written by this benchmark and is not replaced; write elsewhere or remove it first"
+        )));
     }
     AtomicFile::create(path).map_err(|error| unwritable(path, &error))
 }

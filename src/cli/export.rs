@@ -6,12 +6,12 @@ pub mod tables;
 
 use std::{
     fs,
-    io::{BufWriter, Read as _},
+    io::BufWriter,
     path::{Path, PathBuf},
 };
 
 use super::{
-    Failure, expense, load, one_of,
+    Failure, expense, is_marked, load, one_of,
     overrides::Overrides,
     print,
     progress::{Progress, Work},
@@ -258,12 +258,7 @@ impl Folder<'_> {
     }
 }
 
-/// Whether a file is empty, or marked at its beginning as written by this program.
+/// Whether a file was written by this command, or is empty.
 fn is_ours(path: &Path) -> bool {
-    let mut head = Vec::new();
-    let is_file = path.symlink_metadata().is_ok_and(|metadata| metadata.is_file());
-    let mut is_read = || fs::File::open(path)?.take(256).read_to_end(&mut head);
-    is_file
-        && is_read().is_ok()
-        && (head.is_empty() || head.windows(GENERATOR.len()).any(|part| part == GENERATOR.as_bytes()))
+    path.symlink_metadata().is_ok_and(|metadata| metadata.is_file()) && is_marked(path, GENERATOR).unwrap_or(false)
 }

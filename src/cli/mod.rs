@@ -22,7 +22,8 @@ mod sweep;
 
 use std::{
     fmt,
-    io::{self, Write},
+    fs::File,
+    io::{self, Read as _, Write},
     path::Path,
     process::ExitCode,
     sync::{
@@ -305,6 +306,13 @@ fn announce(path: &Path, new: &Existing) -> Result<(), Failure> {
 
 fn sink_failure(error: SinkError) -> Failure {
     if error.is_usage() { Failure::input(error) } else { Failure::Run(error.to_string()) }
+}
+
+/// Whether a file is empty, or has near its beginning the mark of what writes such files here.
+fn is_marked(path: &Path, mark: &str) -> io::Result<bool> {
+    let mut head = Vec::new();
+    File::open(path)?.take(4096).read_to_end(&mut head)?;
+    Ok(head.is_empty() || head.windows(mark.len()).any(|part| part == mark.as_bytes()))
 }
 
 /// Whether two paths refer to the same file.
