@@ -538,15 +538,6 @@ fn unwritable_destinations_are_rejected_before_the_run() {
     assert_eq!(Recording::open(&dir.file("kept.rrd")).steps(), 120.0);
 }
 
-#[cfg(target_os = "linux")]
-#[test]
-fn a_full_disk_ends_the_run() {
-    let dir = scene_dir();
-    let error = run(&dir, &["run", "small.toml", "--steps", "0", "--save", "/dev/full"]).failed(1);
-    assert!(error.contains("/dev/full") && error.contains("disk is full"), "{error}");
-    assert_eq!(dir.names(), ["small.toml"]);
-}
-
 /// Runs with limited memory: a program that allocated the memory of the scene would be killed.
 #[cfg(unix)]
 #[test]

@@ -89,22 +89,31 @@ fn recordings_of_killed_runs_are_replayed() {
     assert!(steps.into_inner() > 100, "no run took many steps");
 }
 
+/// What is in the file at any moment is what a run that is killed then leaves.
 #[test]
 fn a_killed_run_loses_at_most_half_a_second() {
     let dir = Dir::new();
+    let (partial, left) = (dir.file("k.rrd.partial"), dir.file("left.rrd"));
     for kind in [&["--every", "1"] as &[&str], &["--thin"]] {
         let arguments = [&["run", "two", "--steps", "0", "--realtime", "--quiet", "--save", "k.rrd"], kind].concat();
         let run = Running(program(&dir, &arguments).spawn().expect("it starts"));
-        wait_for_output(&dir.file("k.rrd.partial"));
+        wait_for_output(&partial);
         let start = Instant::now();
-        std::thread::sleep(Duration::from_millis(1700));
-        let simulated = start.elapsed().as_secs_f64();
+        let mut behind = Vec::new();
+        while start.elapsed() < Duration::from_millis(1700) {
+            std::thread::sleep(Duration::from_millis(20));
+            let time = start.elapsed().as_secs_f64();
+            fs::copy(&partial, &left).expect("disk space");
+            let recorded = Recorded::open(&left).expect("a recording");
+            behind.push(time - recorded.last() as f64 * recorded.schema.dt);
+        }
         drop(run);
-        let recorded = Recorded::open(&dir.file("k.rrd.partial")).expect("a recording");
-        let saved = recorded.last() as f64 * recorded.schema.dt;
+        // how long before `start` the run began is unknown, but at some moment everything had just been written
+        let [most, least] =
+            [behind.iter().copied().fold(f64::MIN, f64::max), behind.iter().copied().fold(f64::MAX, f64::min)];
         // on a busy machine the run itself may lag behind
-        assert!(simulated - saved < 0.5 + 0.3, "{kind:?}: {saved} s of {simulated} s");
-        fs::remove_file(dir.file("k.rrd.partial")).expect("it exists");
+        assert!(behind.len() > 10 && most - least < 0.5 + 0.3, "{kind:?}: {behind:?}");
+        fs::remove_file(&partial).expect("it exists");
     }
 }
 
@@ -127,21 +136,4 @@ fn a_full_disk_ends_the_run_and_keeps_what_was_written() {
     assert!(recorded.last() > 10, "{}", recorded.last());
     let replay = program(&dir, &["replay", "full.rrd.partial"]).output().expect("it runs");
     assert_eq!(replay.status.code(), Some(0));
-}
-
-#[test]
-fn the_second_of_two_runs_into_one_file_is_rejected() {
-    let dir = Dir::new();
-    let first =
-        Running(program(&dir, &["run", "two", "--steps", "0", "--save", "one.rrd"]).spawn().expect("it starts"));
-    wait_for_output(&dir.file("one.rrd.partial"));
-    let second = program(&dir, &["run", "push", "--save", "one.rrd"]).stderr(Stdio::piped()).output().expect("it runs");
-    assert_eq!(second.status.code(), Some(1));
-    assert!(output_text(&second).contains("another run is writing"), "{}", output_text(&second));
-    drop(first);
-    let recorded = Recorded::open(&dir.file("one.rrd.partial")).expect("the first recording");
-    assert_eq!(recorded.schema.name, "two");
-    let third = program(&dir, &["run", "push", "--save", "one.rrd"]).output().expect("it runs");
-    assert_eq!(third.status.code(), Some(0));
-    assert_eq!(Recorded::open(&dir.file("one.rrd")).expect("whole").schema.name, "push");
 }

@@ -1,6 +1,6 @@
 //! Random valid scenes: recorded in every way, they do not panic and replay to the same bits.
 
-use std::{fmt::Write, fs};
+use std::{fmt::Write, fs, time::Instant};
 
 use meldscope::{
     Scene,
@@ -164,14 +164,24 @@ fn settings(random: &mut Random, own: Settings) -> Settings {
     Settings { detail, entities, frames, every: random.of(&[1, 1, 4]), ..own }
 }
 
-/// Set `MELDSCOPE_FUZZ_SCENES` to try more scenes.
+/// How long fuzzers run [s], if `MELDSCOPE_FUZZ_SECONDS` says so.
+pub fn fuzz_seconds() -> Option<f64> {
+    std::env::var("MELDSCOPE_FUZZ_SECONDS").ok().and_then(|text| text.parse().ok())
+}
+
+/// The cases of a fuzzer: the first `count`, the same on every machine, or as many as fit into [`fuzz_seconds`].
+pub fn cases(count: u64) -> impl Iterator<Item = u64> {
+    let (start, seconds) = (Instant::now(), fuzz_seconds());
+    (0..).take_while(move |&case| seconds.map_or(case < count, |seconds| start.elapsed().as_secs_f64() < seconds))
+}
+
 #[test]
 fn random_scenes_are_recorded_and_replayed() {
-    let count = std::env::var("MELDSCOPE_FUZZ_SCENES").ok().and_then(|text| text.parse().ok()).unwrap_or(60);
     let (dir, mut random) = (Dir::new(), Random(0x853c_49e6_748f_ea9b));
-    let (mut failed, mut refused, mut steps) = (0, 0, 0);
+    let (mut scenes, mut failed, mut refused, mut steps) = (0, 0, 0, 0);
     let path = dir.file("random.rrd");
-    for number in 0..count {
+    for number in cases(60) {
+        scenes += 1;
         let text = scene(&mut random);
         let kept = std::env::temp_dir().join("meldscope-random.toml");
         fs::write(&kept, &text).expect("disk space");
@@ -192,5 +202,5 @@ fn random_scenes_are_recorded_and_replayed() {
         let verdict = replay::verify(&recorded, |_| true).expect("it runs");
         assert_eq!(verdict, Verdict::Identical, "{number}\n{text}");
     }
-    println!("{count} random scenes of {steps} steps, {failed} of them ended with a failure, {refused} were refused");
+    println!("{scenes} random scenes of {steps} steps, {failed} of them ended with a failure, {refused} were refused");
 }

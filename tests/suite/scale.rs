@@ -1,6 +1,6 @@
 //! Cost against scene size: layouts of the scenes, and reports of the measurements.
 
-use std::{collections::HashSet, path::PathBuf, process::Command, time::Duration};
+use std::{collections::HashSet, process::Command, time::Duration};
 
 use meldscope::{
     Scene, World,
@@ -12,6 +12,8 @@ use meldscope::{
         },
     },
 };
+
+use crate::recording::Dir;
 
 fn two() -> Scene {
     Scene::builtin("two").expect("a built-in scene")
@@ -70,9 +72,8 @@ fn the_command_accepts_only_valid_sizes() {
         let text = |bytes| String::from_utf8(bytes).expect("text");
         (output.status.code(), text(output.stdout), text(output.stderr))
     };
-    let directory = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("scale");
-    std::fs::create_dir_all(&directory).expect("a directory");
-    let file = directory.join("scale.csv");
+    let dir = Dir::new();
+    let file = dir.file("scale.csv");
     let (status, out, err) = run(&["2", "--csv", file.to_str().expect("a name")]);
     assert_eq!(status, Some(0), "{err}");
     assert!(out.contains("all in contact") && err.contains("wrote"), "{out}{err}");

@@ -1,5 +1,6 @@
-//! Merged surfaces in recordings and in exported files, and random unions compared with `manifold-rust`: for three
-//! seconds, or longer with `MELDSCOPE_FUZZ_SECONDS`. `cargo bench --bench union -- fuzz` runs any number of them.
+//! Merged surfaces in recordings and in exported files, and random unions compared with `manifold-rust`: the first ones,
+//! or with `MELDSCOPE_FUZZ_SECONDS` different ones for that long. `cargo bench --bench union -- fuzz` runs any number of
+//! them.
 
 #[path = "../benches/union/fuzz.rs"]
 mod fuzz;
@@ -15,7 +16,10 @@ use std::{
 use meldscope::geometry::files;
 use meldscope::sdk;
 
-use crate::recording::{Dir, Recording};
+use crate::{
+    random::fuzz_seconds,
+    recording::{Dir, Recording},
+};
 
 /// Two spheres that merge, with a single surface at step 60.
 const MERGING: &str = r#"
@@ -77,12 +81,13 @@ fn a_merged_surface_is_recorded_and_exported_equally_in_every_format() {
 
 #[test]
 fn unions_are_closed_and_match_another_library() {
-    let seconds = std::env::var("MELDSCOPE_FUZZ_SECONDS").ok().and_then(|text| text.parse().ok());
-    // the first scenes by default; different ones in every long run
-    let first = match seconds {
-        Some(_) => SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |now| now.as_secs()) << 16,
-        None => 0,
+    let (scenes, time) = match fuzz_seconds() {
+        None => (0..400, Duration::MAX),
+        Some(seconds) => {
+            let first = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |now| now.as_secs()) << 16;
+            (first..u64::MAX, Duration::from_secs_f64(seconds))
+        }
     };
-    let tallies = fuzz::run(first..u64::MAX, Duration::from_secs(seconds.unwrap_or(3)), |_, _| ());
+    let tallies = fuzz::run(scenes, time, |_, _| ());
     assert_eq!(fuzz::print(&tallies), 0);
 }
