@@ -8,7 +8,8 @@ use super::{
     sink_failure, vector,
 };
 use crate::{
-    recording::{Recorded, diff, existing::Existing},
+    models,
+    recording::{contents::Contents, diff, existing::Existing},
     text::{bytes, counted, thousands},
 };
 
@@ -26,6 +27,9 @@ pub struct Arguments {
     /// Record both side by side, with arrows between corresponding vertices and their distances.
     #[arg(long, value_name = "D.rrd")]
     save: Option<PathBuf>,
+    /// The recording to take from each file that holds several: the name of its scene, or its id.
+    #[arg(long = "recording", value_name = "NAME")]
+    name: Option<String>,
     /// Ignore differences up to this, in radii [default: the larger tolerance of the two scenes].
     #[arg(long, value_name = "R", value_parser = parse_radii)]
     within: Option<f64>,
@@ -39,8 +43,12 @@ fn parse_radii(text: &str) -> Result<f64, String> {
 /// Compares two recordings. The exit status is 0 if no difference exceeds the tolerance, 1 otherwise.
 pub fn diff(arguments: Arguments) -> Result<(), Failure> {
     [&arguments.first, &arguments.second].into_iter().try_for_each(|path| may_print(path))?;
-    let [a, b] = [Recorded::open(&arguments.first), Recorded::open(&arguments.second)];
-    let (a, b) = (a.map_err(Failure::input)?, b.map_err(Failure::input)?);
+    let open = |path| {
+        let contents = Contents::read(path)?;
+        let name = arguments.name.as_deref().filter(|_| contents.names().len() > 1);
+        contents.only(name, &models::read)
+    };
+    let (a, b) = (open(&arguments.first)?, open(&arguments.second)?);
     let tolerance = arguments.within.unwrap_or_else(|| a.schema.tolerance.max(b.schema.tolerance));
     if let Some(save) = &arguments.save {
         let what = "one of the recordings to be compared";

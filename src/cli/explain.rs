@@ -5,15 +5,15 @@ use std::{fmt::Write as _, path::Path};
 use glam::DVec3;
 
 use super::{
-    Failure, interrupt, print, print_lines,
+    Failure, interrupt, not_of_scene, print, print_lines,
     progress::{Progress, Work},
-    run,
+    recorded, run,
 };
 use crate::{
     analysis::{Approaches, surface::Merger},
     models::SceneRun,
     observe::{BodyFrame, Experiment as _, Frame, PairEvent, PairFrame, Schema, Simulation, StepSummary, Want},
-    recording::{Recorded, existing::Existing},
+    recording::existing::Existing,
     sim,
     text::{counted, did_you_mean, thousands},
 };
@@ -26,6 +26,9 @@ pub struct Arguments {
     /// A recording, a scene file, or the name of a built-in scene. It is simulated again, so a thin recording will do.
     #[arg(value_name = "F.rrd|SCENE")]
     subject: String,
+    /// The recording to take from a file that holds several: the name of its scene, or its id.
+    #[arg(long = "recording", value_name = "NAME")]
+    name: Option<String>,
     /// The step to explain; 0 is the initial state.
     #[arg(long, value_name = "N")]
     step: u64,
@@ -44,9 +47,10 @@ pub struct Arguments {
 pub fn explain(arguments: &Arguments) -> Result<(), Failure> {
     let path = Path::new(&arguments.subject);
     let (simulation, last) = if Existing::is_recording(path) {
-        let recorded = Recorded::open(path).map_err(Failure::input)?;
+        let recorded = recorded(path, arguments.name.as_deref())?;
         (recorded.start().map_err(Failure::input)?, recorded.last())
     } else {
+        not_of_scene(arguments.name.as_deref())?;
         let scene = run::scene(&arguments.subject)?;
         let options = sim::Options { interrupt: Some(&interrupt::STOP), ..sim::Options::default() };
         let simulation = SceneRun { scene, options }.start().map_err(Failure::Input)?;

@@ -11,11 +11,11 @@ use std::{
 };
 
 use super::{
-    Failure, expense, is_marked, load, one_of,
+    Failure, expense, is_marked, load, not_of_scene, one_of,
     overrides::Overrides,
     print,
     progress::{Progress, Work},
-    say,
+    recorded, say,
 };
 use crate::{
     analysis::{surface::Merger, touch::Touches},
@@ -39,6 +39,9 @@ const TABLE: &str = "F.csv|F.json|F.parquet";
 pub struct Arguments {
     /// A scene file, the name of a built-in scene, or a recording.
     scene: String,
+    /// The recording to take from a file that holds several: the name of its scene, or its id.
+    #[arg(long = "recording", value_name = "NAME")]
+    name: Option<String>,
     /// Another value for a key of the scene, such as model=lattice; may be repeated.
     #[arg(long, value_name = "KEY=VALUE", value_parser = Override::parse)]
     set: Vec<Override>,
@@ -195,10 +198,11 @@ fn source(arguments: &Arguments) -> Result<Source, Failure> {
         if !arguments.set.is_empty() {
             return Err(Failure::Input("--set is for scenes: a recording is exported as it was made".to_owned()));
         }
-        let recorded = Recorded::open(path).map_err(Failure::input)?;
+        let recorded = recorded(path, arguments.name.as_deref())?;
         let (simulation, last) = (recorded.start()?, recorded.last());
         return Ok(Source { run: Run::new(simulation, Some(last)), last, recorded: Some(recorded) });
     }
+    not_of_scene(arguments.name.as_deref())?;
     let overrides = Overrides { set: arguments.set.clone(), ..Overrides::default() };
     let scene = overrides.apply(load::scene(&arguments.scene)?, &arguments.scene)?;
     let last = scene.steps();

@@ -40,7 +40,10 @@ use clap::{
 };
 
 use crate::{
+    models,
     recording::{
+        Recorded,
+        contents::Contents,
         existing::{self, Existing},
         read::expects_panics,
     },
@@ -282,6 +285,21 @@ fn may_save(path: &Path, inputs: &[(&Path, &str)], new: &Existing) -> Result<(),
         }
     }
     existing::replace(path, new).map(drop).map_err(sink_failure)
+}
+
+/// Opens a recording: of a file that holds several, the one of this name.
+fn recorded(path: &Path, name: Option<&str>) -> Result<Recorded, Failure> {
+    Ok(Contents::read(path)?.only(name, &models::read)?)
+}
+
+/// Rejects the name of a recording where the subject is a scene.
+fn not_of_scene(name: Option<&str>) -> Result<(), Failure> {
+    match name {
+        Some(name) => {
+            Err(Failure::Input(format!("--recording {name}: it is for a file of recordings, not for a scene")))
+        }
+        None => Ok(()),
+    }
 }
 
 /// Rejects an input file that is also standard output.

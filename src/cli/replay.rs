@@ -14,6 +14,7 @@ use crate::{
     observe::{Frame, Refusal, Run, Schema, Simulation, Want},
     recording::{
         Recorded,
+        contents::Contents,
         existing::{Existing, Kind},
         read::End,
         replay::{self, Verdict},
@@ -37,6 +38,9 @@ const FRAMES_PER_CHUNK: u64 = 64;
 pub struct Arguments {
     /// The recording: from `run`, `run --thin` or `replay --save`, or left by a killed run (F.rrd.partial).
     recording: PathBuf,
+    /// The only recording to replay of a file that holds several: the name of its scene, or its id [default: all of them].
+    #[arg(long = "recording", value_name = "NAME")]
+    name: Option<String>,
     /// Record the replay with every frame, including those that the original recording lacks.
     #[arg(long, value_name = "G.rrd")]
     save: Option<PathBuf>,
@@ -53,17 +57,48 @@ pub struct Arguments {
     overrides: Overrides,
 }
 
-/// Replays and verifies a recording, or runs its scene with other settings and verifies nothing.
+/// Replays and verifies a recording or all of a file, or runs a recording's scene with other settings and verifies
+/// nothing.
 pub fn replay(arguments: Arguments) -> Result<(), Failure> {
     may_print(&arguments.recording)?;
-    let recorded = Recorded::open(&arguments.recording).map_err(Failure::input)?;
-    if !arguments.overrides.is_empty() {
-        return vary(&arguments, &recorded);
+    let contents = Contents::read(&arguments.recording)?;
+    let is_one_run = arguments.name.is_some() || arguments.save.is_some() || !arguments.overrides.is_empty();
+    if contents.names().len() > 1 && !is_one_run {
+        return verify_all(&arguments, &contents);
     }
-    let (from, to) = range(&arguments, recorded.last())?;
-    let mut saver = Saver::open(&arguments, &recorded, &recorded.schema, from..=to)?;
+    let recorded = contents.only(arguments.name.as_deref(), &models::read)?;
+    match arguments.overrides.is_empty() {
+        true => verify(&arguments, &recorded, &recorded.path.display().to_string()),
+        false => vary(&arguments, &recorded),
+    }
+}
+
+/// Verifies each recording of a file. The exit status is that of the worst.
+fn verify_all(arguments: &Arguments, contents: &Contents) -> Result<(), Failure> {
+    let (path, names) = (arguments.recording.display(), contents.names());
+    let (mut failed, mut is_input) = (0, false);
+    for (index, name) in names.iter().enumerate() {
+        let recorded = contents.recorded(index, &models::read).map_err(Failure::from);
+        if let Err(failure) = recorded.and_then(|recorded| verify(arguments, &recorded, &format!("{path}, {name}"))) {
+            say(&format!("error: {name}: {failure}"));
+            failed += 1;
+            is_input |= matches!(failure, Failure::Input(_));
+        }
+    }
+    let summary = format!("{path}: {failed} of {} recordings failed", names.len());
+    match (failed, is_input) {
+        (0, _) => Ok(()),
+        (_, true) => Err(Failure::Input(summary)),
+        (_, false) => Err(Failure::Run(summary)),
+    }
+}
+
+/// Verifies a recording, which results call `name`.
+fn verify(arguments: &Arguments, recorded: &Recorded, name: &str) -> Result<(), Failure> {
+    let (from, to) = range(arguments, recorded.last())?;
+    let mut saver = Saver::open(arguments, recorded, &recorded.schema, from..=to)?;
     let progress = Progress::new("", Work::Units("step", Some(recorded.last())));
-    let verdict = replay::verify(&recorded, |simulation| {
+    let verdict = replay::verify(recorded, |simulation| {
         progress.step(simulation.steps_taken(), simulation.time());
         saver.observe(simulation)
     })?;
@@ -79,7 +114,7 @@ pub fn replay(arguments: Arguments) -> Result<(), Failure> {
     match verdict {
         Verdict::Identical => {
             print(&format!(
-                "{path}: identical, {}{settings}",
+                "{name}: identical, {}{settings}",
                 if recorded.first == 0 {
                     counted(steps, "step")
                 } else {
@@ -93,13 +128,13 @@ pub fn replay(arguments: Arguments) -> Result<(), Failure> {
                 print(&format!("  and it fails as it did: {failure}"));
             }
             saver.finish()?;
-            check_end(&recorded)
+            check_end(recorded)
         }
         Verdict::OtherEnd { replayed } => {
             let recorded = recorded.failure.as_deref().unwrap_or("nothing");
             let now = replayed.as_deref().unwrap_or("nothing");
             print(&format!(
-                "{path}: {} steps are identical, but the reason for its end is not{settings}",
+                "{name}: {} steps are identical, but the reason for its end is not{settings}",
                 thousands(steps)
             ));
             print(&format!("  recorded: {recorded}"));
@@ -109,14 +144,14 @@ pub fn replay(arguments: Arguments) -> Result<(), Failure> {
         }
         Verdict::Divergent(divergence) => {
             print(&format!(
-                "{path}: divergent at step {} of {} (t = {:.6} s){settings}: checksum {:016x} recorded, {:016x} now",
+                "{name}: divergent at step {} of {} (t = {:.6} s){settings}: checksum {:016x} recorded, {:016x} now",
                 divergence.step, steps, divergence.time, divergence.recorded, divergence.replayed
             ));
             print(&match divergence.step.checked_sub(1) {
                 Some(before) if before >= recorded.first => format!("  up to step {before} the states are identical"),
                 _ => "  no step is identical".to_owned(),
             });
-            match divergence.worst(&recorded)? {
+            match divergence.worst(recorded)? {
                 Some(worst) => {
                     let at = if worst.step == divergence.step {
                         "there".to_owned()

@@ -148,7 +148,7 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
     // events after the end of the shorter recording do not count as differences
     let end = (a.last() as f64 * a.schema.dt).min(b.last() as f64 * b.schema.dt);
     let events = events.map(|events| events.map(|list| list.into_iter().filter(|e| e.time <= end).collect::<Vec<_>>()));
-    let [quantities_a, quantities_b] = [quantities::Recorded::read(&a.path)?, quantities::Recorded::read(&b.path)?];
+    let [quantities_a, quantities_b] = [quantities::Recorded::read(a)?, quantities::Recorded::read(b)?];
     let surfaces = (!quantities_a.is_empty() && !quantities_b.is_empty()).then(|| {
         let mut deviations = Deviations::new(tolerance, 1.0);
         quantities_a.compare(&quantities_b, &instants, a.schema.dt, &mut deviations);

@@ -25,6 +25,18 @@ pub enum ReadError {
         /// What was found instead.
         what: String,
     },
+    /// The file holds several recordings, and no single one of them was asked for.
+    #[error("{}: {what} {count} recordings: choose one with --recording: {names}", path.display())]
+    Several {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong, up to the number of recordings.
+        what: String,
+        /// Number of recordings.
+        count: usize,
+        /// Their names, or the first of them.
+        names: String,
+    },
     /// The recording has a format that this program cannot read.
     #[error("{} {what}", path.display())]
     Unsupported {

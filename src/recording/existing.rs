@@ -84,6 +84,10 @@ impl Existing {
         reader.stop_after(HEAD);
         let mut kind = None;
         while let Ok(Some(chunk)) = reader.next(|entity| PROPERTIES.is(entity)) {
+            // a file with several recordings counts as its first
+            if let Some(id) = reader.id().map(str::to_owned) {
+                reader.read_only(&id);
+            }
             let text = |property: Component| cell::<Utf8>(&chunk, &property.descriptor(), 0).into_iter().next();
             if let Some(settings) = text(SETTINGS) {
                 let frames = settings.as_str().lines().find_map(|line| line.strip_prefix("frames = "));

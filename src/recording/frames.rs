@@ -210,7 +210,7 @@ impl FrameReader {
         let names = schema.bodies.iter().enumerate().map(|(index, body)| (body.name.clone(), index)).collect();
         let shapes = schema.bodies.iter().map(|body| (RESTING.of(&[&body.shape]), Arc::clone(&body.mesh)));
         Ok(FrameReader {
-            reader: Reader::open(&recorded.path)?,
+            reader: Reader::of(recorded)?,
             path: recorded.path.clone(),
             names,
             shapes: shapes.collect(),

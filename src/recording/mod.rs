@@ -3,6 +3,7 @@
 //! | contents | module |
 //! | --- | --- |
 //! | the chunks of a file, however malformed the file may be | [`read`] |
+//! | the recordings in a file, which may hold several | [`contents`] |
 //! | the inputs of a run (scene, settings) and its results (checksums, events) | [`recorded`] |
 //! | surfaces, frame by frame | [`frames`] |
 //! | existing files that a new recording would overwrite | [`existing`] |
@@ -14,6 +15,7 @@
 //! | a recording that shows the differences between two runs | [`comparison`] |
 
 pub mod comparison;
+pub mod contents;
 pub mod diff;
 pub mod error;
 pub mod events;

@@ -1,6 +1,6 @@
 //! Compares geometric quantities of two runs: gap, overlap and neck of pairs; volume, area and topology of groups.
 
-use std::{collections::BTreeMap, fmt, path::Path};
+use std::{collections::BTreeMap, fmt};
 
 use super::{
     ReadError,
@@ -141,10 +141,10 @@ impl Recorded {
     ///
     /// # Errors
     /// The recording cannot be read.
-    pub fn read(path: &Path) -> Result<Recorded, ReadError> {
+    pub fn read(of: &super::Recorded) -> Result<Recorded, ReadError> {
         let is_wanted = |entity: &str| GROUP_LINE.is(entity) || MEASURES.iter().any(|(measure, ..)| measure.is(entity));
         let mut recorded = Recorded::default();
-        let mut reader = Reader::open(path)?;
+        let mut reader = Reader::of(of)?;
         while let Some(chunk) = reader.next(is_wanted)? {
             // stages inside a step are not frames
             if chunk.is_static() || chunk.timelines().keys().any(|name| name.as_str() == STAGE) {
@@ -152,7 +152,7 @@ impl Recorded {
             }
             let line = recorded.lines.entry(path_of(&chunk)).or_default();
             for row in 0..chunk.num_rows() {
-                let damaged = |what| ReadError::Damaged { path: path.to_owned(), at: None, what };
+                let damaged = |what| ReadError::Damaged { path: of.path.clone(), at: None, what };
                 let step = step_of(&chunk, row).map_err(damaged)?;
                 line.push((
                     step,

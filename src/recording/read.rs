@@ -16,7 +16,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use super::ReadError;
+use super::{ReadError, Recorded};
 use crate::sdk::{
     ArrowMsg, Chunk, CrateVersion, Tuid,
     arrow::{array::RecordBatch, error::ArrowError, ipc},
@@ -44,7 +44,7 @@ pub enum End {
     Cut,
 }
 
-/// Reads a recording from start to end, with one message in memory at a time.
+/// Reads the recordings of a file from start to end, with one message in memory at a time.
 pub struct Reader {
     path: PathBuf,
     input: Input,
@@ -58,7 +58,9 @@ pub struct Reader {
     rows: u64,
     /// Reading stops here [bytes from the start].
     limit: u64,
-    /// Ids of the recording, from its first message.
+    /// The recording that is read; `None`: all that the file holds.
+    only: Option<String>,
+    /// Ids of the recording of the last message.
     id: Option<String>,
     application: Option<String>,
     end: Option<End>,
@@ -89,11 +91,22 @@ impl Reader {
             unpacked: 0,
             rows: 0,
             limit: u64::MAX,
+            only: None,
             id: None,
             application: None,
             end: None,
         };
         reader.header()?;
+        Ok(reader)
+    }
+
+    /// Opens the file of a recording, to read that recording only.
+    ///
+    /// # Errors
+    /// As for [`Reader::open`].
+    pub fn of(recorded: &Recorded) -> Result<Reader, ReadError> {
+        let mut reader = Reader::open(&recorded.path)?;
+        reader.read_only(&recorded.id);
         Ok(reader)
     }
 
@@ -132,12 +145,17 @@ impl Reader {
         &self.path
     }
 
-    /// The id of the recording, once a message of it has been read.
+    /// Reads the recording with this id only, from here on.
+    pub fn read_only(&mut self, id: &str) {
+        self.only = Some(id.to_owned());
+    }
+
+    /// The id of the recording that the last message belongs to.
     pub fn id(&self) -> Option<&str> {
         self.id.as_deref()
     }
 
-    /// The application id of the recording, once a message of it has been read.
+    /// The application id of the recording that the last message belongs to.
     pub fn application(&self) -> Option<&str> {
         self.application.as_deref()
     }
@@ -157,7 +175,7 @@ impl Reader {
         self.end
     }
 
-    /// The next chunk of the recording whose entity is `wanted`; blueprints are skipped.
+    /// The next chunk whose entity is `wanted`; blueprints are skipped.
     ///
     /// # Errors
     /// The file cannot be read, or its next bytes are not a message. A truncated message is the end of the file, not an
@@ -206,16 +224,12 @@ impl Reader {
                     if !envelope.is_recording {
                         continue;
                     }
-                    match &self.id {
-                        None => {
-                            self.id = Some(envelope.recording_id.clone());
-                            self.application = Some(envelope.application.clone());
-                        }
-                        Some(id) if *id != envelope.recording_id => {
-                            let what = "it holds more than one recording".to_owned();
-                            return Err(ReadError::Foreign { path: self.path.clone(), what });
-                        }
-                        Some(_) => {}
+                    if self.only.as_ref().is_some_and(|only| *only != envelope.recording_id) {
+                        continue;
+                    }
+                    if self.id.as_ref() != Some(&envelope.recording_id) {
+                        self.id = Some(envelope.recording_id.clone());
+                        self.application = Some(envelope.application.clone());
                     }
                     self.unpacked = self.unpacked.saturating_add(envelope.unpacked_size());
                     let max_unpacked = UNPACKED.0.saturating_add(UNPACKED.1.saturating_mul(self.at));

@@ -5,10 +5,7 @@ use std::{
     sync::Arc,
 };
 
-use super::{
-    ReadError,
-    read::{End, Reader},
-};
+use super::{ReadError, contents::Contents, read::End};
 use crate::{
     hash, models,
     observe::{Experiment, Refusal, Schema, Simulation, simulation::ReadExperiment},
@@ -22,10 +19,10 @@ use crate::{
     },
     stream::{
         contract::{
-            self, BLESSED, BODIES, CHECKSUM, CHECKSUMS, Component, DIGEST, EVENTS, FAILURE, MACHINE, OVERRIDES, PHASES,
+            self, BLESSED, BODIES, CHECKSUM, CHECKSUMS, Component, DIGEST, FAILURE, MACHINE, OVERRIDES, PHASES,
             PROPERTIES, Q, SCENE, SETTINGS, STEP, TIME, VERSION, path_of,
         },
-        settings::{FORMAT, Settings, recording_id},
+        settings::{FORMAT, Settings, application, recording_id},
     },
 };
 
@@ -44,6 +41,8 @@ const TEXT: (u64, u64) = (1 << 20, 16);
 pub struct Recorded {
     /// The file.
     pub path: PathBuf,
+    /// Its id, which tells it from others in the file.
+    pub id: String,
     /// The experiment that was run, overrides included.
     pub experiment: Arc<dyn Experiment>,
     /// The schema of the experiment.
@@ -89,8 +88,18 @@ pub struct RecordedEvent {
     pub step: u64,
 }
 
+/// What a file holds of a recording, frames excepted.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Found {
+    pub id: String,
+    application: String,
+    properties: Properties,
+    sums: ReadChecksums,
+    events: Vec<RecordedEvent>,
+}
+
 /// The properties as stored in the file.
-#[derive(Default)]
+#[derive(Clone, Debug, Default)]
 struct Properties {
     scene: Option<String>,
     settings: Option<String>,
@@ -104,10 +113,10 @@ struct Properties {
 }
 
 impl Recorded {
-    /// Reads a recording of a scene, complete or truncated.
+    /// Reads the recording of a scene in a file, complete or truncated.
     ///
     /// # Errors
-    /// The file is not a recording of this program, has an unsupported format, or is damaged.
+    /// The file is not a recording of this program, has an unsupported format, holds several recordings, or is damaged.
     pub fn open(path: &Path) -> Result<Recorded, ReadError> {
         Recorded::open_as(path, &models::read)
     }
@@ -117,24 +126,7 @@ impl Recorded {
     /// # Errors
     /// As for [`Recorded::open`].
     pub fn open_as(path: &Path, read: &ReadExperiment<'_>) -> Result<Recorded, ReadError> {
-        let mut reader = Reader::open(path)?;
-        let mut properties = Properties::default();
-        let (mut sums, mut events) = (ReadChecksums::default(), Vec::new());
-        while let Some(chunk) =
-            reader.next(|entity| [&PROPERTIES, &CHECKSUM, &EVENTS].iter().any(|wanted| wanted.is(entity)))?
-        {
-            let damaged = |what: String| ReadError::Damaged { path: path.to_owned(), at: None, what };
-            let entity = path_of(&chunk);
-            if PROPERTIES.is(&entity) {
-                properties.take(&chunk, reader.at()).map_err(damaged)?;
-            } else if CHECKSUM.is(&entity) {
-                sums.take(&chunk, reader.at()).map_err(damaged)?;
-            } else {
-                events.extend(events_of(&chunk).map_err(damaged)?);
-            }
-        }
-        let id = reader.id().unwrap_or_default().to_owned();
-        properties.into_recorded(path, read, &id, sums, events, reader.end().unwrap_or(End::Cut))
+        Contents::read(path)?.only(None, read)
     }
 
     /// Starts the recorded experiment.
@@ -167,6 +159,41 @@ impl Recorded {
             differences.push(format!("it was made on {}, this is {machine}", self.machine));
         }
         differences
+    }
+}
+
+impl Found {
+    pub fn new(id: &str, application: &str) -> Found {
+        Found { id: id.to_owned(), application: application.to_owned(), ..Found::default() }
+    }
+
+    /// The name of the scene, or what another program has called it.
+    pub fn name(&self) -> &str {
+        self.application.strip_prefix(&application("")).unwrap_or(&self.application)
+    }
+
+    /// Whether the run has written its end.
+    pub fn has_end(&self) -> bool {
+        self.properties.digest.is_some()
+    }
+
+    /// Reads a chunk of properties, checksums or events; `read` bytes of the file have been read.
+    pub fn take(&mut self, chunk: &Chunk, read: u64) -> Result<(), String> {
+        let entity = path_of(chunk);
+        if PROPERTIES.is(&entity) {
+            self.properties.take(chunk, read)?;
+        } else if CHECKSUM.is(&entity) {
+            self.sums.take(chunk, read)?;
+        } else {
+            self.events.extend(events_of(chunk)?);
+        }
+        Ok(())
+    }
+
+    /// Recreates the experiment.
+    pub fn into_recorded(self, path: &Path, read: &ReadExperiment<'_>, end: End) -> Result<Recorded, ReadError> {
+        let Found { id, properties, sums, events, .. } = self;
+        properties.into_recorded(path, read, id, sums, events, end)
     }
 }
 
@@ -204,7 +231,7 @@ impl Properties {
         self,
         path: &Path,
         read: &ReadExperiment<'_>,
-        id: &str,
+        id: String,
         sums: ReadChecksums,
         events: Vec<RecordedEvent>,
         end: End,
@@ -234,7 +261,7 @@ impl Properties {
         let file = path.file_name().unwrap_or_default().to_string_lossy();
         // The id contains a hash of these texts, which reveals any change to them.
         let ending = |id: &str| id.rsplit('-').next().unwrap_or_default().to_owned();
-        let is_as_made = ending(id) == ending(&recording_id("", &text, &settings, &version));
+        let is_as_made = ending(&id) == ending(&recording_id("", &text, &settings, &version));
         let run: toml::Table = settings.parse().unwrap_or_default();
         let cannot_run = |what: String| unsupported(format!("cannot be run here: {what}"));
         let experiment = match read(&file, &text, &run) {
@@ -273,6 +300,7 @@ impl Properties {
         }
         Ok(Recorded {
             path: path.to_owned(),
+            id,
             experiment,
             schema,
             run,
@@ -296,7 +324,7 @@ pub(super) fn start(experiment: &dyn Experiment, path: &Path) -> Result<Box<dyn 
 }
 
 /// The checksums read so far.
-#[derive(Default)]
+#[derive(Clone, Debug, Default)]
 struct ReadChecksums {
     first: u64,
     values: Vec<u64>,

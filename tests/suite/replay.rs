@@ -29,12 +29,27 @@ use crate::recording::{Dir, Recording};
 
 /// Records `played` with the scene text that it carries, as another version of the program would have done.
 fn record(path: &Path, played: &Scene, settings: Settings) {
-    record_with(path, played, Options::default(), settings);
+    record_all(path, &[(played, settings)]);
+}
+
+/// Records scenes one after the other in one file.
+fn record_all(path: &Path, played: &[(&Scene, Settings)]) {
+    let mut sinks =
+        Sinks::open(&Destinations { save: Some(path.to_owned()), ..Destinations::default() }).expect("a file");
+    for (scene, settings) in played {
+        send(&mut sinks, scene, Options::default(), settings);
+    }
+    sinks.finish().expect("disk space");
 }
 
 fn record_with(path: &Path, played: &Scene, options: Options, settings: Settings) {
     let mut sinks =
         Sinks::open(&Destinations { save: Some(path.to_owned()), ..Destinations::default() }).expect("a file");
+    send(&mut sinks, played, options, &settings);
+    sinks.finish().expect("disk space");
+}
+
+fn send(sinks: &mut Sinks, played: &Scene, options: Options, settings: &Settings) {
     let mut world = World::with_options(played.clone(), options).expect("enough memory");
     let mut recorder = Recorder::new(&world, settings.clone());
     let mut messages = recorder.blueprint(&world);
@@ -48,7 +63,6 @@ fn record_with(path: &Path, played: &Scene, options: Options, settings: Settings
     recorder.finish(&world);
     messages.extend(recorder.take());
     messages.into_iter().for_each(|message| sinks.send(message).expect("disk space"));
-    sinks.finish().expect("disk space");
 }
 
 fn two() -> Scene {
@@ -107,6 +121,101 @@ fn every_kind_of_recording_is_replayed() {
         assert_eq!(verdict.expect("it runs"), Verdict::Identical, "{settings:?}");
         assert_eq!(steps, (0..=recorded.last()).collect::<Vec<_>>());
     }
+}
+
+/// Three scenes in one file, of which the second is played with this α.
+fn three_in_one(path: &Path, alpha: f64) {
+    let [push, mut two, three] = ["push", "two", "three"].map(|name| Scene::builtin(name).expect("a built-in scene"));
+    two.influence.alpha = alpha;
+    let of = |scene: &Scene, steps| Settings { steps: Some(steps), ..Settings::of(scene) };
+    record_all(path, &[(&push, of(&push, 30)), (&two, of(&two, 100)), (&three, of(&three, 20))]);
+}
+
+#[test]
+fn every_recording_of_a_file_is_replayed_and_one_can_be_chosen() {
+    let dir = Dir::new();
+    three_in_one(&dir.file("x.rrd"), two().influence.alpha);
+    let line = |name: &str, steps: u64| format!("{name}: identical, {steps} steps (run with steps = {steps})\n");
+    let lines = [("x.rrd, push", 30), ("x.rrd, two", 100), ("x.rrd, three", 20)].map(|(name, steps)| line(name, steps));
+    assert_eq!(succeeds(&dir, &["replay", "x.rrd"]), lines.concat());
+    assert_eq!(succeeds(&dir, &["replay", "x.rrd", "--recording", "two"]), line("x.rrd", 100));
+
+    // what makes one recording of one needs to know which
+    for arguments in [
+        &["replay", "x.rrd", "--save", "y.rrd"] as &[&str],
+        &["replay", "x.rrd", "--set", "influence.alpha=150"],
+        &["diff", "x.rrd", "x.rrd"],
+        &["explain", "x.rrd", "--step", "9"],
+        &["export", "x.rrd", "--events", "e.csv"],
+    ] {
+        let text = fails(&dir, 2, arguments);
+        let expected = "error: x.rrd: it holds 3 recordings: choose one with --recording: push, two, three\n";
+        assert_eq!(text, expected, "{arguments:?}");
+    }
+    assert!(!dir.file("y.rrd").exists() && !dir.file("e.csv").exists());
+    let text = fails(&dir, 2, &["replay", "x.rrd", "--recording", "tow"]);
+    assert!(
+        text.contains("there is no \"tow\" among its 3 recordings: ") && text.contains("push, two, three"),
+        "{text}"
+    );
+    for scene in [&["explain", "two", "--step", "9"] as &[&str], &["export", "two", "--events", "e.csv"]] {
+        let text = fails(&dir, 2, &[scene, &["--recording", "two"]].concat());
+        assert!(text.contains("--recording two: it is for a file of recordings"), "{text}");
+    }
+
+    let chosen = |arguments: &[&str]| succeeds(&dir, &[arguments, &["--recording", "two"]].concat());
+    chosen(&["replay", "x.rrd", "--save", "y.rrd"]);
+    assert!(succeeds(&dir, &["replay", "y.rrd"]).starts_with("y.rrd: identical, 100 steps"));
+    assert!(chosen(&["replay", "x.rrd", "--set", "influence.alpha=150"]).contains("not verified"));
+    // the frames of the others are left aside
+    let text = chosen(&["diff", "x.rrd", "y.rrd"]);
+    assert!(text.contains("101 instants in common") && text.contains("no body differs"), "{text}");
+    assert!(chosen(&["explain", "x.rrd", "--step", "90"]).starts_with("two, step 90 of 100"));
+    chosen(&["export", "x.rrd", "--events", "e.csv"]);
+    assert!(fs::read_to_string(dir.file("e.csv")).expect("written").contains("merge"));
+}
+
+#[test]
+fn the_worst_recording_of_a_file_decides() {
+    let dir = Dir::new();
+    three_in_one(&dir.file("x.rrd"), 1.01 * two().influence.alpha);
+    let text = fails(&dir, 1, &["replay", "x.rrd"]);
+    for part in ["x.rrd, push: identical", "x.rrd, two: divergent at step 84 of 100", "x.rrd, three: identical"] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    assert!(text.contains("error: two: x.rrd is not reproduced from step 84 on\n"), "{text}");
+    assert!(text.ends_with("error: x.rrd: 1 of 3 recordings failed\n"), "{text}");
+    assert!(succeeds(&dir, &["replay", "x.rrd", "--recording", "push"]).starts_with("x.rrd: identical, 30 steps"));
+
+    // only the last recording of a file that was cut has lost its end
+    three_in_one(&dir.file("x.rrd"), two().influence.alpha);
+    let bytes = fs::read(dir.file("x.rrd")).expect("a file");
+    fs::write(dir.file("x.rrd.partial"), &bytes[..bytes.len() * 9 / 10]).expect("disk space");
+    fs::rename(dir.file("x.rrd.partial"), dir.file("cut.rrd")).expect("disk space");
+    let text = fails(&dir, 2, &["replay", "cut.rrd"]);
+    assert!(
+        text.contains("cut.rrd, push: identical, 30 steps") && text.contains("cut.rrd, two: identical, 100"),
+        "{text}"
+    );
+    assert!(text.contains("error: three: cut.rrd is cut short"), "{text}");
+}
+
+/// Recordings of one scene are told apart by their ids.
+#[test]
+fn recordings_of_one_name_go_by_their_ids() {
+    let dir = Dir::new();
+    let (scene, mut other) = (two(), two());
+    other.dt /= 2.0;
+    let of = |scene: &Scene| Settings { steps: Some(5), ..Settings::of(scene) };
+    record_all(&dir.file("x.rrd"), &[(&scene, of(&scene)), (&other, of(&other))]);
+    let text = fails(&dir, 2, &["replay", "x.rrd", "--recording", "two"]);
+    let (_, names) = text.trim_end().split_once("--recording: ").expect("the names");
+    for id in names.split(", ") {
+        assert!(id.starts_with("two-"), "{text}");
+        let found = succeeds(&dir, &["replay", "x.rrd", "--recording", id]);
+        assert!(found.starts_with("x.rrd: identical, 5 steps"), "{found}");
+    }
+    assert_eq!(names.split(", ").count(), 2, "{text}");
 }
 
 #[test]
