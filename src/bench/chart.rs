@@ -1,4 +1,4 @@
-//! Charts with logarithmic axes: lines with markers, each with its name at its end.
+//! Charts: lines with markers, each with its name at its end.
 
 use std::{f64::consts::FRAC_PI_4, ops::Range};
 
@@ -39,24 +39,43 @@ pub struct Panel {
     pub axes: [Axis; 2],
     /// The lines.
     pub lines: Vec<Line>,
+    /// What is marked on the horizontal axis.
+    pub marks: Vec<Mark>,
 }
 
-/// A logarithmic axis.
+/// A value of the horizontal axis, marked by an upright line.
+#[derive(Clone, Debug)]
+pub struct Mark {
+    /// The value.
+    pub at: f64,
+    /// Its name, written beside the upper end of the line.
+    pub name: String,
+}
+
+/// An axis.
 #[derive(Clone, Debug)]
 pub struct Axis {
     /// Its quantity and unit.
     pub name: &'static str,
     /// From its lower to its upper end; values beyond are drawn at the end.
     pub range: Range<f64>,
+    /// Whether its scale is logarithmic; else it is linear.
+    pub is_logarithmic: bool,
 }
 
 impl Axis {
-    /// An axis that spans `values`, with a factor of `margin` on either side.
+    /// A linear axis.
+    pub fn linear(name: &'static str, range: Range<f64>) -> Axis {
+        Axis { name, range, is_logarithmic: false }
+    }
+
+    /// A logarithmic axis that spans `values`, with a factor of `margin` on either side.
     pub fn spanning(name: &'static str, values: impl Iterator<Item = f64>, margin: f64) -> Axis {
         let (low, high) = values
             .filter(|value| value.is_finite() && *value > 0.0)
             .fold((f64::INFINITY, 0.0), |(low, high), value| (f64::min(low, value), f64::max(high, value)));
-        Axis { name, range: if low <= high { low / margin..high * margin } else { 0.1..10.0 } }
+        let range = if low <= high { low / margin..high * margin } else { 0.1..10.0 };
+        Axis { name, range, is_logarithmic: true }
     }
 
     /// The share of the axis below a value.
@@ -64,7 +83,14 @@ impl Axis {
         let Range { start, end } = self.range;
         // NaN is drawn at the upper end, like what has diverged
         let value = if value <= end { value.max(start) } else { end };
-        (value / start).ln() / (end / start).ln()
+        match self.is_logarithmic {
+            true => (value / start).ln() / (end / start).ln(),
+            false => (value - start) / (end - start),
+        }
+    }
+
+    fn ticks(&self) -> Vec<f64> {
+        ticks([self.range.start, self.range.end], self.is_logarithmic)
     }
 }
 
@@ -95,6 +121,8 @@ pub struct Style {
 /// A shape at a point.
 #[derive(Clone, Copy, Debug)]
 pub enum Marker {
+    /// Nothing.
+    None,
     /// Two crossed strokes.
     Cross,
     /// A disc.
@@ -140,17 +168,16 @@ impl Panel {
     fn draw(&self, svg: &mut Svg) {
         let (right, bottom) = (PANEL[0] - RIGHT, PANEL[1] - BELOW);
         let [x, y] = &self.axes;
-        let pixel = |[a, b]: [f64; 2]| {
-            [LEFT + x.share(a) * (right - LEFT), bottom - y.share(b) * (bottom - ABOVE)].map(f64::round)
-        };
+        let pixel = |[a, b]: [f64; 2]| [LEFT + x.share(a) * (right - LEFT), bottom - y.share(b) * (bottom - ABOVE)];
+        let on_grid = |point: [f64; 2]| pixel(point).map(f64::round);
         svg.write([LEFT, 0.6 * ABOVE], 24.0, INK, Anchor::Start, &self.title);
-        for tick in ticks([x.range.start, x.range.end], true) {
-            let [at, _] = pixel([tick, y.range.start]);
+        for tick in x.ticks() {
+            let [at, _] = on_grid([tick, y.range.start]);
             svg.line(&[[at, ABOVE], [at, bottom]], [214; 3], 1.0);
             svg.write([at, bottom + 24.0], 19.0, INK, Anchor::Middle, &written(tick));
         }
-        for tick in ticks([y.range.start, y.range.end], true) {
-            let [_, at] = pixel([x.range.start, tick]);
+        for tick in y.ticks() {
+            let [_, at] = on_grid([x.range.start, tick]);
             svg.line(&[[LEFT, at], [right, at]], [214; 3], 1.0);
             svg.write([LEFT - 8.0, at + 6.0], 19.0, INK, Anchor::End, &written(tick));
         }
@@ -159,6 +186,16 @@ impl Panel {
         svg.group([26.0, 0.5 * (ABOVE + bottom)], -90.0, |svg| {
             svg.write([0.0, 0.0], 21.0, INK, Anchor::Middle, y.name);
         });
+
+        for (number, mark) in self.marks.iter().enumerate() {
+            let [at, _] = on_grid([mark.at, y.range.start]);
+            svg.line(&[[at, ABOVE], [at, bottom]], GREY, 1.5);
+            // each name below the one before; only beside the last line is there room on the right
+            let height = ABOVE + NAME_HEIGHT * (number + 1) as f64;
+            let is_last = self.marks.iter().all(|other| other.at <= mark.at);
+            let (beside, anchor) = if is_last { (at + 6.0, Anchor::Start) } else { (at - 6.0, Anchor::End) };
+            svg.write([beside, height], 17.0, GREY, anchor, &mark.name);
+        }
 
         let mut lines: Vec<(&Line, Vec<[f64; 2]>)> =
             self.lines.iter().map(|line| (line, line.points.iter().map(|&point| pixel(point)).collect())).collect();
@@ -193,6 +230,7 @@ impl Style {
             svg.path(&(through(corners) + "z"), Paint::Fill(self.color));
         };
         match self.marker {
+            Marker::None => {}
             Marker::Disc => svg.circle([x, y], 5.0, Paint::Fill(self.color)),
             Marker::Cross => {
                 for eighths in [1.0, 3.0] {
@@ -227,8 +265,9 @@ fn spread(wanted: &[f64], bottom: f64) -> Vec<f64> {
 /// A number of a tick: as a power of ten, or plainly.
 fn written(tick: f64) -> String {
     let exponent = tick.log10().round();
-    if (1e-2..1e4).contains(&tick) || (tick / 10f64.powf(exponent) - 1.0).abs() > 1e-6 {
-        return format!("{tick}");
+    if tick <= 0.0 || (1e-2..1e4).contains(&tick) || (tick / 10f64.powf(exponent) - 1.0).abs() > 1e-6 {
+        // a multiple of a tenth is not a decimal number to the last bit
+        return format!("{}", (1e6 * tick).round() / 1e6 + 0.0).replace('-', "−");
     }
     let raised = |c: char| match c {
         '-' => '⁻',

@@ -481,6 +481,7 @@ impl Measured {
             title: format!("{} ({} vertices)", self.scene, self.vertices),
             axes: [Axis::spanning("run time [ms]", times, 1.5), errors],
             lines: self.families().filter_map(line).collect(),
+            marks: Vec::new(),
         }
     }
 }

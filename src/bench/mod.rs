@@ -9,13 +9,14 @@
 //! | `bench models` | the models of a soft body, side by side | [`models`] |
 //! | `bench surface` | unions of many spheres, and scenes with the surface of every frame | [`surface`] |
 //! | `bench stability` | every integrator at the limits of every setting | [`stability`] |
-//! | `bench thesis` | the thesis's figures and claims, section by section | [`thesis`] |
+//! | `bench thesis` | the thesis's figures and claims, section by section | [`thesis`], [`influence`] |
 //!
 //! Errors are measured against [`reference`], an independent solution that shares no code with the integrators. Each
 //! benchmark returns a [`report::Report`], from which the terminal, `--csv` and `--svg` follow.
 
 pub mod chart;
 pub mod error;
+pub mod influence;
 pub mod models;
 pub mod random;
 pub mod record;

@@ -355,6 +355,7 @@ impl Measured {
                 Axis::spanning("largest error [radii]", errors, 3.0),
             ],
             lines,
+            marks: Vec::new(),
         }
     }
 }

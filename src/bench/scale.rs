@@ -268,6 +268,7 @@ impl Measured {
                 title: String::new(),
                 axes: [Axis::spanning("bodies", bodies, 1.5), Axis::spanning("time of a step [ms]", times, 2.0)],
                 lines: Family::ALL.map(line).to_vec(),
+                marks: Vec::new(),
             }],
             notes: vec![machine.to_string()],
         }

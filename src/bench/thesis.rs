@@ -6,7 +6,7 @@ use std::{f64::consts::TAU, time::Instant};
 use glam::DVec3;
 
 use super::{
-    MeasureError, models,
+    MeasureError, influence, models,
     report::{Cell, Column, Report, Table},
 };
 use crate::{
@@ -265,12 +265,14 @@ fn metaballs() -> Result<Vec<Row>, MeasureError> {
 
 // --- chapter 3: the model --------------------------------------------------------------------------------------------
 
-/// The scheme as printed (3.3).
+/// The influence (3.2), and the scheme as printed (3.3).
 fn scheme() -> Result<Vec<Row>, MeasureError> {
     let scene = builtin("figure-4-1")?;
     let material = scene.bodies[0].material;
     let exact = (material.omega * material.omega - material.damping * material.damping).sqrt();
     let ratio = swing(&scene)? / exact;
+    let switched = builtin("figure-4-2")?;
+    let at_the_switch = influence::at_the_switch(&switched);
     let warnings =
         SCENES.iter().map(|name| Ok(builtin(name)?.warnings().len())).sum::<Result<usize, MeasureError>>()?;
     Ok(vec![
@@ -282,6 +284,15 @@ fn scheme() -> Result<Vec<Row>, MeasureError> {
             value: warnings as f64,
             shown: format!("{warnings} warnings"),
             verdict: yes(warnings == 0),
+        },
+        Row {
+            section: "3.2, Fig. 3.3",
+            claim: "influence falls with the distance",
+            scene: switched.name.clone(),
+            quantity: "force of attraction on the nearest vertex when a pair merges, over the largest at any distance [–]",
+            value: at_the_switch,
+            shown: format!("{} of the largest force at the switch", percent(at_the_switch)),
+            verdict: yes(at_the_switch < 0.1),
         },
         Row {
             section: "3.3, Fig. 3.4",
@@ -528,8 +539,11 @@ pub fn columns() -> Vec<Column> {
     ]
 }
 
-/// The table of all rows.
-pub fn report(rows: &[Row]) -> Report {
+/// The table of all rows, and Fig. 3.3 as a chart.
+///
+/// # Errors
+/// A built-in scene is missing.
+pub fn report(rows: &[Row]) -> Result<Report, MeasureError> {
     let cells = |row: &Row| -> Vec<Cell> {
         vec![
             row.section.into(),
@@ -541,14 +555,15 @@ pub fn report(rows: &[Row]) -> Report {
         ]
     };
     let cells: Vec<Vec<Cell>> = rows.iter().map(cells).collect();
-    Report {
+    let scenes = influence::SCENES.into_iter().map(builtin).collect::<Result<Vec<_>, _>>()?;
+    Ok(Report {
         tables: vec![Table { columns: columns(), rows: cells.clone(), ..Table::default() }],
         notes: format!(
             "{THESIS}\nits rates are frames of a Pentium D of 2.8 GHz, with drawing; these are steps alone; as printed: (3.6)–(3.10)"
         ),
         columns: columns(),
         rows: cells,
-        chart: None,
+        chart: Some(influence::chart(&scenes)),
         failure: None,
-    }
+    })
 }

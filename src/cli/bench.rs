@@ -58,7 +58,7 @@ pub struct Arguments {
     /// Write the measurements to a table: .csv, .json or .parquet.
     #[arg(long, value_name = "F.csv")]
     csv: Option<PathBuf>,
-    /// Draw the measurements of `error`, `scale` or `models` as an SVG diagram.
+    /// Draw the measurements of `error`, `scale` or `models`, or Fig. 3.3 of the thesis, as an SVG diagram.
     #[arg(long, value_name = "F.svg")]
     svg: Option<PathBuf>,
 }
@@ -128,7 +128,7 @@ fn check(arguments: &Arguments) -> Result<(), Failure> {
         (model.is_some(), "--model", &[Stability]),
         (save.is_some(), "--save", &[Models, Thesis]),
         (csv.is_some(), "--csv", &[Error, Scale, Record, Models, Surface, Stability, Thesis]),
-        (svg.is_some(), "--svg", &[Error, Scale, Models]),
+        (svg.is_some(), "--svg", &[Error, Scale, Models, Thesis]),
     ];
     let name =
         |what: &What| clap::ValueEnum::to_possible_value(what).map_or(String::new(), |v| v.get_name().to_owned());
@@ -328,8 +328,8 @@ fn thesis(arguments: &Arguments) -> Result<(), Failure> {
     let progress = Progress::new("measuring the thesis", Work::Share);
     let measured = thesis::measure(&mut |share| progress.set_share(share));
     drop(progress);
-    let rows = measured.map_err(|error| Failure::Run(error.to_string()))?;
-    claimed.finish(&thesis::report(&rows), &Machine::detect())
+    let report = measured.and_then(|rows| thesis::report(&rows)).map_err(|error| Failure::Run(error.to_string()))?;
+    claimed.finish(&report, &Machine::detect())
 }
 
 /// Refuses scenes that the benchmark `what` cannot run: of another model, or larger than the memory that there is.
