@@ -11,7 +11,7 @@ use crate::geometry::{Mesh, Rest, Vectors};
 /// requested here.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Want {
-    /// Whether forces by term, and vertex labels, are included.
+    /// Whether forces by term, vertex labels and springs are included.
     pub forces: bool,
     /// Whether the scalars of the state are included.
     pub scalars: bool,
@@ -65,10 +65,21 @@ pub struct BodyFrame {
     pub terms: Vec<TermFrame>,
     /// A label for each vertex, as an index into the schema's labels, `[vertex_count]`; empty if no force acts.
     pub labels: Vec<u8>,
+    /// The springs of a body that is made of them ([`BodySchema::has_springs`]), in any order; broken ones are left out.
+    pub springs: Vec<SpringFrame>,
     /// Rigid motion of a free body; `None` for other bodies.
     pub motion: Option<MotionFrame>,
     /// Net force and torque on a free body; `None` for other bodies, and if forces are not requested.
     pub net_force: Option<NetForce>,
+}
+
+/// A spring of a body.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SpringFrame {
+    /// Positions of its ends relative to the centre of the body [scene unit].
+    pub ends: [DVec3; 2],
+    /// Its length over that at rest, minus 1 [–].
+    pub strain: f64,
 }
 
 /// Rigid motion of a free body.
@@ -144,11 +155,12 @@ impl BodyFrame {
         self.max_displacement = lengths.iter().copied().fold(0.0, f64::max);
     }
 
-    /// Removes all forces.
+    /// Removes all forces and springs.
     pub fn clear_forces(&mut self) {
         self.has_forces = false;
         self.terms.iter_mut().for_each(|term| term.accelerations.clear());
         self.labels.clear();
+        self.springs.clear();
         self.net_force = None;
     }
 
@@ -188,6 +200,7 @@ impl BodyFrame {
             + vectors.iter().sum::<usize>()
             + self.lengths.capacity() * size_of::<f64>()
             + self.labels.capacity()
+            + self.springs.capacity() * size_of::<SpringFrame>()
             + terms
     }
 }

@@ -25,7 +25,7 @@ pub mod simulation;
 pub mod surface;
 
 pub use event::{BodyEvent, Instant, PairEvent};
-pub use frame::{BodyFrame, Frame, MotionFrame, NetForce, PairFrame, Want};
+pub use frame::{BodyFrame, Frame, MotionFrame, NetForce, PairFrame, SpringFrame, Want};
 pub use parameter::{Branch, InvalidVariation, Parameter, Poke, Variation};
 pub use row::EventRow;
 pub use run::Run;

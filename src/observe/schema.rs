@@ -123,6 +123,8 @@ pub struct BodySchema {
     pub color: Option<Rgb>,
     /// Whether its mesh may differ from `mesh` in some frames; see [`BodyFrame::mesh`](super::BodyFrame::mesh).
     pub can_tear: bool,
+    /// Whether frames with forces have its springs; see [`BodyFrame::springs`](super::BodyFrame::springs).
+    pub has_springs: bool,
 }
 
 /// A plane that bodies cannot pass.
@@ -316,7 +318,18 @@ impl BodySchema {
     /// influence sphere [scene unit].
     pub fn new(name: &str, shape: &str, mesh: Arc<Mesh>, radius: f64, reach: f64) -> BodySchema {
         let (name, shape) = (name.to_owned(), shape.to_owned());
-        BodySchema { name, radius, reach, shape, mesh, is_free: false, mass: 1.0, color: None, can_tear: false }
+        BodySchema {
+            name,
+            radius,
+            reach,
+            shape,
+            mesh,
+            is_free: false,
+            mass: 1.0,
+            color: None,
+            can_tear: false,
+            has_springs: false,
+        }
     }
 }
 

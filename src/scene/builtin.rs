@@ -3,6 +3,7 @@
 //!
 //! | thesis | scene |
 //! | --- | --- |
+//! | Fig. 2.1: the springs of a cell | `figure-2-1` |
 //! | Fig. 2.2a and b: a lattice deforms, springs are cut | `figure-2-2b` |
 //! | Fig. 2.2c: nodes are split | `figure-2-2c` |
 //! | Fig. 2.3: metaballs join | `figure-2-3` |
@@ -27,7 +28,7 @@ pub struct Builtin {
 }
 
 /// All built-in scenes, in the order in which they are listed to users.
-pub const ALL: [Builtin; 17] = [
+pub const ALL: [Builtin; 18] = [
     scene("push", include_str!("../../recordings/push.toml")),
     scene("two", include_str!("../../recordings/two.toml")),
     scene("three", include_str!("../../recordings/three.toml")),
@@ -45,6 +46,7 @@ pub const ALL: [Builtin; 17] = [
         ],
     },
     scene("rain", include_str!("rain.toml")),
+    bar("figure-2-1", include_str!("thesis/figure-2-1.toml")),
     bar("figure-2-2b", include_str!("thesis/figure-2-2b.toml")),
     bar("figure-2-2c", include_str!("thesis/figure-2-2c.toml")),
     scene("figure-2-3", include_str!("thesis/figure-2-3.toml")),

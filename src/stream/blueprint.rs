@@ -628,8 +628,12 @@ impl Layout {
     /// A 3D view of everything, with the forces that make bodies merge and split.
     fn scene_view(&mut self, framing: Framing<'_>, schema: &Schema, name: &str, settings: &Settings) -> Part {
         let view = self.space(framing, name, &[&family(&WORLD)]);
-        for surface in surfaces(schema, settings) {
-            self.draw_unmerged(&view, &surface, &Mesh3D::update_fields());
+        for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
+            let mut of = Mesh3D::update_fields();
+            if draws_springs(schema, settings) && settings.entities == Entities::Body {
+                of = of.with_albedo_factor(palette::sheer(palette::of_body(schema, index)));
+            }
+            self.draw_unmerged(&view, &surface, &of);
         }
         if schema.bodies.len() > 1 {
             self.draw_lit(&view, MERGED_SURFACE.path, &Mesh3D::update_fields());
@@ -781,6 +785,11 @@ impl Layout {
         self.log(&grid.path, &ContainerBlueprint::update_fields().with_grid_columns(columns));
         grid
     }
+}
+
+/// Whether springs are recorded.
+fn draws_springs(schema: &Schema, settings: &Settings) -> bool {
+    settings.detail != Detail::Surface && schema.bodies.iter().any(|body| body.has_springs)
 }
 
 /// The entities of deformable surfaces.
@@ -993,6 +1002,13 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
     } else {
         String::new()
     };
+    let springs = match draws_springs(schema, settings) {
+        true => format!(
+            "- **Springs**: blue shorter, white as long, red longer than at rest (full colour: {} %)\n",
+            100.0 * palette::MAX_STRAIN
+        ),
+        false => String::new(),
+    };
     let credit = if schema.credit.is_empty() { String::new() } else { format!("\nAfter {}.\n", schema.credit) };
-    head + &spheres + &merged + &arrows + &net_forces + &trails + &bound + &credit
+    head + &spheres + &springs + &merged + &arrows + &net_forces + &trails + &bound + &credit
 }

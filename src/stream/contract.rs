@@ -115,6 +115,8 @@ entities! {
         "Accelerations of vertices by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre.";
     POINTS = "/world/points" ["Ellipsoids3D"]
         "The influence spheres of force points, while they act.";
+    SPRINGS = "/world/springs/NAME" ["LineStrips3D"]
+        "The springs of a body, blue where they are shorter than at rest, red where longer; with forces, and of at most 64 cells.";
     TRAILS = "/world/trails" ["LineStrips3D"]
         "The path of the centre of each free body, one segment per frame; not with more than 64 bodies.";
     PLANE = "/world/planes/N" ["Mesh3D"]

@@ -47,6 +47,7 @@
 //! | `/world/forces` | AnnotationContext | Names of the pairs of bodies between which forces act, as classes of arrows. |
 //! | `/world/forces/CAUSE` | Arrows3D | Accelerations of vertices by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre. |
 //! | `/world/points` | Ellipsoids3D | The influence spheres of force points, while they act. |
+//! | `/world/springs/NAME` | LineStrips3D | The springs of a body, blue where they are shorter than at rest, red where longer; with forces, and of at most 64 cells. |
 //! | `/world/trails` | LineStrips3D | The path of the centre of each free body, one segment per frame; not with more than 64 bodies. |
 //! | `/world/planes/N` | Mesh3D | A plane. |
 //! | `/world/planes/N/grid` | LineStrips3D | Its grid. |

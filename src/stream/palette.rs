@@ -106,6 +106,16 @@ pub fn sheer([r, g, b]: Rgb) -> Rgba32 {
     Rgba32::from_unmultiplied_rgba(r, g, b, 70)
 }
 
+/// The strain at which a spring has its full colour [–].
+pub const MAX_STRAIN: f64 = 0.2;
+
+/// Colour of a spring by its strain: blue if shortened, white at rest, red if stretched.
+pub fn strain(strain: f64) -> Rgb {
+    let end = if strain < 0.0 { BLUE } else { VERMILION };
+    let share = (strain.abs() / MAX_STRAIN).min(1.0);
+    std::array::from_fn(|i| (255.0 + share * (f64::from(end[i]) - 255.0)) as u8)
+}
+
 /// Colour of a fraction from 0 to 1: viridis, which increases monotonically in lightness and is legible with any
 /// colour vision.
 pub fn heat(share: f64) -> Rgb {

@@ -300,6 +300,7 @@ pub fn schema(scene: &Scene) -> Schema {
         mass: body.mass,
         color: body.color,
         can_tear: false,
+        has_springs: false,
     });
     let bodies = bodies.collect();
     let thresholds = [

@@ -10,12 +10,13 @@ use std::{
 use meldscope::{
     Scene, World,
     bench::thesis::{Moved, SCENES, moved},
-    observe::{Experiment as _, StepSummary},
-    scene::Integrator,
-    sdk::{DecoderApp, LogMsg, StoreKind},
+    observe::{Experiment as _, Frame, SpringFrame, StepSummary, Want},
+    scene::{Integrator, Model},
+    sdk::{self, DecoderApp, LogMsg, StoreKind},
+    stream::{self, Settings, palette, settings::Detail, sinks::Destinations},
 };
 
-use crate::recording::Dir;
+use crate::recording::{Dir, Recording};
 
 fn motion(scene: &Scene) -> Moved {
     moved(scene).expect("it runs")
@@ -122,12 +123,80 @@ fn figure_2_2_cuts_cells_or_splits_nodes() {
     assert_eq!((torn("figure-2-2b", "cut cell"), torn("figure-2-2c", "split node")), (16, 36));
 }
 
+/// Fig. 2.1: a cell has 28 springs, and neighbours share those of a face.
+#[test]
+fn figure_2_1_has_the_springs_of_its_cells() {
+    let mut simulation = Scene::builtin("figure-2-1").expect("a built-in scene").start().expect("a lattice");
+    let mut frame = Frame::default();
+    simulation.observe(Want::ALL, &mut frame);
+    let at_rest = frame.bodies[0].springs.clone();
+    // three cells of side 2/3 along x
+    let layers = |spring: &SpringFrame| spring.ends.map(|end| (1.5 * (end.x + 1.0)).round() as u32);
+    for cell in 0..3 {
+        let of_cell =
+            at_rest.iter().filter(|spring| layers(spring).iter().all(|layer| [cell, cell + 1].contains(layer)));
+        assert_eq!(of_cell.count(), 28, "cell {cell}");
+    }
+    assert_eq!(at_rest.len(), 3 * 28 - 2 * 6);
+    assert!(at_rest.iter().all(|spring| spring.strain == 0.0));
+    (0..40).for_each(|_| simulation.step());
+    simulation.observe(Want::ALL, &mut frame);
+    let length = |spring: &SpringFrame| spring.ends[0].distance(spring.ends[1]);
+    for (now, before) in frame.bodies[0].springs.iter().zip(&at_rest) {
+        assert!((now.strain - (length(now) / length(before) - 1.0)).abs() < 1e-12, "{now:?}");
+    }
+    let strains = frame.bodies[0].springs.iter().map(|spring| spring.strain.abs());
+    assert!(strains.fold(0.0, f64::max) > 0.02, "the cells are shaken");
+    simulation.observe(Want::default(), &mut frame);
+    assert!(frame.bodies[0].springs.is_empty());
+}
+
+/// Springs are drawn where the nodes are, by their strain; those of cut cells vanish.
+#[test]
+fn springs_are_drawn_until_they_are_cut() {
+    let (dir, scene) = (Dir::new(), Scene::builtin("figure-2-2b").expect("a built-in scene"));
+    let record = |name: &str, scene: &Scene, settings: Settings| {
+        let destinations = Destinations { save: Some(dir.file(name)), ..Destinations::default() };
+        stream::record(scene, settings, &destinations).expect("disk space");
+        Recording::open(&dir.file(name))
+    };
+    let recording = record("cut.rrd", &scene, Settings::of(&scene));
+    let (mut simulation, mut frame) = (scene.start().expect("a lattice"), Frame::default());
+    let mut counts = Vec::new();
+    for row in recording.held("/world/springs/bar", 0..=scene.steps()) {
+        simulation.observe(Want::ALL, &mut frame);
+        let body = &frame.bodies[0];
+        let strips = row.get::<sdk::components::LineStrip3D>("LineStrips3D:strips");
+        let expected =
+            body.springs.iter().map(|spring| spring.ends.map(|end| (body.centre + end).as_vec3().to_array()));
+        assert!(
+            strips.iter().map(|strip| strip.0.iter().map(|end| end.0).collect::<Vec<_>>()).eq(expected.map(Vec::from))
+        );
+        let colors = row.get::<sdk::components::Color>("LineStrips3D:colors");
+        assert!(
+            colors.into_iter().eq(body.springs.iter().map(|spring| palette::color(palette::strain(spring.strain))))
+        );
+        counts.push(strips.len());
+        simulation.step();
+    }
+    assert!(counts.is_sorted_by(|before, now| before >= now) && counts[0] > counts[counts.len() - 1], "{counts:?}");
+
+    let has_springs =
+        |recording: &Recording| recording.entities().iter().any(|path| path.to_string().contains("springs"));
+    let bare = Settings { detail: Detail::Surface, ..Settings::of(&scene) };
+    assert!(has_springs(&recording) && !has_springs(&record("bare.rrd", &scene, bare)));
+    // thousands of springs would hide each other
+    let many = Scene { model: Model::Lattice, ..Scene::builtin("two").expect("a built-in scene") };
+    let few = Settings { steps: Some(2), ..Settings::of(&many) };
+    assert!(!has_springs(&record("many.rrd", &many, few)));
+}
+
 /// One command measures every section, and records the scenes in one file.
 #[test]
 fn the_bench_has_a_row_for_every_figure() {
     let dir = Dir::new();
     let output = Command::new(env!("CARGO_BIN_EXE_meldscope"))
-        .args(["bench", "thesis", "--csv", "t.csv", "--save", "t.rrd"])
+        .args(["bench", "thesis", "--csv", "t.csv", "--save", "t.rrd", "--svg", "t.svg"])
         .current_dir(dir.path())
         .output()
         .expect("the program starts");
@@ -143,7 +212,7 @@ fn the_bench_has_a_row_for_every_figure() {
     {
         assert!(lines.iter().any(|line| line.trim_start_matches('"').starts_with(part)), "{part}: {csv}");
     }
-    for figure in ["2.1", "2.2b", "2.2c", "2.3", "3.2", "3.4", "4.1", "4.2", "4.3"] {
+    for figure in ["2.1", "2.2b", "2.2c", "2.3", "3.2", "3.3", "3.4", "4.1", "4.2", "4.3"] {
         assert!(csv.contains(&format!("Fig. {figure}\"")), "{figure}: {csv}");
     }
     for (claim, verdict) in [
@@ -162,6 +231,13 @@ fn the_bench_has_a_row_for_every_figure() {
         let mut rows = lines.iter().filter(|line| line.contains(claim)).peekable();
         assert!(rows.peek().is_some() && rows.all(|line| line.contains(&format!(",{verdict},"))), "{claim}: {csv}");
     }
+
+    // Fig. 3.3, with the thresholds of each scene
+    let svg = fs::read_to_string(dir.file("t.svg")).expect("drawn");
+    for text in ["Fig. 3.3", "r_e", "merge_at = split_at 1.2", "merge_at 1.05", "core_at 0.7", "attraction (3.4)"] {
+        assert!(svg.contains(text), "{text}");
+    }
+    assert!(!svg.contains("NaN"), "{svg}");
 
     let file = BufReader::new(File::open(dir.file("t.rrd")).expect("saved"));
     let stores = DecoderApp::decode_lazy(file).filter_map(|message| match message.expect("a message") {

@@ -22,7 +22,7 @@ use crate::{
         fem::{self, Elasticity, Element, Stepper, Unfactored},
         lattice::{self, Constants, Lattice, Scheme},
     },
-    observe::StepFailure,
+    observe::{SpringFrame, StepFailure},
     scene::{Integrator, Model, Motion, Plane, Push, Scene, TearMode},
     sim::reach::Ball,
     text::bytes,
@@ -659,6 +659,16 @@ impl Body {
     pub fn places(&self) -> Vec<DVec3> {
         let axes = self.axes();
         self.rest.iter().zip(&self.x).map(|(l, x)| axes * *l + *x).collect()
+    }
+
+    /// Adds its springs to `springs`.
+    pub fn add_springs(&self, springs: &mut Vec<SpringFrame>) {
+        let Matter::Lattice(of) = &self.matter else { return };
+        let places = self.places();
+        springs.extend(of.lattice.springs().map(|spring| {
+            let ends = [spring.a, spring.b].map(|node| places[node as usize]);
+            SpringFrame { ends, strain: ends[0].distance(ends[1]) / spring.rest - 1.0 }
+        }));
     }
 
     /// Velocities of the nodes relative to that of the centre [scene unit/s].

@@ -28,6 +28,9 @@ use crate::{
     },
 };
 
+/// Springs are drawn in scenes of at most this many cells: more would hide each other.
+const DRAWN_CELLS: usize = 64;
+
 /// Index of a phase, as used in frames.
 fn number(phase: Phase) -> usize {
     phase as usize
@@ -203,6 +206,12 @@ fn step_limit(scene: &Scene, body: &crate::scene::Body) -> f64 {
 }
 
 impl Elastic {
+    /// Whether frames have the springs of the bodies.
+    fn has_springs(&self) -> bool {
+        let cells = self.bodies.iter().map(|body| body.cells.cell_count()).sum::<usize>();
+        self.scene.model == Model::Lattice && cells <= DRAWN_CELLS
+    }
+
     fn kinetic_energy(&self) -> f64 {
         let of = |body: &Body| -> f64 {
             let moving = body.free.as_ref().map_or(DVec3::ZERO, |free| free.velocity);
@@ -407,7 +416,9 @@ fn at_vertices(body: &Body, nodes: &[DVec3], count: usize, vertices: &mut Vector
 
 impl Simulation for Elastic {
     fn schema(&self) -> Schema {
-        schema(&self.scene)
+        let (mut schema, has_springs) = (schema(&self.scene), self.has_springs());
+        schema.bodies.iter_mut().for_each(|body| body.has_springs = has_springs);
+        schema
     }
 
     fn overrides(&self, steps: Option<u64>) -> String {
@@ -545,6 +556,7 @@ impl Simulation for Elastic {
             None => self.near_pairs(&mut frame.pairs),
         }
         frame.bodies.resize_with(self.bodies.len(), BodyFrame::default);
+        let has_springs = want.forces && self.has_springs();
         let mut around: Vec<Vec<u32>> = vec![Vec::new(); if want.forces { self.bodies.len() } else { 0 }];
         if want.forces {
             for pair in &frame.pairs {
@@ -568,6 +580,9 @@ impl Simulation for Elastic {
                 now.displaced(mesh.at(body.radius));
             }
             now.clear_forces();
+            if has_springs {
+                body.add_springs(&mut now.springs);
+            }
             if let Some(sources) = around.get_mut(body.index) {
                 let acting = self.scene.points_on(body.index).filter(|(_, point)| point.acts_at(frame.at.time));
                 sources.extend(acting.map(|(source, _)| source));

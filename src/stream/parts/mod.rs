@@ -13,6 +13,7 @@
 //! | `/world/trails` | [`trails`] |
 //! | `/world/planes/N` | [`planes`] |
 //! | `/world/points` | [`points`] |
+//! | `/world/springs/NAME` | [`springs`] |
 //! | `/pairs/A~B/…`, `/events` | [`pairs`] |
 //! | `/legend/…` | [`heat`] |
 //! | `/marks/…` | [`marks`] |
@@ -34,6 +35,7 @@ pub mod pairs;
 pub mod planes;
 pub mod points;
 pub mod spheres;
+pub mod springs;
 pub mod trails;
 pub mod vertices;
 
