@@ -1,9 +1,14 @@
 //! `[[edit]]`: from an instant on, other values for some numbers of a scene.
 
+use std::sync::Arc;
+
 use glam::DVec3;
 
 use super::{ForFree, Material, PairLaws, Point, Scene};
-use crate::model::{influence::Influence, phase::Thresholds, shape_matching::Plane};
+use crate::model::{PairLaw, influence::Influence, phase::Thresholds, shape_matching::Plane};
+
+/// An edit this close to the end of a step is at its end but for rounding [Δt].
+pub(crate) const ROUNDING: f64 = 1e-9;
 
 /// An edit: from an instant on, and for good, some numbers of the scene have other values. Every force may jump at that
 /// instant, and a pair whose thresholds have passed its q changes phase.
@@ -14,22 +19,40 @@ pub struct Edit {
     /// What it sets, as lines of TOML without quotes around the keys: `influence.merge_at = 1.1`.
     pub set: Vec<String>,
     /// The numbers of the scene that an edit can change, from then on.
-    numbers: Numbers,
+    numbers: Arc<Numbers>,
 }
 
 /// The numbers of a scene that an edit can change.
 #[derive(Clone, Debug)]
-struct Numbers {
-    influence: Influence,
-    thresholds: Thresholds,
-    core_width: f64,
-    for_free: ForFree,
-    pairs: PairLaws,
-    gravity: DVec3,
-    planes: Vec<Plane>,
-    points: Vec<Point>,
+pub(crate) struct Numbers {
+    pub influence: Influence,
+    pub thresholds: Thresholds,
+    pub core_width: f64,
+    pub for_free: ForFree,
+    pub pairs: PairLaws,
+    pub gravity: DVec3,
+    pub planes: Vec<Plane>,
+    pub points: Vec<Point>,
     /// Of each body.
     materials: Vec<Material>,
+}
+
+impl Numbers {
+    /// Like [`Scene::common_law`].
+    pub fn common_law(&self) -> PairLaw {
+        common_law(&self.influence, self.thresholds, self.core_width, self.for_free)
+    }
+
+    /// The common law and those of pairs.
+    fn laws(&self) -> impl Iterator<Item = PairLaw> + '_ {
+        std::iter::once(self.common_law()).chain(self.pairs.laws().iter().copied())
+    }
+}
+
+/// The law of pairs that do not have their own.
+pub(super) fn common_law(influence: &Influence, thresholds: Thresholds, core_width: f64, for_free: ForFree) -> PairLaw {
+    let Influence { alpha, beta, apart_repels, .. } = *influence;
+    PairLaw { alpha, beta, apart_repels, thresholds, core_width, for_free }
 }
 
 impl Edit {
@@ -39,27 +62,47 @@ impl Edit {
         let materials = bodies.iter().map(|body| body.material).collect();
         let numbers =
             Numbers { influence, thresholds, core_width, for_free, pairs, gravity, planes, points, materials };
-        Edit { time, set, numbers }
+        Edit { time, set, numbers: Arc::new(numbers) }
+    }
+
+    /// The numbers that hold from then on.
+    pub(crate) fn numbers(&self) -> &Numbers {
+        &self.numbers
+    }
+
+    /// Whether the state at `time` [s] follows from it. A world enters an edit at the end of a step in the next one.
+    pub(crate) fn has_begun(&self, time: f64, dt: f64) -> bool {
+        self.time < time - ROUNDING * dt
     }
 
     /// Removes a body; the indices of later bodies decrease by one.
     pub(crate) fn remove_body(&mut self, index: usize) {
-        if index < self.numbers.materials.len() {
-            self.numbers.materials.remove(index);
+        let numbers = Arc::make_mut(&mut self.numbers);
+        if index < numbers.materials.len() {
+            numbers.materials.remove(index);
         }
-        self.numbers.points.iter_mut().for_each(|point| point.remove_body(index));
+        numbers.points.iter_mut().for_each(|point| point.remove_body(index));
     }
 }
 
 impl Scene {
     /// The scene from edit `index` on; it keeps the list of edits.
     pub(crate) fn after_edit(&self, index: usize) -> Scene {
-        let Numbers { influence, thresholds, core_width, for_free, pairs, gravity, planes, points, materials } =
-            self.edits[index].numbers.clone();
-        let mut scene =
-            Scene { influence, thresholds, core_width, for_free, pairs, gravity, planes, points, ..self.clone() };
-        for (body, material) in scene.bodies.iter_mut().zip(materials) {
-            body.material = material;
+        let numbers = &self.edits[index].numbers;
+        let Numbers { influence, thresholds, core_width, for_free, gravity, .. } = **numbers;
+        let mut scene = Scene {
+            influence,
+            thresholds,
+            core_width,
+            for_free,
+            pairs: numbers.pairs.clone(),
+            gravity,
+            planes: numbers.planes.clone(),
+            points: numbers.points.clone(),
+            ..self.clone()
+        };
+        for (body, material) in scene.bodies.iter_mut().zip(&numbers.materials) {
+            body.material = *material;
         }
         scene
     }
@@ -71,8 +114,17 @@ impl Scene {
 
     /// Whether an edit leads to a scene that needs the coupled solver.
     pub(super) fn becomes_coupled(&self) -> bool {
-        self.edits.iter().any(|Edit { numbers, .. }| {
-            numbers.core_width > 0.0 || numbers.pairs.laws().iter().any(|law| law.core_width > 0.0)
-        })
+        self.edits.iter().any(|edit| edit.numbers.laws().any(|law| law.core_width > 0.0))
+    }
+
+    /// The lowest level of a threshold, from the start or else after an edit; `None` if it never exists.
+    pub(crate) fn lowest_level(&self, level: impl Fn(&PairLaw) -> Option<f64>) -> Option<f64> {
+        let lowest = |laws: &mut dyn Iterator<Item = PairLaw>| laws.filter_map(|law| level(&law)).reduce(f64::min);
+        lowest(&mut self.laws()).or_else(|| self.edits.iter().find_map(|edit| lowest(&mut edit.numbers.laws())))
+    }
+
+    /// Whether there is gravity, from the start or after an edit.
+    pub(crate) fn ever_has_gravity(&self) -> bool {
+        self.gravity != DVec3::ZERO || self.edits.iter().any(|edit| edit.numbers.gravity != DVec3::ZERO)
     }
 }

@@ -169,6 +169,7 @@ use crate::{
 pub use crate::model::shape_matching::{Plane, Rotation};
 pub use cells::TearMode;
 pub use edit::Edit;
+pub(crate) use edit::{Numbers, ROUNDING};
 pub use force::Force;
 pub use pairs::{Members, PairLaws};
 pub use parse::SceneError;
@@ -498,15 +499,7 @@ impl Scene {
 
     /// The law of all pairs that do not have their own; see [`PairLaw::of_pair`].
     pub fn common_law(&self) -> PairLaw {
-        let Influence { alpha, beta, apart_repels, .. } = self.influence;
-        PairLaw {
-            alpha,
-            beta,
-            apart_repels,
-            thresholds: self.thresholds,
-            core_width: self.core_width,
-            for_free: self.for_free,
-        }
+        edit::common_law(&self.influence, self.thresholds, self.core_width, self.for_free)
     }
 
     /// Every law that a pair can have.

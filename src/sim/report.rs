@@ -342,7 +342,9 @@ impl StepReport {
     pub(super) fn add_sums(&mut self, earlier: Sums) {
         self.substeps += earlier.substeps;
         self.error = self.error.max(earlier.error);
-        self.shortfall = self.shortfall.or(earlier.shortfall);
+        let ratio = |shortfall: &Shortfall| shortfall.error / shortfall.allowed;
+        self.shortfall =
+            self.shortfall.into_iter().chain(earlier.shortfall).max_by(|a, b| ratio(a).total_cmp(&ratio(b)));
         self.ledger += earlier.ledger;
     }
 }

@@ -5,7 +5,7 @@ use pulp::Arch;
 use super::{
     coupled::Coupled,
     prescribed::Prescribed,
-    report::{Failure, Overworked, StepReport, Toil},
+    report::{EditError, Failure, Overworked, StepReport, Toil},
     span::Span,
     work::{Stop, Work},
 };
@@ -69,6 +69,8 @@ pub(super) struct Takeover<'a> {
     pub wake_all: bool,
     /// The time of the state [s].
     pub time: f64,
+    /// Limit on the pairs of nearby bodies.
+    pub max_pairs: u64,
 }
 
 impl Takeover<'_> {
@@ -85,24 +87,23 @@ impl Takeover<'_> {
 }
 
 impl Solver {
-    /// Takes over the state of the solver of another scene; false if that is of the other kind. Pairs that a threshold has
-    /// passed change phase, which is reported.
+    /// Takes over the state of the solver of another scene. Pairs that a threshold has passed change phase, which is
+    /// reported. False if there are too many pairs of nearby bodies.
+    ///
+    /// # Errors
+    /// The other solver is of the other kind.
     pub fn resume(
         &mut self,
         setting: Setting<'_>,
         before: &Solver,
         takeover: &Takeover<'_>,
-        work: &Work,
         report: &mut StepReport,
-    ) -> bool {
+    ) -> Result<bool, EditError> {
         match (self, before) {
-            (Solver::Prescribed(now), Solver::Prescribed(before)) => {
-                now.resume(setting, before, takeover, work, report);
-            }
-            (Solver::Coupled(now), Solver::Coupled(before)) => now.resume(setting.scene, before, takeover, report),
-            _ => return false,
+            (Solver::Prescribed(now), Solver::Prescribed(before)) => Ok(now.resume(setting, before, takeover, report)),
+            (Solver::Coupled(now), Solver::Coupled(before)) => Ok(now.resume(setting.scene, before, takeover, report)),
+            _ => Err(EditError::Solver),
         }
-        true
     }
 
     /// The scene at t = 0; `None` if it has more than `max_pairs` pairs of nearby bodies.

@@ -121,12 +121,14 @@ impl Work {
         self.limit.saturating_sub(self.before)
     }
 
-    /// The first turn whose work exceeds the limit, together with that of the turns before it; `None` if the limit holds.
-    pub fn first_beyond(&self, by_turn: impl Iterator<Item = u64>) -> Option<usize> {
-        let mut all = 0u64;
+    /// The first turn whose work exceeds the limit, together with that of the turns before it, and what these have left
+    /// [units]; `None` if the limit holds.
+    pub fn first_beyond(&self, by_turn: impl Iterator<Item = u64>) -> Option<(usize, u64)> {
+        let mut left = self.left();
         by_turn.enumerate().find_map(|(turn, work)| {
-            all = all.saturating_add(work);
-            (all > self.left()).then_some(turn)
+            let before = left;
+            left = left.saturating_sub(work);
+            (work > before).then_some((turn, before))
         })
     }
 
@@ -167,22 +169,14 @@ impl Work {
     /// The turn of the body that did the most work, among those up to the one that exceeded the limit, given the total
     /// and the work by turn; `None` if the limit holds.
     pub fn busiest(&self, all: u64, by_turn: impl Iterator<Item = u64>) -> Option<usize> {
-        let mut left = self.left();
-        if all <= left {
+        if all <= self.left() {
             return None;
         }
-        let mut busiest = (0, 0);
-        for (turn, work) in by_turn.enumerate() {
-            let own = work.min(left.saturating_add(1)); // it may have continued past the limit
-            if own > busiest.1 {
-                busiest = (turn, own);
-            }
-            if work > left {
-                break;
-            }
-            left -= work;
-        }
-        Some(busiest.0)
+        let all: Vec<u64> = by_turn.collect();
+        let (last, left) = self.first_beyond(all.iter().copied())?;
+        // that one may have continued past the limit
+        let counted = |turn: usize| if turn == last { left + 1 } else { all[turn] };
+        (0..=last).rev().max_by_key(|&turn| counted(turn))
     }
 }
 

@@ -16,7 +16,10 @@ use super::{
     terms::Surroundings,
     work::Work,
 };
-use crate::{model::phase::Phase, scene::Scene};
+use crate::{
+    model::phase::Phase,
+    scene::{ROUNDING, Scene},
+};
 
 /// How the world is stepped. No option changes the result beyond rounding.
 #[derive(Clone, Copy, Debug)]
@@ -87,12 +90,12 @@ impl World {
         };
         if self.step > 0 || self.edits > 0 {
             let setting = Setting { scene: &scene, ..self.setting() };
-            let takeover = Takeover { scene: &self.scene, kept, wake_all, time };
-            if !solver.resume(setting, &self.solver, &takeover, &self.work, &mut self.report) {
-                return Err(EditError::Solver);
+            let takeover = Takeover { scene: &self.scene, kept, wake_all, time, max_pairs };
+            if !solver.resume(setting, &self.solver, &takeover, &mut self.report)? {
+                return Err(budget.exceeded(&scene, Some(max_pairs)).into());
             }
+            work.resume(&mut self.work);
         }
-        work.resume(&mut self.work);
         (self.scene, self.solver, self.work) = (scene, solver, work);
         Ok(())
     }
@@ -120,7 +123,6 @@ impl World {
         }
         let span = Span { start: self.time(), end: self.time_of(self.step + 1) };
         self.report.begin(self.step + 1, span.end);
-        self.work.begin();
         match self.advance(span) {
             Ok(diverged) => {
                 self.step += 1;
@@ -134,8 +136,7 @@ impl World {
     /// Advances the world over `span`, and enters the scene's edits on the way. Returns the first body whose state is
     /// invalid afterwards.
     fn advance(&mut self, span: Span) -> Result<Option<usize>, Failure> {
-        // an edit this close to the end of a step is at its end but for rounding
-        let rounding = 1e-9 * span.length();
+        let rounding = ROUNDING * span.length();
         let mut start = span.start;
         while let Some(edit) = self.scene.edits.get(self.edits).filter(|edit| edit.time < span.end - rounding) {
             let end = edit.time.max(start);
@@ -152,13 +153,12 @@ impl World {
 
     /// Lets the solver advance over a step, or a part of one.
     fn solve(&mut self, span: Span, is_partial: bool) -> Result<Option<usize>, Failure> {
-        let before = is_partial.then(|| self.report.take_sums());
+        let earlier = self.report.take_sums();
+        self.work.begin();
         let World { scene, options, step, report, work, solver, .. } = self;
         let setting = Setting { scene, step: *step, arch: options.arch, is_partial };
         let diverged = solver.step(&mut Step { setting, span, work, report })?;
-        if let Some(before) = before {
-            self.report.add_sums(before);
-        }
+        self.report.add_sums(earlier);
         Ok(diverged)
     }
 

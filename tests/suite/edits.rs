@@ -3,9 +3,11 @@
 use glam::DVec3;
 use meldscope::{
     Scene, World,
+    observe::{Frame, Simulation as _, Want},
     scene::Integrator,
-    sim::{Event, Failure},
+    sim::{Event, Failure, Options},
 };
+use pulp::Arch;
 
 /// A scene whose bodies, at a distance of q from 1.3 to 0.95 and back, merge and split.
 const PATHS: &str = "duration = 3.0
@@ -169,12 +171,15 @@ fn a_threshold_that_passes_q_changes_the_phase_at_once() {
 fn the_ledger_has_the_energy_of_edits() {
     let set = "gravity = [0, 0.5, -9], \"material.omega\" = 16, \"influence.alpha\" = 90, \"influence.merge_at\" = 1.1, \
                \"plane[0].stiffness\" = 1500";
-    let (world, _) = run(&Scene { tolerance: 1e-7, ..scene(&format!("{FREE}{}", edit(0.7312, set))) });
     let first = World::new(scene(FREE)).expect("enough memory").conserved().expect("free bodies").energy();
-    let (now, ledger) = (world.conserved().expect("free bodies").energy(), world.ledger());
-    assert!(ledger.edits.abs() > 1.0, "{ledger:?}");
-    let left = now - first - ledger.total();
-    assert!(left.abs() < 1e-5 * now.abs().max(1.0), "{left:e} of {now}, {ledger:?}");
+    // at the start, at the end of a step, and within one
+    for time in [0.0, 0.74, 0.7312] {
+        let (world, _) = run(&Scene { tolerance: 1e-7, ..scene(&format!("{FREE}{}", edit(time, set))) });
+        let (now, ledger) = (world.conserved().expect("free bodies").energy(), world.ledger());
+        assert!(ledger.edits.abs() > 1.0, "{time}: {ledger:?}");
+        let left = now - first - ledger.total();
+        assert!(left.abs() < 1e-5 * now.abs().max(1.0), "{time}: {left:e} of {now}, {ledger:?}");
+    }
 }
 
 /// Many edits at random times, of everything that an edit can set: finite, and the same bits for another instruction set
@@ -205,8 +210,15 @@ fn random_edits_keep_every_world_sound() {
         }
         let scene = scene(&text);
         let mut world = World::new(scene.clone()).expect("enough memory");
+        let options = Options { arch: Arch::Scalar, ..Options::default() };
+        let (mut seen, mut frame) =
+            (World::with_options(scene.clone(), options).expect("enough memory"), Frame::default());
         for _ in 0..scene.steps() {
-            if let Some(failure) = &world.step().failure {
+            seen.step();
+            seen.observe(Want::default(), &mut frame);
+            let failure = world.step().failure.clone();
+            assert_eq!(world.checksum(), seen.checksum(), "{text}");
+            if let Some(failure) = failure {
                 assert!(matches!(failure, Failure::Overworked(_)), "{failure}\n{text}");
                 break;
             }

@@ -30,7 +30,7 @@ const SLOW_TIME: f64 = 0.5;
 const SLOW: f64 = 0.5;
 /// Larger tolerances than this do not let bodies rest any sooner [radii/s]: the motion lost by resting is an error that
 /// shorter steps do not reduce.
-const MAX_SLOW_TOLERANCE: f64 = 1e-2;
+pub(super) const MAX_SLOW_TOLERANCE: f64 = 1e-2;
 /// Share of the tolerance within which the deformation of a body counts as zero.
 const UNDEFORMED: f64 = 0.1;
 /// Larger tolerances than this do not allow a larger deformation to count as zero [radii/s].
@@ -83,7 +83,7 @@ pub(in crate::sim) struct Drift {
 }
 
 /// Whether the island of a body takes steps of fixed length, because adaptive ones were too much work.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(in crate::sim) struct FixedSteps {
     /// Number of calm steps until adaptive ones are tried again; 0 if it takes these.
     pub left: u16,
@@ -92,6 +92,11 @@ pub(in crate::sim) struct FixedSteps {
 }
 
 impl FixedSteps {
+    /// Of an island with bodies of both kinds.
+    pub fn join(self, other: FixedSteps) -> FixedSteps {
+        FixedSteps { left: self.left.max(other.left), wait: self.wait.max(other.wait) }
+    }
+
     /// After adaptive steps were given up: each time, the next try is later.
     pub fn begin(self) -> FixedSteps {
         let wait = (2 * self.wait).clamp(MIN_WAIT, MAX_WAIT);

@@ -46,7 +46,7 @@ use self::{
     dense::Interpolated,
     explicit::Scheme,
     islands::{Conditions, Forest, Group, Job, source_at},
-    member::{FixedSteps, Member, Shapes, driven},
+    member::{FixedSteps, MAX_SLOW_TOLERANCE, Member, Shapes, driven},
     near::Near,
     neighbours::Neighbour,
 };
@@ -54,7 +54,7 @@ use super::{
     body::{BodyView, Solved},
     events::Event,
     free::{self, Field, Ledger, Pair, Parts, Scratch, Snapshot, Window},
-    report::{Failure, Fallback, Overworked, Shortfall, Stage, StepReport, Stopwatch, Toil},
+    report::{Failure, Fallback, Overworked, Shortfall, Stage, StepReport, Stopwatch, Strain, Toil},
     solver::{Setting, Step, Takeover},
     span::Span,
     terms::{Cause, Origin, Source, Surroundings, Weighted},
@@ -81,8 +81,6 @@ const MOST_UNLIMITED: usize = 64;
 /// Largest work of the adaptive steps of an island in a step, in large islands and those for which they were too much work
 /// before [units]: about 0.1 s on two cores.
 const MAX_ADAPTIVE: u64 = 4_000_000;
-/// Bodies that take steps of fixed length rest as for this tolerance, if that of the scene is smaller [radii/s].
-const FIXED_TOLERANCE: f64 = 1e-2;
 /// Steps of fixed length are calm if their estimated error is at most this many times what the tolerance allows: adaptive
 /// ones may then be possible.
 const CALM: f64 = 10.0;
@@ -162,7 +160,14 @@ impl Coupled {
     }
 
     /// Takes over the state of another scene, and adds the phase changes and the energy that this brings to the report.
-    pub fn resume(&mut self, scene: &Scene, before: &Coupled, takeover: &Takeover<'_>, report: &mut StepReport) {
+    /// False if there are too many pairs.
+    pub fn resume(
+        &mut self,
+        scene: &Scene,
+        before: &Coupled,
+        takeover: &Takeover<'_>,
+        report: &mut StepReport,
+    ) -> bool {
         let &Takeover { kept, wake_all, time, .. } = takeover;
         let span = Span { start: time, end: time + scene.dt };
         (self.ledger, self.first_energy) = (before.ledger, before.first_energy);
@@ -186,7 +191,9 @@ impl Coupled {
         }
         let tally = Tally::unlimited();
         self.near = Near::new(scene);
-        self.near.start(scene, &mut self.members, u64::MAX, &tally);
+        if !self.near.start(scene, &mut self.members, takeover.max_pairs, &tally) {
+            return false;
+        }
         let now_at = takeover.now_at(before.members.len());
         // pairs that were not listed were apart
         let unknown: Vec<(usize, u32, u32)> = (0..self.members.len())
@@ -220,6 +227,7 @@ impl Coupled {
         self.ledger.edits += brought;
         report.ledger.edits += brought;
         self.enter_phases(scene, time, report);
+        true
     }
 
     /// The energy of the free bodies at `time` [s].
@@ -229,29 +237,27 @@ impl Coupled {
 
     /// Changes the phases of pairs that a threshold has passed.
     fn enter_phases(&mut self, scene: &Scene, time: f64, report: &mut StepReport) {
-        let known: Vec<u32> = (0..)
-            .zip(&self.members)
-            .flat_map(|(a, member)| {
-                let later = member.neighbours.iter().filter(move |neighbour| neighbour.other > a);
-                later.map(|neighbour| neighbour.pair)
-            })
-            .collect();
-        for pair in known {
-            let free::Pair { a, b, law, .. } = *self.near.pair(pair);
+        let field = self.field(scene, time);
+        let known = (0..).zip(&self.members).flat_map(|(a, member)| {
+            let later = member.neighbours.iter().filter(move |neighbour| neighbour.other > a);
+            later.map(|neighbour| neighbour.pair)
+        });
+        for index in known.collect::<Vec<u32>>() {
+            let free::Pair { a, b, law, phase, .. } = *self.near.pair(index);
             let [first, second] = [a, b].map(|body| &self.members[body as usize].body);
             let (apart, radii) = (second.centre - first.centre, first.radius + second.radius);
             let q = apart.length() / radii;
             let rate = (second.velocity - first.velocity).dot(apart.normalize_or_zero()) / radii;
-            loop {
-                let from = self.near.pair(pair).phase;
-                let Some(to) = law.thresholds.next(from, q) else { break };
-                let before = self.energy(scene, time);
-                self.near.enter(pair, to);
-                let energy = self.energy(scene, time) - before;
-                self.ledger.events += energy;
+            let mut from = phase;
+            while let Some(to) = law.thresholds.next(from, q) {
+                let jump = law.strength(to, q) - law.strength(from, q);
+                let energy = free::influence_energy(first, second, &field, jump);
                 report.ledger.events += energy;
+                self.ledger.events += energy;
                 report.events.push(Event { time, step: report.step, a, b, q, rate, from, to, energy });
+                from = to;
             }
+            self.near.enter(index, from);
         }
     }
 
@@ -483,9 +489,7 @@ impl Coupled {
             let known = before.get_mut(next).filter(|job| first(job) == group.bodies[0]);
             let mut job = known.map(take).unwrap_or_default();
             job.is_done &= job.group == *group;
-            let fixed = group.bodies.iter().map(|&body| self.members[body as usize].fixed);
-            let fixed = fixed
-                .fold(FixedSteps::default(), |a, b| FixedSteps { left: a.left.max(b.left), wait: a.wait.max(b.wait) });
+            let fixed = self.fixed_steps_of(&group.bodies);
             if !job.is_done {
                 job.is_fixed |= fixed.left > 0;
             }
@@ -544,6 +548,7 @@ impl Coupled {
         step.work.begin_turns(self.jobs.len());
         let left = step.work.left();
         self.jobs.iter_mut().for_each(|job| job.budget = job.budget.min(left));
+        let mut is_repeated = false;
         loop {
             let Coupled { members, near, scratches, jobs, .. } = self;
             islands::advance(jobs, &Conditions { scene, members, near, span, work: step.work, scratches, arch });
@@ -554,6 +559,11 @@ impl Coupled {
                 break;
             }
             step.work.repeat_turns(jobs.iter().map(|job| if job.is_done { job.work } else { 0 }));
+            is_repeated = true;
+        }
+        if is_repeated {
+            // what was stopped had been counted up to an instant that depends on threads
+            step.work.repeat_turns(self.jobs.iter().map(|job| job.work));
         }
         let all = self.jobs.iter().map(|job| job.work).sum();
         if let Some(turn) = step.work.busiest(all, self.jobs.iter().map(|job| job.work)) {
@@ -569,6 +579,11 @@ impl Coupled {
             ordinary += ORDINARY * count + ORDINARY_HELD * job.report.held;
         }
         step.work.end(all, ordinary, vertices);
+        if step.work.announce() {
+            let busiest = self.jobs.iter().max_by_key(|job| job.work);
+            let toil = busiest.map(|job| self.toil(scene, job));
+            step.report.strain = toil.map(|toil| Strain { step: step.report.step, time: span.end, toil });
+        }
         Ok(())
     }
 
@@ -613,14 +628,14 @@ impl Coupled {
         awake.retain(|&body| members[body as usize].is_awake);
     }
 
-    /// The current state of all bodies, for their forces and conserved quantities.
-    pub fn snapshot(&self, scene: &Scene, time: f64) -> Snapshot<'_> {
+    /// What acts on all bodies at `time` [s], beside pairs.
+    fn field(&self, scene: &Scene, time: f64) -> Field {
         let pushes = self.members.iter().zip(0..).flat_map(|(member, body)| {
             let acting = member.pushes.iter().filter(move |push| push.start <= time && time < push.end);
             acting.map(move |&push| free::Push { body, ..push })
         });
         let forces = (0..).zip(&scene.bodies).filter_map(|(index, body)| Some((index, body.force.clone()?)));
-        let field = Field {
+        Field {
             gravity: scene.gravity,
             planes: scene.planes.clone(),
             pushes: pushes.collect(),
@@ -630,7 +645,11 @@ impl Coupled {
             scaling: scene.influence.scaling,
             first_point: scene.bodies.len() as u32,
             ..Field::default()
-        };
+        }
+    }
+
+    /// The current state of all bodies, for their forces and conserved quantities.
+    pub fn snapshot(&self, scene: &Scene, time: f64) -> Snapshot<'_> {
         let bodies = self.members.iter().map(|member| &member.body).chain(&self.points).collect();
         let here = Span { start: time, end: time };
         let on = |body: u32| {
@@ -641,7 +660,12 @@ impl Coupled {
             })
         };
         let with_points = (0..self.members.len() as u32).flat_map(on);
-        Snapshot::new(bodies, self.pairs().copied().chain(with_points).collect(), field, time)
+        Snapshot::new(bodies, self.pairs().copied().chain(with_points).collect(), self.field(scene, time), time)
+    }
+
+    /// Whether an island of these bodies takes steps of fixed length.
+    fn fixed_steps_of(&self, bodies: &[u32]) -> FixedSteps {
+        bodies.iter().map(|&body| self.members[body as usize].fixed).fold(FixedSteps::default(), FixedSteps::join)
     }
 
     /// Counts a step of fixed length of an island, and reports its error.
@@ -650,7 +674,7 @@ impl Coupled {
             return;
         }
         let bodies = &job.group.bodies;
-        let before = bodies.iter().map(|&body| self.members[body as usize].fixed).max().unwrap_or_default();
+        let before = self.fixed_steps_of(bodies);
         let allowed = scene.tolerance * span.length();
         let (error, body) = (job.report.error, job.report.shortest.map_or(0, |(_, body)| body as usize));
         let is_calm = error <= CALM * allowed;
@@ -735,7 +759,7 @@ impl Coupled {
             let Group { bodies, sources, pairs } = &job.group;
             let tolerance = |member: &Member| match member.fixed.left {
                 0 => scene.tolerance,
-                _ => scene.tolerance.max(FIXED_TOLERANCE),
+                _ => MAX_SLOW_TOLERANCE,
             };
             let is_still = |body: &u32| {
                 let path = scene.bodies[*body as usize].path();
@@ -794,27 +818,28 @@ impl Coupled {
 }
 
 /// Decides which islands take steps of fixed length because adaptive ones are too much work, and which are advanced again.
-/// Returns whether there are any.
+/// Returns whether there are any. An island beyond the limit of the step may have been stopped anywhere after it, so only
+/// its work up to the limit decides.
 fn give_up_adaptive(jobs: &mut [Job], work: &Work) -> bool {
     let beyond = work.first_beyond(jobs.iter().map(|job| job.work));
-    // later ones may have been stopped at any time
-    let known = beyond.map_or(jobs.len(), |turn| turn + 1);
+    let (last, left) = beyond.unwrap_or((jobs.len(), 0));
+    let counted = |turn: usize, job: &Job| if turn == last { job.work.min(left + 1) } else { job.work };
     let mut any = false;
-    for job in jobs[..known].iter_mut().filter(|job| !job.is_fixed) {
-        let is_unresolved = matches!(job.failure, Some(free::Failure::Unresolved { .. }));
+    for (turn, job) in jobs.iter_mut().enumerate().take(last + 1).filter(|(_, job)| !job.is_fixed) {
+        let is_unresolved = turn < last && matches!(job.failure, Some(free::Failure::Unresolved { .. }));
         let is_inside_out = || job.parts.bodies.iter().any(free::Body::is_inside_out);
-        if job.work > job.budget || (is_unresolved && !is_inside_out()) {
+        if counted(turn, job) > job.budget || (is_unresolved && !is_inside_out()) {
             (job.is_fixed, job.is_done, any) = (true, false, true);
         }
     }
     if beyond.is_some() && !any {
-        let adaptive = jobs[..known].iter_mut().filter(|job| !job.is_fixed);
-        if let Some(job) = adaptive.max_by_key(|job| job.work) {
+        let adaptive = jobs.iter_mut().enumerate().take(last + 1).filter(|(_, job)| !job.is_fixed);
+        if let Some((_, job)) = adaptive.max_by_key(|(turn, job)| counted(*turn, job)) {
             (job.is_fixed, job.is_done, any) = (true, false, true);
         }
     }
     if any {
-        let stopped = jobs[known..].iter_mut().filter(|job| job.failure.is_some() || job.work > job.budget);
+        let stopped = jobs.iter_mut().skip(last).filter(|job| job.failure.is_some() || job.work > job.budget);
         stopped.for_each(|job| job.is_done = false);
     }
     any

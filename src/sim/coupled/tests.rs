@@ -179,14 +179,19 @@ fn extreme_scenes_do_not_hang() {
     }
 }
 
-/// A heap of small spheres, whose islands take steps of fixed length from the start.
+/// A heap of small spheres.
 fn heap(counts: [u32; 3], friction: f64) -> World {
-    let mut world = World::new(scene(&format!(
+    World::new(scene(&format!(
         "gravity = [0, 0, -9.81]\n[material]\ndamping = 4.0\n[[plane]]\nnormal = [0, 0, 1]\nfriction = {friction:?}\n\
          [[grid]]\nname = \"b\"\nradius = 1.0\nshape = {{ sphere = {{ stacks = 6, slices = 8 }} }}\ncount = {counts:?}\n\
          spacing = [2.1, 2.1, 2.1]\njitter = 0.1\nmotion = {{ free = {{ from = [0, 0, 1.1] }} }}\n"
     )))
-    .unwrap();
+    .unwrap()
+}
+
+/// A heap whose islands take steps of fixed length from the start.
+fn heap_in_fixed_steps(counts: [u32; 3], friction: f64) -> World {
+    let mut world = heap(counts, friction);
     let Solver::Coupled(coupled) = &mut world.solver else { unreachable!() };
     coupled.members.iter_mut().for_each(|member| member.fixed = FixedSteps { left: u16::MAX, wait: u16::MAX });
     world
@@ -196,7 +201,7 @@ fn heap(counts: [u32; 3], friction: f64) -> World {
 /// the plane.
 #[test]
 fn a_heap_in_fixed_steps_keeps_what_is_conserved() {
-    let mut world = heap([3, 3, 3], 0.0);
+    let mut world = heap_in_fixed_steps([3, 3, 3], 0.0);
     let first = world.conserved().unwrap();
     let mut is_reported = false;
     for step in 1..=240 {
@@ -221,7 +226,7 @@ fn a_heap_in_fixed_steps_keeps_what_is_conserved() {
 /// On a plane with friction it comes to rest and sleeps.
 #[test]
 fn a_heap_in_fixed_steps_comes_to_rest() {
-    let mut world = heap([3, 3, 3], 0.3);
+    let mut world = heap_in_fixed_steps([3, 3, 3], 0.3);
     let rests = (0..6000).any(|_| {
         run(&mut world, 1);
         world.resting_count() == 27
@@ -235,7 +240,7 @@ fn fixed_steps_do_not_depend_on_threads() {
     let [one, three] = [1, 3].map(|threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            let mut world = heap([4, 4, 4], 0.3);
+            let mut world = heap_in_fixed_steps([4, 4, 4], 0.3);
             run(&mut world, 60);
             let events: usize = world.pairs().filter(|pair| pair.phase != Phase::Apart).count();
             (world.checksum(), events)
@@ -245,12 +250,26 @@ fn fixed_steps_do_not_depend_on_threads() {
     assert!(one.1 > 0);
 }
 
-/// Five balls on a plane with friction, which adaptive steps cannot follow, reach the end of the run.
+/// Five balls on a plane with friction, which adaptive steps cannot follow, reach the end of the run, the same way with
+/// any number of threads.
 #[test]
 fn a_rough_heap_of_five_reaches_its_end() {
-    let mut world = heap([1, 1, 5], 0.3);
-    run(&mut world, 600);
-    assert!(world.bodies().all(|body| (0.0..10.0).contains(&body.centre().z)));
+    let [one, three] = [1, 3].map(|threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let mut world = heap([1, 1, 5], 0.3);
+            let mut fallbacks = Vec::new();
+            for step in 1..=600 {
+                let report = world.step();
+                assert!(report.failure.is_none(), "{:?}", report.failure);
+                fallbacks.extend(report.fallback.is_some().then_some(step));
+            }
+            assert!(world.bodies().all(|body| (0.0..10.0).contains(&body.centre().z)));
+            (world.checksum(), fallbacks)
+        })
+    });
+    assert_eq!(one, three);
+    assert!(!one.1.is_empty());
 }
 
 #[test]

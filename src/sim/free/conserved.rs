@@ -77,7 +77,7 @@ impl Conserved {
 }
 
 /// The energy of a pair's influence at a given strength [mass · scene unit²/s²].
-pub(super) fn influence(a: &Body, b: &Body, field: &Field, strength: f64) -> f64 {
+pub(in crate::sim) fn influence(a: &Body, b: &Body, field: &Field, strength: f64) -> f64 {
     if strength == 0.0 || (a.is_prescribed() && b.is_prescribed()) {
         return 0.0;
     }

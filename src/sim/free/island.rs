@@ -405,12 +405,7 @@ impl Island {
         work: &Tally<'_>,
         report: &mut Report,
     ) -> Result<(), Failure> {
-        if self.is_at_break() {
-            self.kick(paths);
-            self.jump(paths, report);
-        }
-        self.leave_phases(scratch, paths, report)?;
-        let stop = f64::min(advance.end, self.field.next_break(self.time));
+        let stop = self.enter(scratch, advance.end, paths, report)?;
         let left = stop - self.time;
         let parts = (left / (HOPED * self.step_length)).ceil().max(1.0);
         let mut next = if parts > 1.0 { self.time + left / parts } else { stop };
@@ -454,6 +449,23 @@ impl Island {
             self.change(pair, to, scratch, report)?;
         }
         Ok(())
+    }
+
+    /// Applies the jumps and the changes of phase that are due now. Returns the next instant at which something jumps, at
+    /// most `end` [s].
+    pub(super) fn enter(
+        &mut self,
+        scratch: &mut Scratch,
+        end: f64,
+        paths: &dyn Paths,
+        report: &mut Report,
+    ) -> Result<f64, Failure> {
+        if self.is_at_break() {
+            self.kick(paths);
+            self.jump(paths, report);
+        }
+        self.leave_phases(scratch, paths, report)?;
+        Ok(f64::min(end, self.field.next_break(self.time)))
     }
 
     /// Applies jumps of position at the end, and changes of phase due there. Jumps of velocity ([`Island::kick`])

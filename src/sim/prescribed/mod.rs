@@ -76,7 +76,8 @@ impl Prescribed {
     /// The bodies at t = 0; `None` if there are more than `max_pairs` pairs of nearby bodies.
     pub fn new(scene: &Scene, max_pairs: u64, work: &mut Work) -> Option<Prescribed> {
         let mut prescribed = Prescribed::undeformed(scene);
-        if !prescribed.find_pairs(scene, 0.0, max_pairs, work) {
+        let Prescribed { bodies, tracks, pairs, .. } = &mut prescribed;
+        if !pairs.start(scene, bodies, tracks, 0.0, max_pairs, work) {
             return None;
         }
         let first_step = |body: &Body| exponential::work_of(body.mesh.vertex_count(), body.neighbours.len());
@@ -102,11 +103,6 @@ impl Prescribed {
         }
     }
 
-    fn find_pairs(&mut self, scene: &Scene, time: f64, max_pairs: u64, work: &Work) -> bool {
-        let Prescribed { bodies, tracks, pairs, .. } = self;
-        pairs.start(scene, bodies, tracks, time, max_pairs, work)
-    }
-
     /// Wakes the bodies that may be reached from the start. Those that are not go back to sleep in the first step.
     fn wake_neighbours(&mut self, scene: &Scene, step: u64) {
         for index in 0..self.bodies.len() {
@@ -116,15 +112,15 @@ impl Prescribed {
         }
     }
 
-    /// Takes over the state of another scene, and reports the phase changes that this brings.
+    /// Takes over the state of another scene, and reports the phase changes that this brings. False if there are too many
+    /// pairs.
     pub fn resume(
         &mut self,
         setting: Setting<'_>,
         before: &Prescribed,
         takeover: &Takeover<'_>,
-        work: &Work,
         report: &mut StepReport,
-    ) {
+    ) -> bool {
         let Setting { scene, step, arch, .. } = setting;
         *self = Prescribed::undeformed(scene);
         for (index, kept) in takeover.kept.iter().enumerate() {
@@ -136,14 +132,18 @@ impl Prescribed {
                 self.actives.insert(&mut self.bodies, active);
             }
         }
-        self.find_pairs(scene, takeover.time, u64::MAX, work);
         let now_at = takeover.now_at(before.bodies.len());
         let phases = before.phases().filter(|&(_, _, phase)| phase != Phase::Apart);
         let phases = phases.filter_map(|(a, b, phase)| Some((now_at[a]?, now_at[b]?, phase)));
         let Prescribed { bodies, tracks, pairs, .. } = self;
-        let surrounded = Surrounded { scene, bodies, tracks, work: Tally::new(work, None) };
+        let work = Work::limited(u64::MAX, None);
+        if !pairs.start(scene, bodies, tracks, takeover.time, takeover.max_pairs, &work) {
+            return false;
+        }
+        let surrounded = Surrounded { scene, bodies, tracks, work: Tally::unlimited() };
         pairs.resume(surrounded, phases, takeover, report);
         self.wake_neighbours(scene, step);
+        true
     }
 
     /// Takes a step, stage by stage. Returns the first body whose state is invalid afterwards.
