@@ -188,13 +188,22 @@ struct Explained<'a> {
 impl Explained<'_> {
     fn body(&self, index: usize) -> String {
         let (body, now) = (&self.schema.bodies[index], &self.history.frame.bodies[index]);
+        let time = self.history.frame.at.time;
         let mut text =
             format!("\nbody {}: {}", body.name, counted(vertices(now, body.mesh.vertex_count()) as u64, "vertex"));
         text += &if body.is_free { format!(", free, mass {}", short(body.mass)) } else { ", on a path".to_owned() };
-        let _ = write!(text, "\n  radius {}, influence sphere {}", short(body.radius), short(body.reach));
+        let _ = write!(
+            text,
+            "\n  radius {}, influence sphere {}",
+            short(body.radius),
+            short(self.schema.reach(index, time))
+        );
         let _ = write!(text, "\n  centre {}", vector(now.centre));
         if let Some(motion) = now.motion {
             let _ = write!(text, ", velocity {}, spin {}", vector(motion.velocity), vector(motion.spin));
+            if let Some(net) = now.net_force {
+                let _ = write!(text, "\n  acceleration of the centre {}", vector(net.force / body.mass));
+            }
         }
         match (0..now.lengths.len()).max_by(|&i, &j| now.lengths[i].total_cmp(&now.lengths[j])) {
             Some(most) if now.max_displacement > 0.0 => {
@@ -232,11 +241,12 @@ impl Explained<'_> {
             short(length),
             short(length / body.radius)
         );
-        let _ = write!(text, "\n  velocity {}, {}", vector(velocity), short(velocity.length()));
+        let _ = write!(text, "\n  velocity of the displacement {}, {}", vector(velocity), short(velocity.length()));
         for (other, source) in self.schema.bodies.iter().enumerate().filter(|&(other, _)| other != index) {
             let distance = (rest + displacement - self.history.frame.bodies[other].centre).length();
-            if distance < source.reach {
-                let share = short(distance / source.reach);
+            let reach = self.schema.reach(other, self.history.frame.at.time);
+            if distance < reach {
+                let share = short(distance / reach);
                 let _ = write!(text, "\n  in the influence sphere of {}, at {share} of its radius", source.name);
             }
         }
@@ -252,7 +262,7 @@ impl Explained<'_> {
     }
 
     fn pairs(&self, pairs: &[[usize; 2]]) -> String {
-        let mut merger = Merger::new(self.schema, Some(&interrupt::STOP));
+        let mut merger = Merger::new(self.schema, None);
         let merged = merger.merge(self.schema, &self.history.frame, pairs);
         let texts = pairs.iter().enumerate().map(|(index, &[a, b])| {
             let mut text = self.phase(a, b);
@@ -349,7 +359,7 @@ impl Explained<'_> {
                 .then(|| vec![term.label.to_owned(), short(one.unwrap_or(0.0)), short(other.unwrap_or(0.0))])
         });
         let [one, other] = [a, b].map(|body| format!("of {}", self.schema.bodies[body].name));
-        let header = ["mean acceleration towards each other [unit/s²]", &one, &other];
+        let header = ["mean acceleration towards the other, by all that acts [unit/s²]", &one, &other];
         table(&header, rows.collect(), "no force acts on either")
     }
 }

@@ -43,6 +43,8 @@ pub struct Schema {
     pub net_force_scale: f64,
     /// Influence spheres without a body.
     pub points: Vec<PointSchema>,
+    /// Later influence spheres and planes, in order of time; none if they do not change.
+    pub changes: Vec<SchemaChange>,
     /// Force terms that accelerate vertices. The last one is the sum of all others.
     pub terms: Vec<TermSchema>,
     /// Texts of [`BodyFrame::labels`](super::BodyFrame::labels). The first one is for vertices on which no force acts.
@@ -65,6 +67,17 @@ pub struct Schema {
     pub stages: Vec<&'static str>,
     /// Warnings about the scene, one sentence each.
     pub warnings: Vec<String>,
+}
+
+/// Influence spheres and planes from an instant on.
+#[derive(Clone, Debug)]
+pub struct SchemaChange {
+    /// They hold in states after this instant [s].
+    pub after: f64,
+    /// Radius of the influence sphere of each body [scene unit].
+    pub reaches: Vec<f64>,
+    /// The planes, as many as before.
+    pub planes: Vec<PlaneSchema>,
 }
 
 /// A force point: an influence sphere without a body.
@@ -297,6 +310,7 @@ impl Default for Schema {
             bodies: Vec::new(),
             planes: Vec::new(),
             points: Vec::new(),
+            changes: Vec::new(),
             net_force_scale: 0.01,
             terms: Vec::new(),
             labels: Vec::new(),
@@ -394,6 +408,21 @@ impl Schema {
     /// Arrow length per acceleration of a term [scene unit per scene unit/s²].
     pub fn arrow_scale_of(&self, term: &TermSchema) -> f64 {
         term.arrow_scale.unwrap_or(self.arrow_scale)
+    }
+
+    /// The change that holds at `time` [s], if any.
+    fn change(&self, time: f64) -> Option<&SchemaChange> {
+        self.changes.iter().rev().find(|change| change.after < time)
+    }
+
+    /// Radius of a body's influence sphere at `time` [s, scene unit].
+    pub fn reach(&self, body: usize, time: f64) -> f64 {
+        self.change(time).map_or(self.bodies[body].reach, |change| change.reaches[body])
+    }
+
+    /// The planes at `time` [s].
+    pub fn planes(&self, time: f64) -> &[PlaneSchema] {
+        self.change(time).map_or(&self.planes, |change| &change.planes)
     }
 
     /// The level of threshold `index` for a pair at `time` [s, –]; `None` if the pair does not have this threshold.

@@ -143,7 +143,7 @@ impl Recorder {
         }
         log_about(blueprint::about(&schema, &settings, simulation.steps_taken()), &mut chunks);
         if settings.frames != Frames::Thin && !schema.planes.is_empty() {
-            planes::log(&schema, &simulation.framing(false), &mut chunks);
+            planes::log(&schema, &simulation.framing(false), now(simulation), &mut chunks);
         }
         let mut recorder = Recorder {
             checksums: match settings.frames {

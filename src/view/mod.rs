@@ -23,16 +23,16 @@ use glam::DVec3;
 
 use crate::{
     colors,
-    model::{THESIS, phase::Phase},
+    model::{PairLaw, THESIS_IN_ENGLISH, influence::Influence, phase::Phase},
     observe::{
         BodyFrame, Frame, Instant, MotionFrame, NearPair, PairEvent, Schema, Shortfall, Simulation, StageFrame,
         StepFailure, StepSummary, Want, between,
         schema::{
             BodySchema, OwnLevels, OwnSurfaces, PhaseSchema, PlaneSchema, PointSchema, ScalarOf, ScalarSchema,
-            SphereAt, Threshold,
+            SchemaChange, SphereAt, Threshold,
         },
     },
-    scene::{Integrator, Model, Plane, Point, Scene},
+    scene::{Edit, Integrator, Model, Numbers, PairLaws, Plane, Point, ROUNDING, Scene},
     sim::{
         self, Cause, Energy, Event, Failure, Stage, States, World,
         free::{Forces, Snapshot},
@@ -241,19 +241,35 @@ pub fn apart_on_paths(scene: &Scene, a: usize, b: usize, time: f64) -> Option<DV
     Some(scene.bodies[b].path()?.position(time) - scene.bodies[a].path()?.position(time))
 }
 
+/// What holds at a time: a value from the start, and those from the instants of edits on.
+struct Versions<T> {
+    first: T,
+    later: Vec<(Edit, T)>,
+    dt: f64,
+}
+
+impl<T> Versions<T> {
+    /// The values that follow from the numbers of a scene and of its edits.
+    fn new(scene: &Scene, first: T, of: impl Fn(&Numbers) -> T) -> Versions<T> {
+        let later = scene.edits.iter().map(|edit| (edit.clone(), of(edit.numbers())));
+        Versions { first, later: later.collect(), dt: scene.dt }
+    }
+
+    fn at(&self, time: f64) -> &T {
+        let last = self.later.iter().rev().find(|(edit, _)| edit.has_begun(time, self.dt));
+        last.map_or(&self.first, |(_, value)| value)
+    }
+}
+
 /// The force points, with what edits make of them.
 fn points(scene: &Scene) -> Vec<PointSchema> {
-    let spheres = |scene: &Scene, index: usize| {
-        let (point, reach) = (scene.points[index].clone(), scene.influence.sphere_radius(scene.points[index].radius));
-        move |time: f64| (point.acts_at(time)).then(|| (point.path.position(time), reach))
-    };
     let schema = |(index, point): (usize, &Point)| {
-        let first = spheres(scene, index);
-        let edits = scene.edits.iter().enumerate();
-        let later: Vec<_> = edits.map(|(edit, at)| (at.time, spheres(&scene.after_edit(edit), index))).collect();
-        let sphere = SphereAt::new(move |time| match later.iter().rev().find(|(since, _)| *since <= time) {
-            Some((_, sphere)) => sphere(time),
-            None => first(time),
+        let sphere = |point: &Point, influence: &Influence| (point.clone(), influence.sphere_radius(point.radius));
+        let first = sphere(point, &scene.influence);
+        let versions = Versions::new(scene, first, |numbers| sphere(&numbers.points[index], &numbers.influence));
+        let sphere = SphereAt::new(move |time| {
+            let (point, radius) = versions.at(time);
+            point.acts_at(time).then(|| (point.path.position(time), *radius))
         });
         let act = if point.strength < 0.0 { "repels" } else { "attracts" };
         PointSchema { label: format!("{} {act}", point.name), color: colors::LIME, sphere }
@@ -264,28 +280,39 @@ fn points(scene: &Scene) -> Vec<PointSchema> {
 /// The levels of pairs, if they differ or change.
 fn own_levels(scene: &Scene) -> OwnLevels {
     let is_free: Vec<bool> = scene.bodies.iter().map(|body| body.path().is_none()).collect();
-    let of = |scene: &Scene| {
-        let (pairs, common, is_free) = (scene.pairs.clone(), scene.common_law(), is_free.clone());
-        move |threshold: usize, [a, b]: [usize; 2]| {
-            let law = pairs.of(a, b).unwrap_or(common).of_pair(is_free[a] || is_free[b]);
-            level(&law, *[Phase::Merged, Phase::Apart, Phase::Core].get(threshold)?)
-        }
+    let of = move |(pairs, common): &(PairLaws, PairLaw), threshold: usize, [a, b]: [usize; 2]| {
+        let law = pairs.of(a, b).unwrap_or(*common).of_pair(is_free[a] || is_free[b]);
+        level(&law, *[Phase::Merged, Phase::Apart, Phase::Core].get(threshold)?)
     };
-    let first = of(scene);
+    let first = (scene.pairs.clone(), scene.common_law());
     if !scene.edits.is_empty() {
-        let edits = scene.edits.iter().enumerate();
-        let later: Vec<_> = edits.map(|(index, edit)| (edit.time, of(&scene.after_edit(index)))).collect();
-        return OwnLevels::changing(move |threshold, pair, time| {
-            match later.iter().rev().find(|(since, _)| *since <= time) {
-                Some((_, level)) => level(threshold, pair),
-                None => first(threshold, pair),
-            }
-        });
+        let versions = Versions::new(scene, first, |numbers| (numbers.pairs.clone(), numbers.common_law()));
+        return OwnLevels::changing(move |threshold, pair, time| of(versions.at(time), threshold, pair));
     }
     match scene.has_one_law() {
         true => OwnLevels::default(),
-        false => OwnLevels::new(move |threshold, a, b| first(threshold, [a, b])),
+        false => OwnLevels::new(move |threshold, a, b| of(&first, threshold, [a, b])),
     }
+}
+
+fn planes(planes: &[Plane]) -> Vec<PlaneSchema> {
+    planes.iter().map(|&Plane { normal, offset, friction, .. }| PlaneSchema { normal, offset, friction }).collect()
+}
+
+/// What edits change of influence spheres and planes.
+fn changes(scene: &Scene) -> Vec<SchemaChange> {
+    let is_other = |numbers: &Numbers| {
+        numbers.influence.reach != scene.influence.reach || planes(&numbers.planes) != planes(&scene.planes)
+    };
+    if !scene.edits.iter().any(|edit| is_other(edit.numbers())) {
+        return Vec::new();
+    }
+    let change = |edit: &Edit| SchemaChange {
+        after: edit.time + ROUNDING * scene.dt,
+        reaches: scene.bodies.iter().map(|body| edit.numbers().influence.sphere_radius(body.radius)).collect(),
+        planes: planes(&edit.numbers().planes),
+    };
+    scene.edits.iter().map(change).collect()
 }
 
 /// The schema of a scene's world. Other models of the same scene start from it and override what differs.
@@ -309,9 +336,7 @@ pub fn schema(scene: &Scene) -> Schema {
         ("core_at", "core at", Phase::Core),
     ];
     let thresholds = thresholds.into_iter().filter_map(|(name, label, phase)| {
-        let lowest = |scene: &Scene| scene.laws().filter_map(|law| level(&law, phase)).reduce(f64::min);
-        let later = || (0..scene.edits.len()).find_map(|index| lowest(&scene.after_edit(index)));
-        let lowest = lowest(scene).or_else(later)?;
+        let lowest = scene.lowest_level(|law| level(law, phase))?;
         let level = level(&scene.common_law().of_pair(true), phase).unwrap_or(lowest);
         Some(Threshold { name, label, level, color: phase_color(phase) })
     });
@@ -326,18 +351,15 @@ pub fn schema(scene: &Scene) -> Schema {
         steps: scene.steps(),
         tolerance: scene.tolerance,
         law: law(scene),
-        credit: THESIS,
+        credit: THESIS_IN_ENGLISH,
         blend: scene.blend,
         bodies,
         terms: Cause::of(scene).map(|cause| term(scene, cause)).collect(),
         labels: LABELS.into(),
         arrow_scale: arrow_scale(scene),
-        planes: scene
-            .planes
-            .iter()
-            .map(|&Plane { normal, offset, friction, .. }| PlaneSchema { normal, offset, friction })
-            .collect(),
+        planes: planes(&scene.planes),
         points: points(scene),
+        changes: changes(scene),
         net_force_scale: net_force_scale(scene),
         phases: PHASES
             .map(|phase| PhaseSchema {

@@ -1,7 +1,5 @@
 //! How force terms, phases and the labels of vertices are called and coloured.
 
-use glam::DVec3;
-
 use crate::{
     colors::{self, Rgb},
     model::{
@@ -51,10 +49,7 @@ pub fn level(law: &PairLaw, phase: Phase) -> Option<f64> {
 /// The schema of a force term.
 pub fn term(scene: &Scene, cause: Cause) -> TermSchema {
     let (has_pairs, has_free) = (scene.bodies.len() > 1, scene.bodies.iter().any(|body| body.path().is_none()));
-    let ever = |is_so: &dyn Fn(&Scene) -> bool| {
-        is_so(scene) || (0..scene.edits.len()).any(|index| is_so(&scene.after_edit(index)))
-    };
-    let has_core = ever(&|scene| scene.laws().any(|law| level(&law, Phase::Core).is_some()));
+    let has_core = scene.lowest_level(|law| level(law, Phase::Core)).is_some();
     #[allow(unreachable_patterns)] // a term without its own line gets the defaults
     let (label, color, can_act, is_shown) = match cause {
         Cause::Attraction => ("Attraction", colors::ORANGE, has_pairs, true),
@@ -65,7 +60,7 @@ pub fn term(scene: &Scene, cause: Cause) -> TermSchema {
         Cause::Damping => ("Damping", colors::YELLOW, true, false),
         Cause::Push => ("Push", colors::VERMILION, !scene.pushes.is_empty(), !scene.pushes.is_empty()),
         Cause::Carry => ("Carry: its own motion", colors::SILVER, true, false),
-        Cause::Gravity => ("Gravity", colors::GREY, ever(&|scene| scene.gravity != DVec3::ZERO), false),
+        Cause::Gravity => ("Gravity", colors::GREY, scene.ever_has_gravity(), false),
         Cause::Plane => ("Planes: pressure and friction", colors::BLUE, !scene.planes.is_empty(), true),
         Cause::Reaction => ("Reaction to its sphere", colors::PINK, has_free && has_pairs, false),
         Cause::Net => ("Net", colors::WHITE, true, false),

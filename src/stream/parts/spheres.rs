@@ -19,6 +19,8 @@ const LINE: f32 = 0.6;
 /// Influence spheres, with the last logged values.
 pub struct SphereEntities {
     track: TrackId,
+    /// Time of the state whose radii were logged last, of spheres that change [s].
+    last_change: Option<f64>,
     /// In a batched scene, spheres that reach another body have a separate entity: thousands of wireframe spheres are
     /// slow to draw, and would hide them.
     reaching: Option<Reaching>,
@@ -49,16 +51,19 @@ struct SphereRows {
 impl SphereEntities {
     /// Logs static data.
     pub fn new(schema: &Schema, entities: Entities, chunks: &mut Chunks) -> SphereEntities {
-        let radii = schema.bodies.iter().map(|body| body.reach as f32);
-        let spheres = Ellipsoids3D::update_fields()
-            .with_half_sizes(radii.map(|r| [r, r, r]))
+        let mut spheres = Ellipsoids3D::update_fields()
             .with_fill_mode(FillMode::MajorWireframe)
             .with_line_radii([sdk::Radius::new_ui_points(LINE)])
             .with_labels(schema.bodies.iter().map(|body| body.name.as_str()))
             // several bodies have their names beside them instead
             .with_show_labels(schema.bodies.len() == 1);
+        // what is static could not change later
+        if schema.changes.is_empty() {
+            spheres = spheres.with_half_sizes(half_sizes(schema, 0.0));
+        }
         chunks.log_static(INFLUENCE.path, &spheres);
         SphereEntities {
+            last_change: None,
             track: chunks.track(INFLUENCE.path, [Ellipsoids3D::descriptor_centers()]),
             reaching: (entities == Entities::Batch).then(|| Reaching::new(chunks)),
             idle: match entities {
@@ -75,6 +80,12 @@ impl SphereEntities {
 
     /// Logs changed values.
     pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
+        let last = self.last_change.map(|time| half_sizes(view.schema, time));
+        if !view.schema.changes.is_empty() && last.as_ref() != Some(&half_sizes(view.schema, view.at.time)) {
+            let sizes = half_sizes(view.schema, view.at.time);
+            chunks.log(INFLUENCE.path, view.at, &Ellipsoids3D::update_fields().with_half_sizes(sizes));
+            self.last_change = Some(view.at.time);
+        }
         self.phases.clear();
         self.phases.resize(view.frame.bodies.len(), None);
         for pair in &view.frame.pairs {
@@ -102,6 +113,11 @@ impl SphereEntities {
     }
 }
 
+/// The radii of all spheres at a time [s], as half sizes.
+fn half_sizes(schema: &Schema, time: f64) -> Vec<Float3> {
+    (0..schema.bodies.len()).map(|body| [schema.reach(body, time) as f32; 3]).collect()
+}
+
 impl Reaching {
     fn new(chunks: &mut Chunks) -> Reaching {
         let style = Ellipsoids3D::update_fields()
@@ -124,7 +140,7 @@ impl Reaching {
         for (i, phase) in phases.iter().enumerate() {
             let Some(phase) = *phase else { continue };
             centres.push(view.frame.bodies[i].centre.as_vec3().to_array());
-            half_sizes.push([view.schema.bodies[i].reach as f32; 3]);
+            half_sizes.push([view.schema.reach(i, view.at.time) as f32; 3]);
             colors.push(color(view.schema.phases[phase].color).to_u32());
         }
         if self.last.as_ref() != Some(&self.next) {
