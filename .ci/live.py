@@ -31,7 +31,7 @@ SET = """([selector, value]) => {
 # The viewer shows the last run, at the page's cursor.
 FOLLOWS = """(() => {
     const { handle, shown } = viewer;
-    if (!shown || !run || isSending || shown.number !== run.number) return false;
+    if (!shown || !run || isSending || run.number < asked || shown.number !== run.number) return false;
     return handle.get_time_for_timeline(shown.recording, "step") === cursor;
 })()"""
 
@@ -104,6 +104,15 @@ def check(page, folder):
     until(page, "document.querySelector('#saved').textContent.includes('two-live.rrd')", 60)
     replayed = subprocess.run([sys.argv[1], "replay", f"{folder}/two-live.rrd"], capture_output=True, text=True)
     assert replayed.returncode == 0 and "identical" in replayed.stdout, replayed.stdout + replayed.stderr
+
+    page.locator("#save-scene").click()
+    until(page, "document.querySelector('#saved').textContent.includes('two-live.toml')", 60)
+    with open(f"{folder}/two-live.toml") as file:
+        scene = file.read()
+    assert "[[edit]]" in scene and "[[point]]" in scene, scene
+    page.reload()
+    until(page, "document.querySelector('#toml').textContent.includes('[[point]]') && run !== null", 60)
+    assert "[[edit]]" in page.inner_text("#toml"), page.inner_text("#toml")
     return drag
 
 

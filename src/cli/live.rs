@@ -10,7 +10,7 @@ use std::{
     time::Duration,
 };
 
-use super::{Failure, interrupt, print, run, say, sink_failure};
+use super::{Failure, interrupt, overrides::Overrides, print_always, run, say, sink_failure};
 use crate::{
     live::{self, Live, change::Problem},
     models::SceneRun,
@@ -42,6 +42,8 @@ pub(super) struct Arguments {
     /// Also accept requests under this host name or address, not only this machine's own; may be repeated.
     #[arg(long, value_name = "HOST")]
     allow_host: Vec<Host>,
+    #[command(flatten)]
+    overrides: Overrides,
 }
 
 /// Set to interrupt the run of an outdated change.
@@ -57,19 +59,31 @@ pub(super) fn live(arguments: Arguments) -> Result<(), Failure> {
         return Err(Failure::Input(format!("--watch needs a scene file, and there is no file {:?}", arguments.scene)));
     }
     let mut text = if arguments.watch { std::fs::read_to_string(path).unwrap_or_default() } else { String::new() };
-    let scene = run::scene(&arguments.scene)?;
-    let save = arguments.save.unwrap_or_else(|| PathBuf::from(format!("{}-live.rrd", scene.name)));
+    // what is saved has the overrides in its text
+    let overridden = |scene: Scene| {
+        let scene = arguments.overrides.apply(scene, &arguments.scene)?;
+        scene.rewritten(&arguments.scene).map_err(Failure::input)
+    };
+    let scene = overridden(run::scene(&arguments.scene)?)?;
+    let name = path.file_stem().map_or(scene.name.clone(), |stem| stem.to_string_lossy().into_owned());
+    let save = arguments.save.unwrap_or_else(|| PathBuf::from(format!("{name}-live.rrd")));
     let serve =
         Serve { bind: arguments.bind, web_port: arguments.web_port, allow: arguments.allow_host, ..Serve::default() };
     interrupt::raise_stop()?;
     let options = live::Options { serve, save, interrupt: &OUTDATED };
     let live = Live::start(experiment(scene), options).map_err(sink_failure)?;
-    print(&live.address);
+    print_always(&live.address);
     say("Open this address in a browser. Ctrl-C ends.");
+    if !arguments.bind.is_loopback() {
+        say("Whoever has this address can change the scene, and save files here; nothing is encrypted.");
+    }
     while !interrupt::STOP.load(Ordering::Relaxed) {
         std::thread::sleep(CHECK_INTERVAL);
         match arguments.watch.then(|| run::changed(&mut text, path)).flatten() {
-            Some(Ok(scene)) => live.replace(experiment(scene)),
+            Some(Ok(scene)) => match overridden(scene) {
+                Ok(scene) => live.replace(experiment(scene)),
+                Err(failure) => live.report(&Problem::new(failure.to_string())),
+            },
             Some(Err(why)) => live.report(&Problem::new(why)),
             None => (),
         }

@@ -242,11 +242,16 @@ fn note_unprinted(printed: io::Result<()>) {
     }
 }
 
-/// Prints a line to standard output, escaped. If it cannot be written, the program ends with status 1.
+/// Prints a line to standard output, escaped, unless only errors and warnings are wanted. If it cannot be written, the
+/// program ends with status 1.
 fn print(line: &str) {
-    if is_quiet() {
-        return;
+    if !is_quiet() {
+        print_always(line);
     }
+}
+
+/// Prints a line without which the command would be of no use.
+fn print_always(line: &str) {
     note_unprinted(writeln!(io::stdout(), "{}", printable(line)));
 }
 

@@ -18,6 +18,8 @@ pub struct Change {
     pub poke: Option<Poke>,
     /// The step under the time cursor.
     pub cursor: u64,
+    /// The page that asks; it knows the change already.
+    pub page: String,
 }
 
 /// See [`observe::Branch`].

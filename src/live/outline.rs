@@ -10,8 +10,11 @@ use crate::{
     observe::{BodyEvent, EventRow, Frame, PairEvent, Schema, Simulation, StepSummary, SurfaceEvent, row::rows},
 };
 
-/// Largest number of pairs with a curve.
+/// Largest number of pairs with a curve: those that come closest.
 const CURVES: usize = 16;
+/// Upper limit on the pairs among which they are chosen: the first that come within reach. Bounds the memory of a scene
+/// of many bodies to a hundred megabytes.
+const CANDIDATES: usize = 4096;
 /// Largest number of values in a curve.
 const POINTS: u64 = 2000;
 
@@ -113,6 +116,9 @@ impl Outline {
     /// Takes in the state at an instant of the curves.
     pub fn frame(&mut self, frame: &Frame) {
         for pair in &frame.pairs {
+            if self.curves.len() >= CANDIDATES && !self.curves.contains_key(&[pair.a, pair.b]) {
+                continue;
+            }
             let curve = self.curves.entry([pair.a, pair.b]).or_default();
             curve.resize(self.instants, None);
             curve.push(Some(pair.q).filter(|q| q.is_finite()));

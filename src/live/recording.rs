@@ -45,7 +45,7 @@ impl Recording {
         let news = watch::channel(()).0;
         let (encoder, out) = encoder()?;
         out.take(); // the header again
-        let writer = Writer { encoder, out, log: Arc::clone(&log), news: news.clone() };
+        let writer = Writer { encoder, out, bytes: 0, log: Arc::clone(&log), news: news.clone() };
         Ok((Recording { number, log, news }, writer))
     }
 
@@ -74,11 +74,17 @@ impl From<EncodeError> for Problem {
 pub struct Writer {
     encoder: Encoder<Collected>,
     out: Collected,
+    bytes: u64,
     log: Arc<Mutex<Log>>,
     news: watch::Sender<()>,
 }
 
 impl Writer {
+    /// Size of what was written [bytes].
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
     /// Adds messages.
     pub fn write(&mut self, messages: &[LogMsg]) -> Result<(), EncodeError> {
         for message in messages {
@@ -86,6 +92,7 @@ impl Writer {
         }
         self.encoder.flush_blocking()?;
         let part = self.out.take();
+        self.bytes += part.len() as u64;
         if !part.is_empty() {
             lock(&self.log).parts.push(part);
             self.news.send_replace(());

@@ -23,7 +23,7 @@ use super::{
 };
 use crate::{
     atomic::AtomicFile,
-    observe::{self, BodyFrame, Experiment, Frame, Schema, Want, schema::BodySchema},
+    observe::{BodyFrame, Experiment, Frame, Schema, Want, schema::BodySchema},
     sdk::LogMsg,
     stream::{
         self, Recorder, Settings,
@@ -34,10 +34,12 @@ use crate::{
 
 /// Number of runs whose recordings are kept: the one on screen, the one that is being opened, and the newest.
 const KEPT: usize = 3;
-/// Upper limit on a recording [bytes], about; a longer run has a frame every few steps.
-const RECORDING: usize = 256 << 20;
+/// Upper limit on a recording [bytes], about. Of a larger one, only every Nth step has a frame.
+const RECORDING: u64 = 256 << 20;
 /// Frames that are recorded between two looks at whether the run is outdated.
 const BATCH: usize = 16;
+/// Upper limit on the steps between two of these looks.
+const MAX_RECORDS: usize = 1024;
 /// A run that takes longer reports its progress, at this interval.
 const PATIENCE: Duration = Duration::from_millis(300);
 /// Bodies of larger scenes cannot be poked: a list of more names is no choice.
@@ -99,10 +101,16 @@ struct Scene {
     legend: Vec<Entry>,
     /// The bodies that a force point can act on.
     bodies: Vec<Body>,
-    /// The change that the runs have.
-    values: BTreeMap<String, f64>,
-    branches: Vec<Branch>,
-    poke: Option<Poke>,
+}
+
+/// The change that the newest run has, for the pages that did not ask for it.
+#[derive(Serialize)]
+struct Changes<'a> {
+    /// The page that asked for it, if it was one.
+    page: &'a str,
+    values: &'a BTreeMap<String, f64>,
+    branches: &'a [Branch],
+    poke: &'a Option<Poke>,
 }
 
 /// A body at the start.
@@ -147,10 +155,14 @@ struct Recorded {
     number: u64,
     frames: u64,
     ms: f64,
+    /// Steps from one frame to the next, at the end.
+    every: u64,
 }
 
 #[derive(Serialize)]
 struct Marks {
+    /// Number of the newest run; the values beside this parameter are those of its change.
+    number: u64,
     key: String,
     marks: Vec<Mark>,
 }
@@ -164,6 +176,8 @@ impl Runs {
     /// The runs of an experiment; the first is that of the experiment itself. What is saved goes to `save`, or beside
     /// it.
     pub fn new(experiment: Arc<dyn Experiment>, save: PathBuf, interrupt: &'static AtomicBool) -> Runs {
+        let feed = Feed::default();
+        feed.send("scene", &scene_of(&*experiment));
         let wanted = Wanted {
             experiment,
             change: Change::default(),
@@ -174,19 +188,11 @@ impl Runs {
             thresholds: None,
             has_ended: false,
         };
-        let runs = Runs {
-            feed: Feed::default(),
-            wanted: Mutex::new(wanted),
-            wake: Condvar::new(),
-            interrupt,
-            save,
-            recordings: Mutex::default(),
-        };
-        runs.send_scene();
-        runs
+        Runs { feed, wanted: Mutex::new(wanted), wake: Condvar::new(), interrupt, save, recordings: Mutex::default() }
     }
 
-    fn want(&self, set: impl FnOnce(&mut Wanted)) {
+    /// Asks for another run, and returns its number.
+    fn want(&self, set: impl FnOnce(&mut Wanted)) -> u64 {
         let mut wanted = lock(&self.wanted);
         set(&mut wanted);
         wanted.number += 1;
@@ -194,28 +200,35 @@ impl Runs {
         if !wanted.is_saving || wanted.has_ended {
             self.interrupt.store(true, Ordering::Relaxed);
         }
+        let Change { page, values, branches, poke, .. } = &wanted.change;
+        self.feed.send("changes", &Changes { page, values, branches, poke });
+        let number = wanted.number;
         drop(wanted);
         self.wake.notify_all();
+        number
     }
 
-    /// Asks for the run of a change, in place of any other.
-    pub fn ask(&self, change: Change) {
-        self.want(|wanted| wanted.change = change);
+    /// Asks for the run of a change, in place of any other, and returns its number.
+    pub fn ask(&self, change: Change) -> u64 {
+        self.want(|wanted| wanted.change = change)
     }
 
     /// Continues with another experiment and the same changes, as far as its parameters have them.
     pub fn replace(&self, experiment: Arc<dyn Experiment>) {
+        let scene = scene_of(&*experiment);
         self.want(|wanted| {
-            let parameters = experiment.parameters();
-            let is_known = |key: &String| parameters.iter().any(|parameter| parameter.key == *key);
-            let Change { values, branches, poke, .. } = &mut wanted.change;
-            values.retain(|key, _| is_known(key));
-            branches.iter_mut().for_each(|branch| branch.values.retain(|key, _| is_known(key)));
-            let schema = experiment.schema();
-            *poke = poke.take().filter(|poke| schema.bodies.iter().any(|body| body.name == poke.body));
+            let known = |key: &String| scene.parameters.iter().find(|parameter| parameter.key == *key);
+            let Change { page, values, branches, poke, .. } = &mut wanted.change;
+            page.clear();
+            values.retain(|key, _| known(key).is_some());
+            for branch in branches.iter_mut() {
+                branch.values.retain(|key, _| known(key).is_some_and(|parameter| parameter.can_branch));
+            }
+            branches.retain(|branch| !branch.values.is_empty());
+            *poke = poke.take().filter(|poke| scene.bodies.iter().any(|body| body.name == poke.body));
             wanted.experiment = experiment;
+            self.feed.send("scene", &scene);
         });
-        self.send_scene();
     }
 
     /// Asks for the values of a parameter at which the outcome of the run changes.
@@ -235,59 +248,30 @@ impl Runs {
         self.want(|wanted| wanted.has_ended = true);
     }
 
-    fn send_scene(&self) {
-        let wanted = lock(&self.wanted);
-        let (experiment, change) = (Arc::clone(&wanted.experiment), wanted.change.clone());
-        drop(wanted);
-        let schema = experiment.schema();
-        let parameters = experiment.parameters().into_iter().map(|parameter| Parameter {
-            key: parameter.key,
-            label: parameter.label,
-            group: parameter.group,
-            unit: parameter.unit,
-            about: parameter.about,
-            value: parameter.value,
-            min: parameter.range[0],
-            max: parameter.range[1],
-            can_branch: parameter.can_branch,
-        });
-        let phases = schema.phases.iter().map(|phase| (phase.name, phase.color, false));
-        let terms = schema.terms.iter().filter(|term| term.is_shown && term.can_act);
-        let terms = terms.map(|term| (term.label, term.color, true));
-        let entry = |(label, color, is_arrow)| Entry { label, color: hex(color), is_arrow };
-        let scene = Scene {
-            name: schema.name.clone(),
-            dt: schema.dt,
-            steps: schema.steps,
-            parameters: parameters.collect(),
-            legend: phases.chain(terms).map(entry).collect(),
-            bodies: bodies_to_poke(&*experiment, &schema),
-            values: change.values,
-            branches: change.branches,
-            poke: change.poke,
-        };
-        self.feed.send("scene", &scene);
-    }
-
     /// Runs what is asked for, until [`Runs::end`].
     pub fn work(&self) {
         while let Some((job, experiment, change, number)) = self.next_job() {
             let varied = experiment.varied(&change.variation());
-            let done = match (varied, job) {
-                (Err(invalid), _) => Err(Problem { key: invalid.key, text: invalid.text }),
-                (Ok(varied), Job::Run) => self.run(&*varied, number, change.cursor),
-                (Ok(varied), Job::Save(what)) => {
-                    let saved = self.save_now(&*varied, what);
+            let varied = varied.map_err(|invalid| Problem { key: invalid.key, text: invalid.text });
+            let done = match job {
+                Job::Run => varied.and_then(|varied| self.run(&*varied, number, change.cursor)),
+                Job::Save(what) => {
+                    let saved = varied.and_then(|varied| self.save_now(&*varied, what));
                     lock(&self.wanted).is_saving = false;
-                    saved
+                    if let Err(problem) = &saved {
+                        self.feed.problem(problem);
+                    }
+                    continue;
                 }
-                (Ok(_), Job::Thresholds(key)) => {
-                    let marks = thresholds::find(&*experiment, &change.variation(), &key, &|| self.is_current(number));
-                    marks.into_iter().for_each(|marks| self.feed.send("marks", &Marks { key: key.clone(), marks }));
-                    Ok(())
+                Job::Thresholds(key) => {
+                    self.mark(&*experiment, &change, number, key);
+                    continue;
                 }
             };
-            if let Err(problem) = done {
+            // an outdated run ends with an error where a model cannot be interrupted halfway
+            if let Err(problem) = done
+                && self.is_current(number)
+            {
                 self.feed.problem(&problem);
             }
         }
@@ -321,6 +305,20 @@ impl Runs {
         lock(&self.wanted).number == number
     }
 
+    /// Finds the thresholds of a parameter. Whatever else is asked for comes first, and then they are found anew.
+    fn mark(&self, experiment: &dyn Experiment, change: &Change, number: u64, key: String) {
+        let is_waited_for = || {
+            let wanted = lock(&self.wanted);
+            wanted.number == number && wanted.save.is_none() && wanted.thresholds.is_none()
+        };
+        match thresholds::find(experiment, &change.variation(), &key, &is_waited_for) {
+            Some(marks) => self.feed.send("marks", &Marks { number, key, marks }),
+            None => {
+                lock(&self.wanted).thresholds.get_or_insert(key);
+            }
+        }
+    }
+
     /// Runs an experiment twice: for its events and curves, which are sent at once, and to record it. Runs are
     /// reproducible to the bit, and the first is short: nothing is drawn. An outdated run ends early.
     fn run(&self, experiment: &dyn Experiment, number: u64, cursor: u64) -> Result<(), Problem> {
@@ -333,7 +331,7 @@ impl Runs {
             }
         };
         let mut simulation = experiment.start().map_err(Problem::new)?;
-        let mut settings = Settings::of(experiment);
+        let settings = Settings::of(experiment);
         let mut outline = Outline::new(simulation.schema());
         let mut frame = Frame::default();
         let mut at_cursor = Frame::default();
@@ -361,27 +359,27 @@ impl Runs {
         self.feed.send("run", &outline.answer(number, &[]));
 
         let start = Clock::now();
-        settings.every = (steps as usize * memory(&at_cursor)).div_ceil(RECORDING).max(1) as u64;
         let mut simulation = experiment.start().map_err(Problem::new)?;
         let mut recorder = Recorder::numbered(&*simulation, settings.clone(), number);
         let mut writer = self.open(number, &recorder.layout_beside_controls(&*simulation))?;
-        self.feed.send("open", &Recorded { number, frames: 0, ms: 0.0 });
+        self.feed.send("open", &Recorded { number, frames: 0, ms: 0.0, every: 1 });
         writer.write(&recorder.preview(&at_cursor))?;
         let mut watch = StepWatch::new(&*simulation, &settings);
         let (mut records, mut frames, mut contacts) = (Vec::new(), Vec::new(), Vec::new());
-        let last = outline.steps;
+        let (last, mut every) = (outline.steps, 1);
         while simulation.steps_taken() < last {
             simulation.step();
+            if !self.is_current(number) {
+                return Ok(());
+            }
+            let taken = simulation.steps_taken();
             let mut step = StepRecord::default();
-            let mut frame = settings.has_frame(simulation.steps_taken()).then(Frame::default);
+            let mut frame = taken.is_multiple_of(every).then(Frame::default);
             watch.step(&*simulation, &settings, &mut step, frame.as_mut());
             contacts.extend(step.surfaces.iter().filter(|found| found.is_contact()).copied());
             records.push(step);
             frames.extend(frame);
-            if frames.len() == BATCH || simulation.steps_taken() == last {
-                if !self.is_current(number) {
-                    return Ok(());
-                }
+            if frames.len() == BATCH || records.len() == MAX_RECORDS || taken == last {
                 recorder.compute_ahead(&frames);
                 let mut frames = frames.drain(..).peekable();
                 for step in records.drain(..) {
@@ -392,9 +390,10 @@ impl Runs {
                 if recorder.has_full() {
                     // with what goes with it, so that nothing on screen is of another instant while the rest arrives
                     writer.write(&recorder.take())?;
+                    every = every.max(interval(writer.bytes(), recorder.written(), last - taken));
                 }
             }
-            report("recording", simulation.steps_taken(), steps);
+            report("recording", taken, steps);
         }
         recorder.watched_by(watch);
         recorder.finish(&*simulation);
@@ -403,7 +402,7 @@ impl Runs {
         if self.is_current(number) {
             self.feed.send("run", &outline.answer(number, &contacts));
             let ms = 1e3 * start.elapsed().as_secs_f64();
-            self.feed.send("frames", &Recorded { number, frames: recorder.written(), ms });
+            self.feed.send("frames", &Recorded { number, frames: recorder.written(), ms, every });
         }
         Ok(())
     }
@@ -432,7 +431,9 @@ impl Runs {
                 let destinations = Destinations { save: Some(path.clone()), ..Destinations::default() };
                 let frames = stream::record(experiment, Settings::of(experiment), &destinations)
                     .map_err(|error| Problem::new(error.to_string()))?;
-                format!("saved {}: {frames} frames", path.display())
+                let is_whole = !self.interrupt.load(Ordering::Relaxed);
+                let what = if is_whole { "" } else { ", interrupted" };
+                format!("saved {}: {frames} frames{what}", path.display())
             }
             Save::Scene => {
                 let path = free_name(&self.save, "toml");
@@ -460,10 +461,38 @@ fn write_new(path: &Path, text: &str) -> io::Result<()> {
     file.commit_new()
 }
 
-/// Memory of a frame [bytes].
-fn memory(frame: &Frame) -> usize {
-    let of_body = |body: &observe::BodyFrame| 24 * body.positions.len() * (2 + body.terms.len());
-    size_of::<Frame>() + frame.bodies.iter().map(of_body).sum::<usize>()
+/// Steps from one frame to the next with which the rest of a recording stays below its upper limit, if its frames are
+/// as large as those so far.
+fn interval(bytes: u64, frames: u64, steps_left: u64) -> u64 {
+    let affordable = RECORDING.saturating_sub(bytes).saturating_mul(frames.max(1)) / bytes.max(1);
+    steps_left.div_ceil(affordable.max(1)).max(1)
+}
+
+fn scene_of(experiment: &dyn Experiment) -> Scene {
+    let schema = experiment.schema();
+    let parameters = experiment.parameters().into_iter().map(|parameter| Parameter {
+        key: parameter.key,
+        label: parameter.label,
+        group: parameter.group,
+        unit: parameter.unit,
+        about: parameter.about,
+        value: parameter.value,
+        min: parameter.range[0],
+        max: parameter.range[1],
+        can_branch: parameter.can_branch,
+    });
+    let phases = schema.phases.iter().map(|phase| (phase.name, phase.color, false));
+    let terms = schema.terms.iter().filter(|term| term.is_shown && term.can_act);
+    let terms = terms.map(|term| (term.label, term.color, true));
+    let entry = |(label, color, is_arrow)| Entry { label, color: hex(color), is_arrow };
+    Scene {
+        name: schema.name.clone(),
+        dt: schema.dt,
+        steps: schema.steps,
+        parameters: parameters.collect(),
+        legend: phases.chain(terms).map(entry).collect(),
+        bodies: bodies_to_poke(experiment, &schema),
+    }
 }
 
 /// The first bodies of an experiment, where they are at the start.

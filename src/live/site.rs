@@ -29,6 +29,13 @@ pub struct Page {
     runs: Arc<Runs>,
 }
 
+/// The answer to a change.
+#[derive(serde::Serialize)]
+struct Asked {
+    /// Number of the run.
+    number: u64,
+}
+
 #[derive(serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Thresholds {
@@ -57,20 +64,21 @@ impl Page {
             return text(StatusCode::PAYLOAD_TOO_LARGE, "the request is too large");
         };
         let done = match path {
-            "change" => read(&body).map(|change: Change| self.runs.ask(change)),
-            "thresholds" => read(&body).map(|Thresholds { key }| self.runs.find_thresholds(key)),
-            "save" => read(&body).map(|ToSave { what }| self.runs.save(what)),
+            "change" => read(&body).map(|change: Change| Some(Asked { number: self.runs.ask(change) })),
+            "thresholds" => read(&body).map(|Thresholds { key }| {
+                self.runs.find_thresholds(key);
+                None
+            }),
+            "save" => read(&body).map(|ToSave { what }| {
+                self.runs.save(what);
+                None
+            }),
             _ => return text(StatusCode::NOT_FOUND, "there is no such request"),
         };
         match done {
-            Ok(()) => text(StatusCode::NO_CONTENT, ""),
-            Err(problem) => {
-                let body = serde_json::to_vec(&problem).unwrap_or_default();
-                let mut response = Response::new(Content::Whole(body.into()));
-                *response.status_mut() = StatusCode::BAD_REQUEST;
-                set_type(&mut response, "application/json");
-                response
-            }
+            Ok(Some(asked)) => json(StatusCode::OK, &asked),
+            Ok(None) => text(StatusCode::NO_CONTENT, ""),
+            Err(problem) => json(StatusCode::BAD_REQUEST, &problem),
         }
     }
 
@@ -159,6 +167,13 @@ fn text(status: StatusCode, text: impl Into<Bytes>) -> Response<Content> {
     let mut response = Response::new(Content::Whole(text.into()));
     *response.status_mut() = status;
     set_type(&mut response, "text/plain; charset=utf-8");
+    response
+}
+
+fn json(status: StatusCode, value: &impl serde::Serialize) -> Response<Content> {
+    let mut response = Response::new(Content::Whole(serde_json::to_vec(value).unwrap_or_default().into()));
+    *response.status_mut() = status;
+    set_type(&mut response, "application/json");
     response
 }
 

@@ -48,7 +48,9 @@ pub fn varied(run: &SceneRun, variation: &Variation) -> Result<Arc<dyn Experimen
     for branch in branches.iter().filter(|branch| !branch.values.is_empty()) {
         let _ = write_edit(&mut added, branch);
     }
-    let text = if values.is_empty() { run.scene.source.clone() } else { with_values(run, values)? };
+    let base = if run.scene.set.is_empty() { Ok(run.scene.clone()) } else { run.scene.clone().rewritten(name) };
+    let base = base.map_err(|error| InvalidVariation { key: None, text: error.to_string() })?;
+    let text = if values.is_empty() { base.source } else { with_values(&base, values)? };
     // an embedded mesh ends the text
     let (own, meshes) = text.split_at(Scene::without_meshes(&text).len());
     let scene = Scene::parse(&format!("{own}{added}{meshes}"), name).map_err(|error| {
@@ -57,7 +59,8 @@ pub fn varied(run: &SceneRun, variation: &Variation) -> Result<Arc<dyn Experimen
         let key = keys.find(|key| error.key.contains(key.as_str())).or(only).cloned();
         InvalidVariation { key, text: SceneText { error: &error, is_edit: error.key.starts_with("edit") }.to_string() }
     })?;
-    Ok(Arc::new(SceneRun { scene, options: run.options }))
+    let Scene { integrator, model, .. } = run.scene;
+    Ok(Arc::new(SceneRun { scene: Scene { integrator, model, ..scene }, options: run.options }))
 }
 
 /// An error in a text that nobody has seen: without its place.
@@ -83,25 +86,26 @@ fn write_point(text: &mut String, poke: &Poke, scene: &Scene) -> fmt::Result {
     write!(
         text,
         "\n[[point]]\nname = \"{}\"\nmotion = {{ fixed = [{:?}, {:?}, {:?}] }}\nradius = {radius:?}\nact = \"{act}\"\n\
-         {own} = {:?}\nbodies = [\"{body}\"]\n",
+         {own} = {:?}\nbodies = [{}]\n",
         name.unwrap_or_default(),
         at.x,
         at.y,
         at.z,
         strength.abs(),
+        toml::Value::String(body.clone()),
     )
 }
 
 fn write_edit(text: &mut String, branch: &Branch) -> fmt::Result {
-    let set: Vec<String> = branch.values.iter().map(|(key, value)| format!("\"{key}\" = {value:?}")).collect();
+    let quoted = |key: &String| toml::Value::String(key.clone());
+    let set: Vec<String> = branch.values.iter().map(|(key, value)| format!("{} = {value:?}", quoted(key))).collect();
     write!(text, "\n[[edit]]\ntime = {:?}\nset = {{ {} }}\n", branch.time, set.join(", "))
 }
 
 /// The text of the scene with other numbers.
-fn with_values(run: &SceneRun, values: &BTreeMap<String, f64>) -> Result<String, InvalidVariation> {
+fn with_values(scene: &Scene, values: &BTreeMap<String, f64>) -> Result<String, InvalidVariation> {
     let unknown = |text: String| InvalidVariation { key: None, text };
-    let template =
-        Template::new(&run.scene.source, &run.scene.name, None).map_err(|error| unknown(error.to_string()))?;
+    let template = Template::new(&scene.source, &scene.name, None).map_err(|error| unknown(error.to_string()))?;
     let mut settings = Vec::with_capacity(values.len());
     for (key, &value) in values {
         let path = KeyPath::parse(key).map_err(|text| InvalidVariation { key: Some(key.clone()), text })?;

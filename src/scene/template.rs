@@ -42,6 +42,11 @@ impl fmt::Display for KeyPath {
 }
 
 impl KeyPath {
+    /// The path of a key of the scene itself.
+    fn name(name: &str) -> KeyPath {
+        KeyPath { text: name.to_owned(), parts: vec![Part::Name(name.to_owned())] }
+    }
+
     /// The number of its parts: names and indices.
     pub(super) fn len(&self) -> usize {
         self.parts.len()
@@ -166,6 +171,27 @@ impl Scene {
         })?;
         Ok(Scene { source: self.source, set, ..scene })
     }
+
+    /// The scene with its [settings](Scene::set), integrator and model in its text, which loses its comments if there
+    /// are any to write. `file` is its name in errors.
+    ///
+    /// # Errors
+    /// Those of [`Scene::with`].
+    pub fn rewritten(self, file: &str) -> Result<Scene, SceneError> {
+        let own = Scene::parse(&self.source, file)?;
+        let mut set = self.set.clone();
+        let choice = |key, name: &str| Override { key: KeyPath::name(key), value: format!("\"{name}\"") };
+        set.extend((own.integrator != self.integrator).then(|| choice("integrator", self.integrator.name())));
+        set.extend((own.model != self.model).then(|| choice("model", self.model.name())));
+        if set.is_empty() {
+            return Ok(self);
+        }
+        let text = on_deep_stack(|| {
+            let settings: Vec<_> = set.iter().map(|one| (&one.key, one.value.clone())).collect();
+            Template::new(&self.source, file, None)?.varied_text(&settings)
+        })?;
+        Ok(Scene { name: self.name, ..Scene::parse(&text, file)? })
+    }
 }
 
 /// A scene that can be varied.
@@ -236,7 +262,11 @@ impl<'a> Template<'a> {
     ) -> Result<String, SceneError> {
         let settings: Vec<(&KeyPath, String)> =
             settings.into_iter().map(|(key, setting)| (key, setting.to_string())).collect();
-        let document = self.varied(&settings)?;
+        self.varied_text(&settings)
+    }
+
+    fn varied_text(&self, settings: &[(&KeyPath, String)]) -> Result<String, SceneError> {
+        let document = self.varied(settings)?;
         read_document(&self.source, &document, &mut self.meshes.clone())?;
         let text = toml::to_string(&table(&document)).map_err(|error| self.error(String::new(), error.to_string()))?;
         // embeds the meshes, because the text may be read without their files

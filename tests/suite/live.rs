@@ -119,7 +119,7 @@ fn a_change_is_answered_by_the_run_of_the_changed_scene() {
     assert!(parameters.iter().any(|parameter| parameter["key"] == "influence.merge_at"));
     let own = time(&feed.run(1), "merge a~b");
 
-    assert_eq!(page.post("change", r#"{"values": {"influence.merge_at": 0.98}, "cursor": 150}"#), 204);
+    assert_eq!(page.post("change", r#"{"values": {"influence.merge_at": 0.98}, "cursor": 150}"#), 200);
     let changed = time(&feed.run(2), "merge a~b");
     let text = Scene::builtin("two").unwrap().source.replace("merge_at = 1.05", "merge_at = 0.98");
     let scene = Scene::parse(&text, "two.toml").expect("a scene");
@@ -146,17 +146,17 @@ fn a_wrong_value_keeps_the_run_and_says_what_is_right() {
     let page = Page::two();
     let mut feed = page.feed();
     feed.run(1);
-    assert_eq!(page.post("change", r#"{"values": {"influence.merge_at": 1.3}}"#), 204);
+    assert_eq!(page.post("change", r#"{"values": {"influence.merge_at": 1.3}}"#), 200);
     let problem = feed.next("problem", |_| true);
     assert_eq!(problem["key"], "influence.split_at", "{problem}");
     assert!(problem["text"].as_str().unwrap().contains("merge_at"), "{problem}");
-    assert_eq!(page.post("change", r#"{"values": {"influence.nothing": 1.3}}"#), 204);
+    assert_eq!(page.post("change", r#"{"values": {"influence.nothing": 1.3}}"#), 200);
     let problem = feed.next("problem", |message| message["key"] == "influence.nothing");
     assert!(problem["text"].as_str().unwrap().contains("unknown key"), "{problem}");
     assert_eq!(page.post("change", "{"), 400);
     assert_eq!(page.post("change", &" ".repeat(300 << 10)), 413);
     assert_eq!(page.get("first/1.rrd").0, 200);
-    assert_eq!(page.post("change", r#"{"values": {}}"#), 204);
+    assert_eq!(page.post("change", r#"{"values": {}}"#), 200);
     feed.run(4);
 }
 
@@ -165,13 +165,13 @@ fn of_many_changes_the_last_is_answered() {
     let page = Page::two();
     let mut feed = page.feed();
     for k in 0..100 {
-        assert_eq!(page.post("change", &format!(r#"{{"values": {{"influence.alpha": {k}}}, "cursor": {k}}}"#)), 204);
+        assert_eq!(page.post("change", &format!(r#"{{"values": {{"influence.alpha": {k}}}, "cursor": {k}}}"#)), 200);
     }
     feed.next("frames", |message| message["number"] == 101);
     assert_eq!(page.get("runs/101.rrd").0, 200);
     // few of the hundred may have begun
     for number in 102..105 {
-        assert_eq!(page.post("change", &format!(r#"{{"values": {{"influence.alpha": {number}}}}}"#)), 204);
+        assert_eq!(page.post("change", &format!(r#"{{"values": {{"influence.alpha": {number}}}}}"#)), 200);
         feed.next("frames", |message| message["number"] == number);
     }
     assert_eq!(page.get("runs/1.rrd").0, 404, "old runs are taken away");
@@ -200,7 +200,7 @@ fn thresholds_of_a_parameter_are_found() {
 fn what_is_saved_replaces_nothing_and_replays() {
     let page = Page::two();
     let mut feed = page.feed();
-    assert_eq!(page.post("change", r#"{"values": {"influence.merge_at": 0.99}}"#), 204);
+    assert_eq!(page.post("change", r#"{"values": {"influence.merge_at": 0.99}}"#), 200);
     feed.next("frames", |message| message["number"] == 2);
     for name in ["page", "page-2"] {
         let path = |extension: &str| page.dir.path().join(format!("{name}.{extension}"));
@@ -226,7 +226,7 @@ fn branches_and_force_points_become_parts_of_the_scene() {
     let change = r#"{"values": {"influence.alpha": 150},
         "branches": [{"time": 1.9, "values": {"influence.split_at": 1.06, "influence.merge_at": 1.0}}],
         "poke": {"body": "b", "at": [2.5, -1.2, 0], "radius": 0.6, "strength": -80}, "cursor": 120}"#;
-    assert_eq!(page.post("change", change), 204);
+    assert_eq!(page.post("change", change), 200);
     let run = feed.run(2);
     assert_eq!(time(&run, "merge a~b"), merged);
     let split = time(&run, "split a~b");
@@ -242,7 +242,7 @@ fn branches_and_force_points_become_parts_of_the_scene() {
     assert!(matches!(replay::verify(&recorded, |_| true), Ok(replay::Verdict::Identical)));
 
     let wrong = r#"{"branches": [{"time": 1.0, "values": {"influence.merge_at": 1.3}}]}"#;
-    assert_eq!(page.post("change", wrong), 204);
+    assert_eq!(page.post("change", wrong), 200);
     let problem = feed.next("problem", |_| true);
     assert_eq!(problem["key"], "influence.merge_at", "{problem}");
     assert!(problem["text"].as_str().is_some_and(|text| text.contains("merge_at (1.3)")), "{problem}");
@@ -272,12 +272,12 @@ fn only_who_knows_the_address_gets_the_page() {
 fn another_scene_keeps_the_changes_that_it_knows() {
     let page = Page::two();
     let mut feed = page.feed();
-    assert_eq!(page.post("change", r#"{"values": {"influence.alpha": 7, "body.b.omega": 9}}"#), 204);
+    assert_eq!(page.post("change", r#"{"values": {"influence.alpha": 7, "body.b.omega": 9}}"#), 200);
     feed.run(2);
     let text = Scene::builtin("two").unwrap().source.replace("name = \"b\"", "name = \"c\"");
     let scene = Scene::parse(&text, "page.toml").expect("a scene");
     page.live.replace(Arc::new(SceneRun { scene, options: sim::Options::default() }));
-    let scene = feed.next("scene", |message| message["values"].get("body.b.omega").is_none());
-    assert_eq!(scene["values"]["influence.alpha"], 7.0);
+    let changes = feed.next("changes", |message| message["values"].get("body.b.omega").is_none());
+    assert_eq!(changes["values"]["influence.alpha"], 7.0);
     time(&feed.run(3), "merge a~c");
 }

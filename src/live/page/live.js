@@ -17,6 +17,10 @@ let values = new Map(); // changed values by key
 let branches = []; // [{ time, values: Map }] in order of time: values from an instant on, each an [[edit]] of the scene
 let isBranching = false; // whether changes go to the last branch
 let poke = null; // { body, at, radius, strength }: a force point
+let asked = 0; // number of the run that answers the newest change
+
+// What this page asked for comes back over the feed, when it has moved on.
+const page = crypto.getRandomValues(new Uint32Array(2)).join("-");
 
 // ---------------------------------------------------------------------------------------------------------------- server
 
@@ -29,25 +33,33 @@ window.fetch = (request, options) => {
   return isOwn ? fetchAnything(request, options) : Promise.reject(new TypeError(`${url.origin} is not on this machine`));
 };
 
+// The answer, if there is one; a problem is shown.
 async function post(path, body) {
-  const response = await fetch(path, { method: "POST", body: JSON.stringify(body), headers: { "content-type": "application/json" } });
-  return response.ok || response.status === 204 ? null : response.json().catch(() => ({ text: response.statusText }));
+  try {
+    const response = await fetch(path, { method: "POST", body: JSON.stringify(body), headers: { "content-type": "application/json" } });
+    if (response.status === 200) return await response.json();
+    if (!response.ok) showProblem(await response.json().catch(() => ({ text: response.statusText })));
+  } catch (error) {
+    showProblem({ text: `the program does not answer: ${error.message}` });
+  }
+  return null;
 }
 
 let isSending = false;
 let isStale = false;
 
-// Sends the current values. While a change is on its way, later ones wait, and only the last of them is sent.
-async function send() {
+// Sends the current values. While a change is on its way, later ones wait, and only the last of them is sent. Thresholds
+// are those beside the other values: of all parameters but the one that moves, they are outdated.
+async function send(moved) {
   isStale = true;
+  clearMarks(moved);
   showChanges();
   if (isSending) return;
   isSending = true;
   while (isStale) {
     isStale = false;
     const later = branches.filter(({ values }) => values.size > 0).map(({ time, values }) => ({ time, values: Object.fromEntries(values) }));
-    const problem = await post("change", { values: Object.fromEntries(values), branches: later, poke, cursor }).catch((error) => ({ text: `the program does not answer: ${error.message}` }));
-    if (problem) showProblem(problem);
+    asked = (await post("change", { page, values: Object.fromEntries(values), branches: later, poke, cursor }))?.number ?? asked;
   }
   isSending = false;
 }
@@ -65,17 +77,26 @@ const handlers = {
   scene(message) {
     scene = message;
     cursor = Math.min(cursor, message.steps);
-    values = new Map(Object.entries(message.values));
-    branches = message.branches.map(({ time, values }) => ({ time, values: new Map(Object.entries(values)) }));
-    isBranching = false;
-    poke = message.poke;
+    poke = message.bodies.some(({ name }) => name === poke?.body) ? poke : null;
     $("scene").textContent = message.name;
     document.title = `${message.name} – meldscope live`;
     $("cursor").max = message.steps;
     showSliders();
     showLegend();
     showChanges();
+    showPlot();
     showCursor();
+    viewer.needsLayout = true;
+  },
+  // the change of another page, or what is left of this one's for another scene
+  changes(message) {
+    if (message.page === page) return;
+    values = new Map(Object.entries(message.values));
+    branches = message.branches.map(({ time, values }) => ({ time, values: new Map(Object.entries(values)) }));
+    isBranching = false;
+    poke = message.poke;
+    showSliders();
+    showChanges();
   },
   run(message) {
     if (run && message.number < run.number) return;
@@ -91,9 +112,11 @@ const handlers = {
     say(`run ${number}: ${doing}, step ${step} of ${steps}`);
   },
   frames(message) {
-    if (run?.number === message.number) say(`run ${message.number}: ${run.outcome}; simulated in ${run.simulated_ms.toFixed(1)} ms, ${message.frames} frames in ${message.ms.toFixed(0)} ms`);
+    if (run?.number !== message.number) return;
+    const which = message.every > 1 ? `, of late every ${message.every} steps` : "";
+    say(`run ${message.number}: ${run.outcome}; simulated in ${run.simulated_ms.toFixed(1)} ms, ${message.frames} frames in ${message.ms.toFixed(0)} ms${which}`);
   },
-  marks: ({ key, marks }) => showMarks(key, marks),
+  marks: ({ number, key, marks }) => number >= asked && !isSending && !isBranching && showMarks(key, marks),
   problem: (problem) => showProblem(problem),
   saved: ({ text }) => ($("saved").textContent = text),
 };
@@ -128,7 +151,11 @@ function change(parameter, value) {
   } else if (value === parameter.value) values.delete(parameter.key);
   else values.set(parameter.key, value);
   rows.get(parameter.key).show();
-  send();
+  send(isBranching ? undefined : parameter.key);
+}
+
+function clearMarks(except) {
+  for (const [key, { marks }] of rows) if (key !== except) marks.replaceChildren();
 }
 
 function showSliders() {
@@ -214,7 +241,7 @@ function slider(parameter) {
     row.classList.toggle("changed", value !== parameter.value);
   };
   track.addEventListener("input", () => change(parameter, Number(track.value)));
-  track.addEventListener("change", () => post("thresholds", { key: parameter.key }));
+  track.addEventListener("change", () => isBranching || post("thresholds", { key: parameter.key }));
   exact.addEventListener("change", () => {
     const value = Number(exact.value.trim());
     if (exact.value.trim() === "" || !Number.isFinite(value)) return showProblem({ key: parameter.key, text: `${parameter.key}: "${exact.value}" is not a number` });
@@ -305,9 +332,12 @@ $("branch").addEventListener("click", () => {
   if (isBranching) {
     // what came later would be changed by what is now before it
     const time = cursor * scene.dt;
+    const later = branches.filter((branch) => branch.time > time);
     branches = branches.filter((branch) => branch.time <= time);
     if (branches.at(-1)?.time !== time) branches.push({ time, values: new Map() });
+    if (later.length > 0) send();
   }
+  clearMarks();
   showAll();
 });
 
@@ -320,11 +350,12 @@ $("reset").addEventListener("click", () => {
   send();
 });
 
-for (const what of ["scene", "recording"]) $(`save-${what}`).addEventListener("click", async () => showProblem(await post("save", { what })));
+for (const what of ["scene", "recording"]) $(`save-${what}`).addEventListener("click", () => post("save", { what }));
 
 $("pin").addEventListener("click", () => {
+  if (!run) return;
   pinned = pinned ? null : run;
-  before = pinned ?? before;
+  before = pinned;
   $("pin").textContent = pinned ? "Unpin" : "Pin this run";
   $("pin").setAttribute("aria-pressed", String(pinned !== null));
   showEvents();
@@ -363,7 +394,7 @@ function differenceOf({ event, old, isGone }) {
 }
 
 function showEvents() {
-  $("against").textContent = pinned ? `against run ${pinned.number} (pinned)` : "against the run before";
+  $("against").textContent = pinned ? `against run ${pinned.number} (pinned)` : before ? `against run ${before.number}` : "";
   $("events").replaceChildren(
     ...matched().map((row) => {
       const [kind, words] = differenceOf(row);
@@ -385,13 +416,14 @@ function markCurrent() {
 // ---------------------------------------------------------------------------------------------------------------- plot
 
 const SVG = "http://www.w3.org/2000/svg";
+const [LEFT, RIGHT] = [34, 8]; // margins
 const COLORS = ["#4da3ff", "#6cc24a", "#e07ab8", "#b7a34b", "#48b8b0", "#c98a5a", "#9a8cff", "#8fb35c"];
 
 function showPlot() {
-  if (!run) return;
+  if (!run || !scene) return;
   const plot = $("plot");
   const { width, height } = plot.getBoundingClientRect();
-  const [left, right, top, bottom] = [34, 8, 8, 18];
+  const [left, right, top, bottom] = [LEFT, RIGHT, 8, 18];
   const all = [...run.plots, ...(before && before !== run ? before.plots : [])];
   const numbers = [...all.flatMap((line) => line.q.filter((q) => q !== null)), ...run.levels.map((level) => level.q)];
   if (numbers.length === 0) return plot.replaceChildren(draw("text", { x: left, y: height / 2 }, "no pair comes within reach"));
@@ -436,8 +468,6 @@ function showPlot() {
   const pairs = run.plots.map((line, index) => [element("span", {}, line.pair), COLORS[index % COLORS.length]]);
   pairs.forEach(([name, color]) => (name.style.color = color));
   $("plot-title").replaceChildren("distance q of ", ...pairs.slice(0, 6).flatMap(([name], index) => (index ? [", ", name] : [name])), pairs.length > 6 ? ` and ${pairs.length - 6} more` : "");
-  plot.dataset.left = left;
-  plot.dataset.right = right;
 }
 
 function ticks(low, high, count) {
@@ -451,8 +481,7 @@ function ticks(low, high, count) {
 function scrub(event) {
   if (!run || (event.type === "pointermove" && event.buttons === 0)) return;
   const { x, width } = $("plot").getBoundingClientRect();
-  const left = Number($("plot").dataset.left), right = Number($("plot").dataset.right);
-  seek(Math.round((scene.steps * (event.clientX - x - left)) / (width - left - right)));
+  seek(Math.round((scene.steps * (event.clientX - x - LEFT)) / (width - LEFT - RIGHT)));
 }
 $("plot").addEventListener("pointerdown", scrub);
 $("plot").addEventListener("pointermove", scrub);
@@ -475,8 +504,7 @@ function showCursor() {
   const at = $("at");
   if (at) {
     const { width } = $("plot").getBoundingClientRect();
-    const left = Number($("plot").dataset.left), right = Number($("plot").dataset.right);
-    const x = left + ((width - left - right) * cursor) / Math.max(1, scene.steps);
+    const x = LEFT + ((width - LEFT - RIGHT) * cursor) / Math.max(1, scene.steps);
     at.setAttribute("x1", x);
     at.setAttribute("x2", x);
   }
@@ -503,7 +531,9 @@ $("event-on").addEventListener("click", () => seekEvent(1));
 $("play").addEventListener("click", toggle);
 $("cursor").addEventListener("input", () => seek(Number($("cursor").value)));
 document.addEventListener("keydown", (event) => {
-  if (!scene || event.target.matches("input[type=text], input[type=range], select")) return;
+  const isModified = event.ctrlKey || event.altKey || event.metaKey;
+  const isTheirs = event.target.matches("input, select") || (event.key === " " && event.target.matches("button, summary"));
+  if (!scene || isModified || isTheirs) return;
   const move = { ArrowLeft: () => (event.shiftKey ? seekEvent(-1) : seek(cursor - 1)), ArrowRight: () => (event.shiftKey ? seekEvent(1) : seek(cursor + 1)), " ": toggle, Home: () => seek(0), End: () => seek(scene.steps) }[event.key];
   if (move) {
     event.preventDefault();
@@ -521,6 +551,7 @@ const viewer = {
   shown: null, // { number, url, recording }
   opening: null, // { number, url }
   wanted: null, // number
+  needsLayout: true,
 
   async start() {
     const response = await fetch("re_viewer_bg.wasm");
@@ -554,9 +585,11 @@ const viewer = {
   open(number) {
     this.wanted = number;
     if (!this.handle || this.opening) return;
-    // the first run brings the layout; later ones leave it as the user has arranged it
-    const url = new URL(`${this.shown ? "runs" : "first"}/${number}.rrd`, location).href;
-    this.opening = { number, url };
+    // the first run of a scene brings the layout; later ones leave it as the user has arranged it
+    const bringsLayout = this.needsLayout;
+    this.needsLayout = false;
+    const url = new URL(`${bringsLayout ? "first" : "runs"}/${number}.rrd`, location).href;
+    this.opening = { number, url, bringsLayout };
     this.handle.add_receiver(url);
     this.wait(performance.now());
   },
@@ -568,6 +601,7 @@ const viewer = {
     // a run that was replaced before it was read is never shown
     if (performance.now() - since > 1000 && this.wanted !== this.opening.number) {
       this.handle.remove_receiver(this.opening.url);
+      this.needsLayout ||= this.opening.bringsLayout;
       this.opening = null;
       return this.open(this.wanted);
     }
