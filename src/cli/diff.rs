@@ -3,18 +3,15 @@
 use std::path::PathBuf;
 
 use super::{
-    Failure, announce, may_print, may_save, print,
+    Failure, announce, may_print, may_save, print, print_lines,
     progress::{Progress, Work},
-    sink_failure, vector,
+    sink_failure,
 };
 use crate::{
     models,
     recording::{contents::Contents, diff, existing::Existing},
-    text::{bytes, counted, thousands},
+    text::{bytes, counted},
 };
-
-/// Upper limit on listed bodies or events; the rest are counted.
-const LISTED: usize = 8;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -74,61 +71,12 @@ pub fn diff(arguments: Arguments) -> Result<(), Failure> {
     if a.schema.source != b.schema.source {
         print("the texts of the two scenes differ");
     }
-    match difference.first_bits {
-        Some(step) => print(&format!("bits: different from step {step} (t = {:.6} s) on", step as f64 * a.schema.dt)),
-        None if difference.has_bits => print("bits: the same at every common step"),
-        None => {}
-    }
+    print_lines(&difference.to_string());
     if difference.instants < 2 {
         return Err(Failure::Input(format!(
             "{first} and {second} have {} in common: record them with step sizes of which one is a multiple of the other",
             if difference.instants == 0 { "no instant" } else { "one instant" }
         )));
-    }
-    print(&format!("{} instants in common, tolerance {tolerance:e} radii", thousands(difference.instants)));
-    for worst in difference.bodies.iter().take(LISTED) {
-        print(&format!(
-            "  body \"{}\": up to {:.3e} radii, vertex {} at t = {:.6} s (step {})",
-            worst.body, worst.difference, worst.vertex, worst.time, worst.step
-        ));
-    }
-    match difference.bodies.len() {
-        0 => print("  no body differs"),
-        n if n > LISTED => print(&format!("  … and {} that differ less", counted((n - LISTED) as u64, "body"))),
-        _ => {}
-    }
-    if let Some(worst) = &difference.first_beyond {
-        print(&format!(
-            "first beyond tolerance: step {} (t = {:.6} s), body \"{}\", vertex {}: {} and {}, from the centre: {:.3e} radii \
-             apart",
-            worst.step,
-            worst.time,
-            worst.body,
-            worst.vertex,
-            vector(worst.recorded),
-            vector(worst.found),
-            worst.difference
-        ));
-    }
-    if difference.events.is_empty() {
-        print("events: the same");
-    }
-    for change in difference.events.iter().take(LISTED) {
-        print(&format!("event {change}"));
-    }
-    if difference.events.len() > LISTED {
-        print(&format!("… and {}", counted((difference.events.len() - LISTED) as u64, "more event")));
-    }
-    if let Some(surfaces) = &difference.surfaces {
-        if surfaces.is_empty() {
-            print("surfaces: gap, overlap, neck, volume, area and topology are the same within the tolerance");
-        }
-        for deviation in surfaces.iter().take(LISTED) {
-            print(&format!("surfaces: {deviation}"));
-        }
-        if surfaces.len() > LISTED {
-            print(&format!("… and {}", counted((surfaces.len() - LISTED) as u64, "more difference")));
-        }
     }
     if let Some(save) = &arguments.save {
         let saved = diff::save([&a, &b], &difference, tolerance, save)?;

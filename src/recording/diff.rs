@@ -3,6 +3,8 @@
 //! Surfaces are read from the recordings, so that recordings of older program versions can be compared, at the recorded
 //! precision of about 1e-7 of a radius. A recording without surfaces is run again.
 
+use std::fmt;
+
 use super::{
     ReadError, Recorded,
     comparison::{Comparison, Plan},
@@ -18,15 +20,22 @@ use crate::{
         settings::Frames,
         sinks::{Saved, SinkError},
     },
-    text::step_size,
+    text::{counted, step_size, thousands},
 };
 
 /// Instants at most this far apart are equal [s]; recordings have a resolution of one nanosecond.
 const SAME_TIME: f64 = 2e-9;
 
-/// The differences between two recordings.
+/// Upper limit on listed bodies or events; the rest are counted.
+const LISTED: usize = 8;
+
+/// The differences between two recordings; as text, a report of some lines.
 #[derive(Clone, Debug)]
 pub struct Difference {
+    /// Differences up to this size are ignored [radii].
+    pub tolerance: f64,
+    /// Δt of the first recording [s].
+    pub dt: f64,
     /// Number of instants in both recordings.
     pub instants: u64,
     /// The first step whose checksums differ; `None` if all are equal, or if the steps are not comparable.
@@ -46,6 +55,56 @@ pub struct Difference {
     pub surfaces: Option<Vec<Deviation>>,
     /// Whether each recording had to be run again because it has no surfaces.
     pub run_again: [bool; 2],
+}
+
+impl fmt::Display for Difference {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.first_bits {
+            Some(step) => writeln!(f, "bits: different from step {step} (t = {:.6} s) on", step as f64 * self.dt)?,
+            None if self.has_bits => writeln!(f, "bits: the same at every common step")?,
+            None => {}
+        }
+        if self.instants < 2 {
+            return write!(f, "nothing was compared: fewer than two instants in common");
+        }
+        write!(f, "{} instants in common, tolerance {:e} radii", thousands(self.instants), self.tolerance)?;
+        for worst in self.bodies.iter().take(LISTED) {
+            let Worst { body, difference, vertex, time, step, .. } = worst;
+            write!(
+                f,
+                "\n  body \"{body}\": up to {difference:.3e} radii, vertex {vertex} at t = {time:.6} s (step {step})"
+            )?;
+        }
+        match self.bodies.len() {
+            0 => write!(f, "\n  no body differs")?,
+            n if n > LISTED => write!(f, "\n  … and {} that differ less", counted((n - LISTED) as u64, "body"))?,
+            _ => {}
+        }
+        if let Some(Worst { body, difference, vertex, time, step, recorded, found, .. }) = &self.first_beyond {
+            let [recorded, found] = [recorded, found].map(|at| format!("({:?}, {:?}, {:?})", at.x, at.y, at.z));
+            write!(
+                f,
+                "\nfirst beyond tolerance: step {step} (t = {time:.6} s), body \"{body}\", vertex {vertex}: {recorded} and \
+                 {found}, from the centre: {difference:.3e} radii apart"
+            )?;
+        }
+        if self.events.is_empty() {
+            write!(f, "\nevents: the same")?;
+        }
+        self.events.iter().take(LISTED).try_for_each(|change| write!(f, "\nevent {change}"))?;
+        if self.events.len() > LISTED {
+            write!(f, "\n… and {}", counted((self.events.len() - LISTED) as u64, "more event"))?;
+        }
+        let Some(surfaces) = &self.surfaces else { return Ok(()) };
+        if surfaces.is_empty() {
+            write!(f, "\nsurfaces: gap, overlap, neck, volume, area and topology are the same within the tolerance")?;
+        }
+        surfaces.iter().take(LISTED).try_for_each(|deviation| write!(f, "\nsurfaces: {deviation}"))?;
+        if surfaces.len() > LISTED {
+            write!(f, "\n… and {}", counted((surfaces.len() - LISTED) as u64, "more difference"))?;
+        }
+        Ok(())
+    }
 }
 
 /// Frames from a file or from a new run of the scene.
@@ -155,6 +214,8 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
         deviations.finish()
     });
     Ok(Difference {
+        tolerance,
+        dt: a.schema.dt,
         instants: instants.len() as u64,
         surfaces,
         first_bits: common.find(|&step| a.checksum(step) != b.checksum(step)),
