@@ -17,8 +17,26 @@
 #![doc = include_str!("../tests/suite/octahedra.rs")]
 //! ```
 //!
-//! [`stream::record()`] records it; [`recording`] replays, compares and checks recordings, and restarts the simulation
-//! with `Octahedra::read`.
+//! [`observe::verify()`] says in sentences what such an implementation gets wrong. Then it is recorded, replayed, compared
+//! and checked, which restarts it with `Octahedra::read`:
+//!
+//! ```ignore
+//! use meldscope::{observe, recording::{Recorded, diff, golden, replay}, stream::{self, Settings, sinks::Destinations}};
+//!
+//! let octahedra = Octahedra::two(3.0);
+//! observe::verify(&octahedra, 100).map_err(|mistakes| mistakes.join("\n"))?;
+//!
+//! let destinations = Destinations { save: Some("octahedra.rrd".into()), ..Destinations::default() };
+//! stream::record(&octahedra, Settings::of(&octahedra), &destinations)?;
+//!
+//! let open = |path: &str| Recorded::open_as(path.as_ref(), &|name, text, run| octahedra.read(name, text, run));
+//! let recorded = open("octahedra.rrd")?;
+//! println!("{:?}", replay::verify(&recorded, |_step| true)?); // Identical, or the first step that differs
+//! println!("{}", diff::diff([&recorded, &open("other.rrd")?], 1e-6)?);
+//!
+//! golden::bless(&octahedra, "octahedra-golden.rrd".as_ref(), "first version")?; // a regression test
+//! golden::check(&octahedra, "octahedra-golden.rrd".as_ref(), None)?;
+//! ```
 //!
 //! # Modules
 //!
