@@ -17,7 +17,7 @@ use super::{
 };
 use crate::{
     scene::{Integrator, Scene},
-    sim::{TooLarge, World},
+    sim::{World, WorldError},
     svg,
     text::{counted, significant},
 };
@@ -264,7 +264,7 @@ fn cases(scene: &Scene, settings: &Settings) -> Vec<Case> {
 
 impl Case {
     /// Performs as many runs as fit into one round's share of the requested time.
-    fn time_runs(&mut self, round: usize, settings: &Settings) -> Result<(), TooLarge> {
+    fn time_runs(&mut self, round: usize, settings: &Settings) -> Result<(), WorldError> {
         if self.run_times.iter().sum::<f64>() > MAX_TIME_PER_CASE.as_secs_f64() {
             return Ok(());
         }
@@ -339,7 +339,7 @@ impl Judge {
 
     /// The largest error over time and vertices [radii], and its [share](Measurement::share) of what is allowed;
     /// infinite if the run diverged.
-    fn error(&self, case: &Case) -> Result<(f64, f64), TooLarge> {
+    fn error(&self, case: &Case) -> Result<(f64, f64), WorldError> {
         let mut world = World::new(case.scene.clone())?;
         let (mut largest, mut share) = (0.0, 0.0);
         let least = f64::max(LEAST_ALLOWED, resolution(self.agreement));

@@ -30,7 +30,7 @@ pub mod thesis;
 use crate::{
     SceneError,
     scene::{Body, Path},
-    sim::{self, TooLarge},
+    sim::{self, WorldError},
 };
 use reference::NoReference;
 
@@ -51,7 +51,7 @@ pub enum MeasureError {
     NoReference(#[from] NoReference),
     /// The scene needs more memory than is available.
     #[error(transparent)]
-    TooLarge(#[from] TooLarge),
+    World(#[from] WorldError),
     /// The scene's own run fails before its end.
     #[error(transparent)]
     Failed(#[from] sim::Failure),

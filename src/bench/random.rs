@@ -145,7 +145,7 @@ pub fn measure(settings: &Settings, progress: &(dyn Fn() + Sync)) -> Result<Vec<
 /// Runs a scene and compares every step with the reference.
 ///
 /// # Errors
-/// [`MeasureError::TooLarge`]
+/// [`MeasureError::World`]
 pub fn judge(scene: Scene) -> Result<Outcome, MeasureError> {
     let instants: Vec<f64> = (0..=scene.steps()).map(|step| step as f64 * scene.dt).collect();
     let mut outcome = Outcome {

@@ -159,13 +159,14 @@ impl Bench<'_> {
         let schema = scene.schema();
         let mut bench = Bench { scene, settings, schema, frames: Vec::new(), payload: 0, file: temporary_file()? };
         let (mut world, mut kept) = (world(scene)?, 0);
+        let mut watch = StepWatch::new(&world, &bench.settings);
         for _ in 0..scene.steps() {
             if let Some(failure) = &world.step().failure {
                 return Err(failure.to_string());
             }
             let mut frame = Frame::default();
             let mut step = StepRecord::default();
-            StepWatch::default().step(&world, &bench.settings, &mut step, Some(&mut frame));
+            watch.step(&world, &bench.settings, &mut step, Some(&mut frame))?;
             kept += frame.memory();
             bench.payload += payload_of(&frame);
             bench.frames.push((step, frame));
@@ -222,7 +223,7 @@ impl Bench<'_> {
 
     /// Simulates and records as `run` does, until the operating system has all the data.
     fn simulate(&self, world: &mut World, sinks: Sinks) -> Result<Sinks, String> {
-        let recorder = Recorder::new(world, self.settings.clone());
+        let recorder = Recorder::new(world, self.settings.clone())?;
         let mut pipeline = Pipeline::start(world, recorder, sinks).map_err(|error| error.to_string())?;
         for _ in 0..self.frames.len() {
             world.step();
@@ -236,7 +237,7 @@ impl Bench<'_> {
 
     /// Records the precomputed states.
     fn record(&self, world: &World, mut sinks: Option<&mut Sinks>) -> Result<(), String> {
-        let mut recorder = Recorder::new(world, self.settings.clone());
+        let mut recorder = Recorder::new(world, self.settings.clone())?;
         for (step, frame) in &self.frames {
             recorder.record(step, Some(frame));
             let messages = recorder.take_full();

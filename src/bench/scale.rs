@@ -18,7 +18,7 @@ use super::{
 };
 use crate::{
     Scene, World,
-    sim::TooLarge,
+    sim::WorldError,
     svg,
     text::{bytes, number, significant},
 };
@@ -107,7 +107,7 @@ fn measure_point(
     judge: &Judge,
     pools: &[ThreadPool],
     time: Duration,
-) -> Result<Point, TooLarge> {
+) -> Result<Point, WorldError> {
     let fastest = &pools[pools.len() - 1];
     let mut world = fastest.install(|| World::new(layout.scene(two)))?;
     let mut error = None;

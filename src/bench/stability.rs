@@ -33,7 +33,7 @@ use crate::{
     Scene,
     model::phase::Phase,
     scene::{Body, Integrator, Path},
-    sim::{Event, TooLarge, World},
+    sim::{Event, World, WorldError},
     text::{significant, thousands},
 };
 use bound::Allowance;
@@ -125,7 +125,7 @@ pub fn sweep(settings: &Settings, progress: &(dyn Fn() + Sync)) -> Result<Vec<Ro
 /// Runs one case.
 ///
 /// # Errors
-/// [`MeasureError::TooLarge`]
+/// [`MeasureError::World`]
 pub fn run(case: Case, settings: &Settings) -> Result<Row, MeasureError> {
     let steps = case.scene.steps().min(settings.most_steps);
     let judge = Judge::new(&case, steps);
@@ -152,7 +152,7 @@ impl Judge<'_> {
         Judge { case, steps, stride, reference }
     }
 
-    fn run(&self, integrator: Integrator) -> Result<Outcome, TooLarge> {
+    fn run(&self, integrator: Integrator) -> Result<Outcome, WorldError> {
         let scene = Scene { integrator, ..self.case.scene.clone() };
         let mut allowances: Vec<_> = (0..scene.bodies.len()).map(|index| Allowance::new(&scene, index)).collect();
         let mut doubt = vec![0.0; scene.bodies.len()];

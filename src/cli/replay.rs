@@ -355,17 +355,19 @@ impl Saver {
         }
         match &mut self.recorder {
             Some(recorder) => {
-                recorder.observe(simulation);
-                if recorder.frames() - self.sent >= FRAMES_PER_CHUNK {
+                self.failure = recorder.observe(simulation).err();
+                if self.failure.is_none() && recorder.frames() - self.sent >= FRAMES_PER_CHUNK {
                     self.sent = recorder.frames();
                     self.failure = send(sinks, recorder.take());
                 }
             }
-            None => {
-                let mut recorder = Recorder::new(simulation, self.settings.clone());
-                self.failure = send(sinks, recorder.blueprint(simulation).into_iter().chain(recorder.take()));
-                self.recorder = Some(recorder);
-            }
+            None => match Recorder::new(simulation, self.settings.clone()) {
+                Ok(mut recorder) => {
+                    self.failure = send(sinks, recorder.blueprint(simulation).into_iter().chain(recorder.take()));
+                    self.recorder = Some(recorder);
+                }
+                Err(reason) => self.failure = Some(reason),
+            },
         }
         if simulation.steps_taken() == *self.steps.end()
             && let Some(recorder) = &mut self.recorder

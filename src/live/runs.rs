@@ -360,7 +360,7 @@ impl Runs {
 
         let start = Clock::now();
         let mut simulation = experiment.start().map_err(Problem::new)?;
-        let mut recorder = Recorder::numbered(&*simulation, settings.clone(), number);
+        let mut recorder = Recorder::numbered(&*simulation, settings.clone(), number).map_err(Problem::new)?;
         let mut writer = self.open(number, &recorder.layout_beside_controls(&*simulation))?;
         self.feed.send("open", &Recorded { number, frames: 0, ms: 0.0, every: 1 });
         writer.write(&recorder.preview(&at_cursor))?;
@@ -375,7 +375,7 @@ impl Runs {
             let taken = simulation.steps_taken();
             let mut step = StepRecord::default();
             let mut frame = taken.is_multiple_of(every).then(Frame::default);
-            watch.step(&*simulation, &settings, &mut step, frame.as_mut());
+            watch.step(&*simulation, &settings, &mut step, frame.as_mut()).map_err(Problem::new)?;
             contacts.extend(step.surfaces.iter().filter(|found| found.is_contact()).copied());
             records.push(step);
             frames.extend(frame);

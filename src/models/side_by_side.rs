@@ -254,7 +254,7 @@ impl Simulation for SideBySideRun {
         self.schema.clone()
     }
 
-    fn overrides(&self, steps: Option<u64>) -> String {
+    fn overrides(&self, steps: Option<u64>) -> Result<String, String> {
         self.scene.overrides(steps)
     }
 

@@ -11,6 +11,7 @@
 //! | the parameters of an experiment | [`parameter`] |
 //! | the traits of a simulation, and of the experiment that creates it | [`simulation`] |
 //! | the steps of a simulation up to its end | [`run`] |
+//! | checks that a simulation keeps this contract | [`verify()`] |
 //!
 //! The recorder, `replay`, `check` and `diff` depend on nothing else. Nothing here depends on Rerun, on files or on a
 //! particular simulation.
@@ -23,6 +24,7 @@ pub mod run;
 pub mod schema;
 pub mod simulation;
 pub mod surface;
+pub(crate) mod verify;
 
 pub use event::{BodyEvent, Instant, PairEvent};
 pub use frame::{BodyFrame, Frame, MotionFrame, NetForce, PairFrame, SpringFrame, Want};
@@ -34,3 +36,4 @@ pub use simulation::{
     Experiment, NearPair, Refusal, Shortfall, Simulation, StageFrame, StepFailure, StepSummary, between,
 };
 pub use surface::SurfaceEvent;
+pub use verify::verify;

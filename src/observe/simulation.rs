@@ -23,11 +23,15 @@ pub trait Simulation {
     /// The schema, which does not change during a run.
     fn schema(&self) -> Schema;
 
-    /// Overrides of the scene's text for a run of this many steps (`None`: until stopped), as lines of that text; empty
+    /// Overrides of [`Schema::source`] for a run of this many steps (`None`: until stopped), as lines of that text; empty
     /// if there are none.
-    fn overrides(&self, steps: Option<u64>) -> String {
+    ///
+    /// # Errors
+    /// The source does not describe this simulation, so that no recording of it could be run again: what differs, and
+    /// what to do. It is then not recorded.
+    fn overrides(&self, steps: Option<u64>) -> Result<String, String> {
         let _ = steps;
-        String::new()
+        Ok(String::new())
     }
 
     /// Number of steps taken.

@@ -91,7 +91,7 @@ pub fn prepare(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<(Ble
     let simulation = scene.start().map_err(BlessError::Scene)?;
     let (schema, mut frame) = (simulation.schema(), Frame::default());
     let mut sinks = Sinks::open(&Destinations { save: Some(path.to_owned()), ..Destinations::default() })?;
-    let mut recorder = Recorder::new(&*simulation, settings);
+    let mut recorder = Recorder::new(&*simulation, settings).map_err(BlessError::Scene)?;
     recorder.log_property(BLESSED, reason);
     recorder.log_property(COUNTS, &counts(&schema));
     let mut merger = Merger::new(&schema, None);
@@ -101,7 +101,7 @@ pub fn prepare(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<(Ble
         let simulation = &*run.simulation;
         let step = simulation.steps_taken();
         let has_state = step.is_multiple_of(STATE_EVERY) || step == schema.steps;
-        recorder.observe(simulation);
+        recorder.observe(simulation).map_err(BlessError::Scene)?;
         checksums.push(simulation.checksum());
         simulation.observe(Want::default(), &mut frame);
         let awake: Vec<usize> = (0..frame.bodies.len()).filter(|&index| is_kept(&schema, &frame, index)).collect();

@@ -12,7 +12,7 @@ pub(crate) const ROUNDING: f64 = 1e-9;
 
 /// An edit: from an instant on, and for good, some numbers of the scene have other values. Every force may jump at that
 /// instant, and a pair whose thresholds have passed its q changes phase.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Edit {
     /// The instant [s], ≥ 0.
     pub time: f64,
@@ -23,7 +23,7 @@ pub struct Edit {
 }
 
 /// The numbers of a scene that an edit can change.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Numbers {
     pub influence: Influence,
     pub thresholds: Thresholds,
@@ -70,13 +70,23 @@ impl Edit {
         &self.numbers
     }
 
+    /// Number of bodies of the scene.
+    pub(crate) fn body_count(&self) -> usize {
+        self.numbers.materials.len()
+    }
+
     /// Whether the state at `time` [s] follows from it. A world enters an edit at the end of a step in the next one.
     pub(crate) fn has_begun(&self, time: f64, dt: f64) -> bool {
         self.time < time - ROUNDING * dt
     }
 
+    /// Adds a last body.
+    pub(super) fn add_body(&mut self, material: Material) {
+        Arc::make_mut(&mut self.numbers).materials.push(material);
+    }
+
     /// Removes a body; the indices of later bodies decrease by one.
-    pub(crate) fn remove_body(&mut self, index: usize) {
+    pub(super) fn remove_body(&mut self, index: usize) {
         let numbers = Arc::make_mut(&mut self.numbers);
         if index < numbers.materials.len() {
             numbers.materials.remove(index);
@@ -86,6 +96,25 @@ impl Edit {
 }
 
 impl Scene {
+    /// Adds a last body, with what the scene lists by body.
+    pub(crate) fn add_body(&mut self, body: super::Body) {
+        let known = self.bodies.iter().position(|other| body.group.is_some() && other.group == body.group);
+        self.pairs.add_body(known);
+        self.edits.iter_mut().for_each(|edit| edit.add_body(body.material));
+        self.bodies.push(body);
+    }
+
+    /// Removes a body, its pushes, and itself from what the scene lists by body; the indices of later bodies decrease by
+    /// one. Laws of particular pairs must not name it.
+    pub(crate) fn remove_body(&mut self, index: usize) {
+        self.bodies.remove(index);
+        self.pairs.remove_body(index);
+        self.pushes.retain(|push| push.body != index);
+        self.pushes.iter_mut().filter(|push| push.body > index).for_each(|push| push.body -= 1);
+        self.points.iter_mut().for_each(|point| point.remove_body(index));
+        self.edits.iter_mut().for_each(|edit| edit.remove_body(index));
+    }
+
     /// The scene from edit `index` on; it keeps the list of edits.
     pub(crate) fn after_edit(&self, index: usize) -> Scene {
         let numbers = &self.edits[index].numbers;

@@ -88,6 +88,13 @@ pub struct Range {
     pub max: f64,
 }
 
+impl Range {
+    /// Whether it contains a number.
+    pub fn contains(&self, x: f64) -> bool {
+        (self.min..=self.max).contains(&x)
+    }
+}
+
 /// Strings that satisfy a condition.
 #[derive(Clone, Copy, Debug)]
 pub struct Text {

@@ -1,7 +1,8 @@
-//! The scene: what is simulated, as typed values that are valid by construction.
+//! The scene: what is simulated, as typed values.
 //!
-//! A scene comes from [`Scene::load`] (a file), [`Scene::parse`] (its text) or [`Scene::builtin`] (compiled in). All
-//! validation happens there, in [`mod@parse`]; nothing downstream checks again.
+//! A scene comes from [`Scene::load`] (a file), [`Scene::parse`] (its text) or [`Scene::builtin`] (compiled in), which
+//! validate it. A program may change it or build bodies of its own: [`Scene::validate`] checks the same, and a
+//! [`World`](crate::World) does so before it starts. Nothing downstream checks again.
 //!
 //! # The file
 //! TOML. Units are scene units, seconds and radians; defaults are in brackets; unknown keys are errors.
@@ -150,7 +151,9 @@ pub mod pairs;
 pub mod parse;
 pub mod path;
 mod point;
+mod source;
 pub mod template;
+mod validate;
 mod warnings;
 
 use std::fmt;
@@ -175,6 +178,7 @@ pub use pairs::{Members, PairLaws};
 pub use parse::SceneError;
 pub use path::Path;
 pub use point::Point;
+pub use validate::InvalidScene;
 
 /// A scene as its file describes it: bodies, the law between them, planes, force points, pushes.
 #[derive(Clone, Debug)]
@@ -250,6 +254,30 @@ pub struct Body {
 }
 
 impl Body {
+    /// A sphere of 266 vertices and this radius [scene unit], with the oscillators, mass and colour of a body in a scene
+    /// file that gives nothing else.
+    ///
+    /// ```
+    /// use glam::DVec3;
+    /// use meldscope::scene::{Body, Path};
+    ///
+    /// let body = Body { mass: 2.0, ..Body::new("ball", 1.0, Path::Fixed(DVec3::ZERO)) };
+    /// # assert_eq!(body.shape.vertex_count(), 266);
+    /// ```
+    pub fn new(name: impl Into<String>, radius: f64, motion: impl Into<Motion>) -> Body {
+        Body {
+            name: name.into(),
+            radius,
+            material: Material::default(),
+            shape: Shape::default(),
+            mass: radius * radius * radius,
+            group: None,
+            color: None,
+            motion: motion.into(),
+            force: None,
+        }
+    }
+
     /// The path of the centre, if it is prescribed.
     pub fn path(&self) -> Option<&Path> {
         match &self.motion {
@@ -292,6 +320,12 @@ impl From<Path> for Motion {
     }
 }
 
+impl From<FreeMotion> for Motion {
+    fn from(free: FreeMotion) -> Motion {
+        Motion::Free(free)
+    }
+}
+
 /// How a free body starts, and whether it rotates. Its response is [`Response::Inertial`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FreeMotion {
@@ -305,6 +339,13 @@ pub struct FreeMotion {
     pub rotation: Rotation,
 }
 
+impl FreeMotion {
+    /// A body that may rotate, at rest at `from` [scene unit].
+    pub fn at(from: DVec3) -> FreeMotion {
+        FreeMotion { from, velocity: DVec3::ZERO, spin: DVec3::ZERO, rotation: Rotation::Free }
+    }
+}
+
 /// Constants of the damped oscillator (3.2), and the response of a body to its own motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Material {
@@ -314,6 +355,13 @@ pub struct Material {
     pub damping: f64,
     /// The effect of the body's own motion on its vertices.
     pub response: Response,
+}
+
+impl Default for Material {
+    /// That of scene files which give none.
+    fn default() -> Material {
+        Material { omega: 12.0, damping: 1.5, response: Response::Inertial }
+    }
 }
 
 /// Response of a body to its own motion: the `carry` that is subtracted from the acceleration in body coordinates.
@@ -438,39 +486,6 @@ impl Scene {
     /// Number of steps: `round(duration / dt)`.
     pub fn steps(&self) -> u64 {
         (self.duration / self.dt).round() as u64 // saturates
-    }
-
-    /// What a run of this scene changes in its text, as lines of TOML: the keys that were [set](Scene::set), then the
-    /// model, the integrator, the step, the tolerance, and the number of steps (`None`: until stopped).
-    pub fn overrides(&self, steps: Option<u64>) -> String {
-        let own = Scene::parse(&self.source, &self.name).and_then(|own| own.with(&self.set, &self.name));
-        let Ok(own) = own else { return String::new() };
-        let changed = [
-            (own.model != self.model).then(|| format!("model = \"{}\"\n", self.model)),
-            (own.integrator != self.integrator).then(|| format!("integrator = \"{}\"\n", self.integrator)),
-            (own.dt != self.dt).then(|| format!("dt = {:?}\n", self.dt)),
-            (own.tolerance != self.tolerance).then(|| format!("tolerance = {:?}\n", self.tolerance)),
-            (Some(own.steps()) != steps).then(|| format!("steps = {}\n", steps.unwrap_or(0))),
-        ];
-        self.set.iter().map(|one| format!("{one}\n")).chain(changed.into_iter().flatten()).collect()
-    }
-
-    /// The settings of a run, as lines of TOML: what a recording needs besides the scene's text. The default model is
-    /// omitted, for compatibility with recordings made before other models existed.
-    pub fn run_settings(&self) -> String {
-        let model = match self.model {
-            Model::Oscillators => String::new(),
-            model => format!("model = \"{model}\"\n"),
-        };
-        let all = std::iter::once(self.common_law()).chain(self.pairs.laws().iter().copied());
-        let cores =
-            if all.into_iter().any(|law| law.for_free != ForFree::Nothing) { "free_cores = true\n" } else { "" };
-        let set = match self.set.as_slice() {
-            [] => String::new(),
-            set => format!("set = {}\n", toml::Value::from(set.iter().map(ToString::to_string).collect::<Vec<_>>())),
-        };
-        let Scene { integrator, dt, tolerance, .. } = self;
-        format!("integrator = \"{integrator}\"\ndt = {dt:?}\ntolerance = {tolerance:?}\n{model}{cores}{set}")
     }
 
     /// The same scene without any force: pairs on the same paths, with the same thresholds, change phase at the same

@@ -17,7 +17,7 @@ pub enum Members {
 
 /// The laws of pairs that differ from the scene's, looked up by body or group. Memory is proportional to the number of
 /// rules, not of pairs.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct PairLaws {
     laws: Vec<PairLaw>,
     /// Index of the law by its two sides, in ascending order.
@@ -72,6 +72,20 @@ impl PairLaws {
             }
         }
         Ok(laws)
+    }
+
+    /// Adds a last body, in the group of body `like` if there is one. A group of its own has no law yet.
+    pub(super) fn add_body(&mut self, like: Option<usize>) {
+        if !self.is_empty() {
+            self.group_of.push(like.and_then(|body| self.group_of(body)));
+        }
+    }
+
+    /// Removes a body that no rule names.
+    pub(super) fn remove_body(&mut self, index: usize) {
+        if index < self.group_of.len() {
+            self.group_of.remove(index);
+        }
     }
 
     /// The group of a body, as a side of a rule.

@@ -39,11 +39,11 @@ pub(super) use meshes::{Files, Meshes};
 use reader::{Source, Table, Value};
 
 /// See the [limits](self#limits).
-const MAX_STEPS: f64 = 1e12;
+pub(super) const MAX_STEPS: f64 = 1e12;
 const LARGEST_FILE: u64 = 32 << 20;
 
 /// Limit on the planes of a scene.
-const MAX_PLANES: usize = 1000;
+pub(super) const MAX_PLANES: usize = 1000;
 
 /// A key of the [table](keys), found when the program is built.
 macro_rules! key {
@@ -51,7 +51,7 @@ macro_rules! key {
         const { $crate::scene::keys::find(&$crate::scene::keys::$group, stringify!($name)) }
     };
 }
-use key;
+pub(super) use key;
 
 impl Scene {
     /// The range of numbers that must be positive: radii, steps, tolerances, and so on.

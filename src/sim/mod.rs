@@ -94,6 +94,7 @@ mod edit;
 pub mod events;
 #[doc(hidden)]
 pub mod free;
+mod handle;
 #[doc(hidden)]
 pub mod integrator;
 pub(crate) mod memory;
@@ -112,9 +113,12 @@ mod world;
 
 pub use body::{BodyView, PairView, States};
 pub use events::Event;
+pub use handle::{BodyHandle, BodyId};
 pub use memory::TooLarge;
 pub use numerics::arrays::Vectors;
 pub use observe::{BodyForces, Energy};
-pub use report::{Diverged, EditError, Failure, Fallback, Overworked, Shortfall, Stage, StepReport, Strain, Toil};
+pub use report::{
+    Diverged, EditError, Failure, Fallback, Overworked, Shortfall, Stage, StepReport, Strain, Toil, WorldError,
+};
 pub use terms::Cause;
-pub use world::{Options, World};
+pub use world::{Options, World, WorldSnapshot};

@@ -44,7 +44,7 @@ impl BodyForces {
 impl World {
     /// Computes the forces by cause on every vertex of body `index` in the current state, into `forces` (reused).
     pub fn forces(&self, index: usize, forces: &mut BodyForces) {
-        if let Some(snapshot) = self.snapshot() {
+        if let Some(snapshot) = self.current() {
             snapshot.forces(index, self.carry(index), &mut forces.0);
         } else {
             let (states, surroundings) = (self.body(index).states(), self.surroundings(index));
@@ -57,7 +57,7 @@ impl World {
     }
 
     /// The current state of all bodies of a coupled scene; `None` for other scenes.
-    pub(crate) fn snapshot(&self) -> Option<Snapshot<'_>> {
+    pub(crate) fn current(&self) -> Option<Snapshot<'_>> {
         Some(self.solver.coupled()?.snapshot(self.scene(), self.time()))
     }
 
@@ -68,7 +68,7 @@ impl World {
 
     /// Momentum, angular momentum and energy by kind of the free bodies; `None` if the scene is not coupled.
     pub fn conserved(&self) -> Option<Conserved> {
-        self.snapshot().map(|snapshot| snapshot.conserved())
+        self.current().map(|snapshot| snapshot.conserved())
     }
 
     /// Energy brought to the free bodies since t = 0, by cause: their energy minus [`Ledger::total`] is constant up to
@@ -86,7 +86,7 @@ impl World {
     /// The energy of the current state. In a coupled scene, the energy of the free bodies, in units of mass · scene
     /// unit²/s²; see [`World::conserved`].
     pub fn energy(&self) -> Energy {
-        if let Some(snapshot) = self.snapshot() {
+        if let Some(snapshot) = self.current() {
             return Energy::of(&snapshot.conserved(), snapshot.reached());
         }
         let Some(mut energy) = self.energy_sum() else { return Energy::default() };

@@ -96,6 +96,12 @@ impl Grid {
         self.balls[index] = Placed { ball, level: level as u32, before: NONE, after };
     }
 
+    /// Takes out ball `i`, if it has been placed.
+    pub fn take(&mut self, i: u32) {
+        self.remove(i as usize);
+        self.balls[i as usize].level = NONE;
+    }
+
     fn remove(&mut self, index: usize) {
         let Placed { ball, level, before, after } = self.balls[index];
         let Some(level) = self.levels.get_mut(level as usize) else { return };

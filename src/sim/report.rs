@@ -8,7 +8,7 @@ use std::{
 use glam::DVec3;
 
 use super::{events::Event, free::Ledger, memory::TooLarge};
-use crate::scene::Integrator;
+use crate::scene::{Integrator, InvalidScene};
 
 /// The stages of a step, in the order in which they run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -349,9 +349,26 @@ impl StepReport {
     }
 }
 
+/// Why a world cannot start.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum WorldError {
+    /// A program has given the scene a value that no scene file could have.
+    #[error(transparent)]
+    Invalid(#[from] InvalidScene),
+    /// The scene needs more memory than is available; nothing has been allocated.
+    #[error(transparent)]
+    TooLarge(#[from] TooLarge),
+}
+
 /// Why a world cannot be changed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum EditError {
+    /// The body of this handle has been removed, or it is of another world.
+    #[error("the body of this handle is not in the world any more")]
+    Stale,
+    /// A value that no scene file could have.
+    #[error(transparent)]
+    Invalid(#[from] InvalidScene),
     /// There is no such body.
     #[error("there is no body {0}")]
     NoBody(usize),

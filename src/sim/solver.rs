@@ -13,6 +13,7 @@ use crate::scene::Scene;
 
 /// The state of all bodies and pairs, by what solves for it. One solver for all scenes would cost bodies on paths ten
 /// times their speed.
+#[derive(Clone)]
 pub(super) enum Solver {
     /// All bodies are on paths: none depends on how another one moves.
     Prescribed(Box<Prescribed>),

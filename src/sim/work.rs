@@ -61,6 +61,14 @@ pub(crate) struct Work {
     interrupt: Option<&'static AtomicBool>,
 }
 
+impl Clone for Work {
+    /// Between two steps: what a step counts begins anew.
+    fn clone(&self) -> Work {
+        let Work { debt, base, vertices, limit, is_announced, interrupt, .. } = *self;
+        Work { debt, base, vertices, limit, is_announced, interrupt, ..Work::default() }
+    }
+}
+
 /// Why a step is not completed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Stop {
@@ -77,6 +85,11 @@ impl Work {
     /// Continues after the steps of another scene.
     pub fn resume(&mut self, before: &mut Work) {
         *self = Work { vertices: self.vertices, ..std::mem::take(before) };
+    }
+
+    /// Continues with another number of vertices.
+    pub fn set_vertices(&mut self, vertices: u64) {
+        self.vertices = vertices;
     }
 
     /// A single task of at most `limit` [units].

@@ -8,14 +8,17 @@ use super::{
     body::{BodyView, PairView},
     checksum,
     coupled::Coupled,
-    memory::{self, TooLarge},
+    events::Event,
+    handle::{BodyHandle, Handles},
+    memory,
     prescribed::Prescribed,
-    report::{Diverged, EditError, Failure, StepReport},
+    report::{Diverged, EditError, Failure, StepReport, WorldError},
     solver::{Setting, Solver, Step, Takeover},
     span::Span,
     terms::Surroundings,
     work::Work,
 };
+
 use crate::{
     model::phase::Phase,
     scene::{ROUNDING, Scene},
@@ -38,39 +41,48 @@ impl Default for Options {
 }
 
 /// The bodies of a scene at an instant, advanced step by step.
+#[derive(Clone)]
 pub struct World {
-    scene: Scene,
+    pub(super) scene: Scene,
     options: Options,
     /// Number of steps taken.
     pub(super) step: u64,
-    report: StepReport,
-    work: Work,
+    pub(super) report: StepReport,
+    pub(super) work: Work,
     pub(super) solver: Solver,
     /// Number of the scene's edits that have been entered.
     edits: usize,
+    pub(super) handles: Handles,
 }
+
+/// The state of a world at an instant, see [`World::snapshot`].
+#[derive(Clone)]
+pub struct WorldSnapshot(Box<World>);
 
 impl World {
     /// The scene at t = 0: every displacement and velocity is zero.
     ///
     /// # Errors
-    /// [`TooLarge`] if the scene needs more memory than is available; nothing has been allocated in that case.
-    pub fn new(scene: Scene) -> Result<World, TooLarge> {
+    /// [`WorldError::Invalid`] if a program has given the scene a value that no scene file could have;
+    /// [`WorldError::TooLarge`] if it needs more memory than is available, of which nothing has been allocated then.
+    pub fn new(scene: Scene) -> Result<World, WorldError> {
         World::with_options(scene, Options::default())
     }
 
     /// Like [`World::new`], with options for stepping.
     ///
     /// # Errors
-    /// [`TooLarge`], as for [`World::new`].
-    pub fn with_options(scene: Scene, options: Options) -> Result<World, TooLarge> {
+    /// [`WorldError`], as for [`World::new`].
+    pub fn with_options(scene: Scene, options: Options) -> Result<World, WorldError> {
+        scene.validate()?;
         let budget = memory::check(&scene)?;
         let (max_pairs, mut work) = (budget.max_pairs(&scene), Work::new(scene.vertex_count(), options.interrupt));
         let Some(solver) = Solver::new(&scene, max_pairs, &mut work) else {
-            return Err(budget.exceeded(&scene, Some(max_pairs)));
+            return Err(budget.exceeded(&scene, Some(max_pairs)).into());
         };
+        let handles = Handles::new(scene.bodies.len());
         let report = StepReport { sleeping_bodies: scene.bodies.len() as u64, ..StepReport::default() };
-        Ok(World { scene, options, step: 0, report, work, solver, edits: 0 })
+        Ok(World { scene, options, step: 0, report, work, solver, edits: 0, handles })
     }
 
     /// Continues with a changed scene at `time` [s]. `kept` is the former index of each body that keeps its state; bodies
@@ -133,6 +145,22 @@ impl World {
         &self.report
     }
 
+    /// Takes a number of steps, and returns the events on the way.
+    ///
+    /// # Errors
+    /// The failure that ended the run before; the events until then are lost.
+    pub fn run(&mut self, steps: u64) -> Result<Vec<Event>, Failure> {
+        let mut events = Vec::new();
+        for _ in 0..steps {
+            let report = self.step();
+            if let Some(failure) = &report.failure {
+                return Err(failure.clone());
+            }
+            events.extend_from_slice(&report.events);
+        }
+        Ok(events)
+    }
+
     /// Advances the world over `span`, and enters the scene's edits on the way. Returns the first body whose state is
     /// invalid afterwards.
     fn advance(&mut self, span: Span) -> Result<Option<usize>, Failure> {
@@ -190,6 +218,11 @@ impl World {
         &self.scene
     }
 
+    /// Number of the scene's edits that have been entered.
+    pub(crate) fn edits_entered(&self) -> usize {
+        self.edits
+    }
+
     /// Number of steps taken.
     pub fn steps_taken(&self) -> u64 {
         self.step
@@ -230,6 +263,31 @@ impl World {
             Solver::Prescribed(_) => self.bodies().filter(BodyView::is_at_rest).count(),
             Solver::Coupled(coupled) => self.body_count() - coupled.awake_count(),
         }
+    }
+
+    /// The handle of the body at an index, in the order of the scene.
+    pub fn handle(&self, index: usize) -> Option<BodyHandle> {
+        self.handles.of(index)
+    }
+
+    /// The index of a body, in the order of the scene; `None` if it has been removed.
+    pub fn index_of(&self, handle: BodyHandle) -> Option<usize> {
+        self.handles.index(handle)
+    }
+
+    /// A body; `None` if it has been removed.
+    pub fn get(&self, handle: BodyHandle) -> Option<BodyView<'_>> {
+        self.index_of(handle).map(|index| self.body(index))
+    }
+
+    /// The state at this instant, from which [`World::restore`] continues to the same bits.
+    pub fn snapshot(&self) -> WorldSnapshot {
+        WorldSnapshot(Box::new(self.clone()))
+    }
+
+    /// Returns to a state of this world, or takes that of another one.
+    pub fn restore(&mut self, snapshot: &WorldSnapshot) {
+        *self = (*snapshot.0).clone();
     }
 
     /// Body `index`, in the order of the scene; panics if out of range.

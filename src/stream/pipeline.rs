@@ -44,7 +44,8 @@ const FILE_INTERVAL: Duration = Duration::from_millis(200);
 /// The simulation's side of the pipeline.
 pub struct Pipeline {
     settings: Settings,
-    watch: StepWatch,
+    /// Until the end.
+    watch: Option<StepWatch>,
     packet: Packet,
     /// Current number of frames in a full packet.
     max_frames: usize,
@@ -123,7 +124,7 @@ impl Pipeline {
         let thread = thread
             .map_err(|error| SinkError::Thread { target: "the recording".to_owned(), reason: error.to_string() })?;
         Ok(Pipeline {
-            watch: StepWatch::new(simulation, &settings),
+            watch: Some(StepWatch::new(simulation, &settings)),
             settings,
             packet: Packet::default(),
             max_frames: FRAMES,
@@ -144,7 +145,9 @@ impl Pipeline {
         let step = next_of(&mut packet.steps, &mut packet.steps_used);
         let has_frame = self.settings.has_frame(simulation.steps_taken());
         let mut frame = has_frame.then(|| next_of(&mut packet.frames, &mut packet.used));
-        self.watch.step(simulation, &self.settings, step, frame.as_deref_mut());
+        if let Some(watch) = &mut self.watch {
+            watch.step(simulation, &self.settings, step, frame.as_deref_mut())?;
+        }
         self.surfaces.extend_from_slice(&step.surfaces);
         (step.waiting, step.lag) = (take(&mut self.waiting), lag);
         let memory = |stage: &StageFrame| stage.frame.memory();
@@ -193,7 +196,7 @@ impl Pipeline {
         self.full = None;
         match self.thread.take().map(JoinHandle::join) {
             Some(Ok((mut recorder, sinks))) => {
-                recorder.watched_by(take(&mut self.watch));
+                self.watch.take().into_iter().for_each(|watch| recorder.watched_by(watch));
                 let Shared { notes, failure } = take(&mut *self.lock());
                 Ok(PipelineEnd { recorder, sinks, notes, failure: failure.or(handed_over.err()) })
             }

@@ -67,7 +67,7 @@ fn record_to(
     settings: Settings,
     mut sinks: Sinks,
 ) -> Result<(u64, Sinks), RecordError> {
-    let recorder = Recorder::new(&*simulation, settings);
+    let recorder = Recorder::new(&*simulation, settings).map_err(RecordError::Start)?;
     for message in recorder.blueprint(&*simulation) {
         sinks.send(message)?;
     }

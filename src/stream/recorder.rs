@@ -38,7 +38,7 @@ pub use super::{
     settings::{Detail, Entities, MOST_PAIRS, Settings, file_stem},
 };
 use crate::{
-    observe::{Frame, Schema, Simulation, StageFrame, StepFailure, StepSummary, row::rows},
+    observe::{Frame, Schema, Simulation, StageFrame, StepFailure, StepSummary, row::rows, verify},
     sdk::{
         self, AnyValues, ApplicationId, AsComponents, LogMsg, Scalars, StoreId, StoreKind, TextDocument, TextLog,
         ViewCoordinates,
@@ -121,14 +121,25 @@ impl Recorder {
     pub const HEAD: usize = 4;
 
     /// Begins a recording: logs its properties, everything static, and the current state.
-    pub fn new(simulation: &dyn Simulation, settings: Settings) -> Recorder {
+    ///
+    /// # Errors
+    /// Those of [`Simulation::overrides`]: the recording could not be run again. Or the schema or the current frame
+    /// breaks the contract of [`observe`](crate::observe): names the field.
+    pub fn new(simulation: &dyn Simulation, settings: Settings) -> Result<Recorder, String> {
         Recorder::numbered(simulation, settings, 0)
     }
 
     /// Like [`Recorder::new`], for run `number` (from 0) of several that a viewer must keep apart, even if they are
     /// equal.
-    pub fn numbered(simulation: &dyn Simulation, settings: Settings, number: u64) -> Recorder {
-        let schema = simulation.schema();
+    ///
+    /// # Errors
+    /// As for [`Recorder::new`].
+    pub fn numbered(simulation: &dyn Simulation, settings: Settings, number: u64) -> Result<Recorder, String> {
+        let overrides = simulation.overrides(settings.steps)?;
+        let (schema, mut first) = (simulation.schema(), Frame::default());
+        verify::schema(&schema)?;
+        simulation.observe(settings.want(), &mut first);
+        verify::frame(&schema, &first, settings.want())?;
         let application = ApplicationId::new_or_unknown(application(&schema.name));
         let run = schema.run.clone() + &settings.to_toml();
         let mut id = recording_id(&schema.name, &schema.source, &run, env!("CARGO_PKG_VERSION"));
@@ -136,7 +147,7 @@ impl Recorder {
             id = format!("{number}-{id}");
         }
         let mut chunks = Chunks::new(StoreId::new(StoreKind::Recording, application, id));
-        log_properties(&schema, &run, &simulation.overrides(settings.steps), &settings, &mut chunks);
+        log_properties(&schema, &run, &overrides, &settings, &mut chunks);
         if settings.frames != Frames::Thin {
             // a thin recording would open an empty 3D view
             chunks.log_static(WORLD.path, &ViewCoordinates::RIGHT_HAND_Z_UP());
@@ -183,7 +194,7 @@ impl Recorder {
         let mut summary = StepSummary::default();
         simulation.summary(&mut summary);
         recorder.keep(&summary);
-        recorder
+        Ok(recorder)
     }
 
     /// Returns the messages since the last call, for the sinks. The first [`Recorder::HEAD`] identify the recording.
@@ -274,12 +285,16 @@ impl Recorder {
     }
 
     /// Observes the simulation after a step: always its events, and a frame if one is due.
-    pub fn observe(&mut self, simulation: &dyn Simulation) {
+    ///
+    /// # Errors
+    /// As for [`StepWatch::step`].
+    pub fn observe(&mut self, simulation: &dyn Simulation) -> Result<(), String> {
         let (mut step, mut frame) = (take(&mut self.step), take(&mut self.frame));
         let has_frame = self.settings.has_frame(simulation.steps_taken());
-        self.watch.step(simulation, &self.settings, &mut step, has_frame.then_some(&mut frame));
+        self.watch.step(simulation, &self.settings, &mut step, has_frame.then_some(&mut frame))?;
         self.record(&step, has_frame.then_some(&frame));
         (self.step, self.frame) = (step, frame);
+        Ok(())
     }
 
     /// The state of a frame alone, for a viewer that shows it before the rest of the run.

@@ -84,7 +84,7 @@ pub fn project(experiment: &dyn Experiment, settings: &Settings, min_size: u64) 
             let deformed = schema.bodies.iter().zip(&frame.bodies).filter(|(_, now)| !now.is_at_rest);
             vertices += deformed.map(|(body, _)| body.vertex_count() as u64).sum::<u64>();
             samples_taken += 1;
-            probes.iter_mut().for_each(|probe| probe.recorder.observe(simulation));
+            probes.iter_mut().try_for_each(|probe| probe.recorder.observe(simulation)).ok()?;
         }
     }
     if let Some(StepFailure::Interrupted(_)) = run.failure {
@@ -114,7 +114,7 @@ struct Probe {
 
 impl Probe {
     fn new(simulation: &dyn Simulation, settings: Settings) -> Option<Probe> {
-        let mut recorder = Recorder::new(simulation, settings);
+        let mut recorder = Recorder::new(simulation, settings).ok()?;
         let mut encoder =
             Encoder::new_eager(CrateVersion::LOCAL, EncodingOptions::PROTOBUF_COMPRESSED, Count::default()).ok()?;
         let layout = recorder.blueprint(simulation);

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant as Clock};
 use super::settings::Settings;
 use crate::{
     analysis::{Approaches, touch::Touches},
-    observe::{BodyEvent, Frame, Schema, Simulation, StageFrame, StepSummary, SurfaceEvent, Want},
+    observe::{BodyEvent, Frame, Schema, Simulation, StageFrame, StepSummary, SurfaceEvent, Want, verify},
 };
 
 /// The data of a step to be recorded, apart from its frame. Reused.
@@ -32,15 +32,14 @@ pub struct StepRecord {
 }
 
 /// Observes steps. Keeps the state before a step whose stages are to be recorded.
-#[derive(Default)]
 pub struct StepWatch {
+    schema: Schema,
     before: Option<Frame>,
     /// What happens between bodies, if there are several: the same whatever is recorded.
     pairs: Option<PairWatch>,
 }
 
 struct PairWatch {
-    schema: Schema,
     touches: Touches,
     approaches: Approaches,
     /// The state after a step without a recorded frame; reused.
@@ -50,43 +49,52 @@ struct PairWatch {
 impl StepWatch {
     /// Starts at the simulation's current state.
     pub fn new(simulation: &dyn Simulation, settings: &Settings) -> StepWatch {
-        let mut watch = StepWatch::default();
-        watch.stages(simulation, settings);
         let schema = simulation.schema();
-        watch.pairs = (schema.bodies.len() > 1).then(|| PairWatch {
+        let pairs = (schema.bodies.len() > 1).then(|| PairWatch {
             touches: Touches::new(simulation),
             approaches: Approaches::new(simulation, &schema),
             frame: Frame::default(),
-            schema,
         });
+        let mut watch = StepWatch { schema, before: None, pairs };
+        watch.stages(simulation, settings);
         watch
     }
 
     /// The closest approaches of pairs that stayed in their first phase, closest first.
     pub fn approaches(&self) -> Vec<String> {
-        let Some(PairWatch { schema, approaches, .. }) = &self.pairs else { return Vec::new() };
-        approaches.closest().iter().map(|approach| approach.describe(schema)).collect()
+        let Some(PairWatch { approaches, .. }) = &self.pairs else { return Vec::new() };
+        approaches.closest().iter().map(|approach| approach.describe(&self.schema)).collect()
     }
 
     /// Writes the last step to `record`, and its frame to `frame` if one is due.
+    ///
+    /// # Errors
+    /// What the simulation says of the step breaks the contract of [`observe`](crate::observe): names the field.
     pub fn step(
         &mut self,
         simulation: &dyn Simulation,
         settings: &Settings,
         record: &mut StepRecord,
         mut frame: Option<&mut Frame>,
-    ) {
+    ) -> Result<(), String> {
         let start = Clock::now();
         if let Some(frame) = &mut frame {
             simulation.observe(settings.want(), frame);
+            verify::frame(&self.schema, frame, settings.want())?;
         }
         simulation.summary(&mut record.summary);
+        verify::summary(&self.schema, &record.summary, simulation.body_events())?;
         record.surfaces.clear();
-        if let Some(PairWatch { schema, touches, approaches, frame: own }) = &mut self.pairs {
-            let frame = frame.unwrap_or_else(|| {
-                simulation.observe(Want::default(), own);
-                own
-            });
+        let schema = &self.schema;
+        if let Some(PairWatch { touches, approaches, frame: own }) = &mut self.pairs {
+            let frame = match frame {
+                Some(frame) => frame,
+                None => {
+                    simulation.observe(Want::default(), own);
+                    verify::frame(schema, own, Want::default())?;
+                    own
+                }
+            };
             touches.step(simulation, frame, &record.summary.events, &mut record.surfaces);
             approaches.step(simulation, schema, &record.summary.events);
         }
@@ -96,6 +104,7 @@ impl StepWatch {
         record.stages = self.stages(simulation, settings);
         let end = Clock::now();
         (record.observing, record.end) = (end - start, Some(end));
+        Ok(())
     }
 
     /// The stages of the last step, if they are recorded.

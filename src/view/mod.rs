@@ -50,8 +50,8 @@ impl Simulation for World {
         schema(self.scene())
     }
 
-    fn overrides(&self, steps: Option<u64>) -> String {
-        self.scene().overrides(steps)
+    fn overrides(&self, steps: Option<u64>) -> Result<String, String> {
+        self.scene().overrides_after(self.edits_entered(), steps)
     }
 
     fn steps_taken(&self) -> u64 {
@@ -133,7 +133,7 @@ impl Simulation for World {
         frame.pairs.clear();
         frame.pairs.extend(self.pairs().map(pair_frame));
         frame.bodies.resize_with(self.body_count(), BodyFrame::default);
-        let snapshot = self.snapshot().filter(|_| want.forces || want.scalars);
+        let snapshot = self.current().filter(|_| want.forces || want.scalars);
         let mut energy = want.scalars.then(|| self.energy_sum()).flatten();
         let (mut surroundings, mut forces) = (Surroundings::default(), Forces::default());
         for ((index, body), now) in self.bodies().enumerate().zip(&mut frame.bodies) {

@@ -444,10 +444,10 @@ proptest! {
         let mut world = World::new(scene.clone()).expect("enough memory");
         let mut sinks = Sinks::open(&to_file(&dir.file("x.rrd"))).expect("a file");
         let steps = settings.steps.unwrap_or(taken).min(taken);
-        let mut recorder = Recorder::new(&world, settings.clone());
+        let mut recorder = Recorder::new(&world, settings.clone()).expect("its text describes it");
         for _ in 0..steps {
             world.step();
-            recorder.observe(&world);
+            recorder.observe(&world).expect("a valid step");
         }
         recorder.finish(&world);
         recorder.take().into_iter().for_each(|message| sinks.send(message).expect("disk space"));
@@ -535,13 +535,13 @@ fn no_control_character_of_a_recording_reaches_a_terminal() {
     let scene = Scene::parse(SCENE, "small").expect("a scene");
     let settings = Settings { frames: Frames::Thin, ..Settings::of(&scene) };
     let mut world = World::new(scene.clone()).expect("enough memory");
-    let mut recorder = Recorder::new(&world, settings);
+    let mut recorder = Recorder::new(&world, settings).expect("its text describes it");
     for property in [contract::OVERRIDES, contract::MACHINE, contract::BLESSED, contract::INTEGRATOR] {
         recorder.log_property(property, EVIL);
     }
     for _ in 0..30 {
         world.step();
-        recorder.observe(&world);
+        recorder.observe(&world).expect("a valid step");
     }
     recorder.finish(&world);
     let write = |recorder: &mut Recorder, name: &str| {

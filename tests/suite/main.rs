@@ -13,6 +13,7 @@ mod forces;
 mod free_bodies;
 mod integrators;
 mod layers;
+mod library;
 mod live;
 mod models;
 mod octahedra;

@@ -56,7 +56,7 @@ fn a_recording_names_its_model() {
     assert_eq!([with.model.as_str(), without.model.as_str()], ["fem", "oscillators"]);
     assert!(with.run.contains("model = \"fem\"\n"), "{}", with.run);
     let scene = run("two", Model::Fem).scene;
-    assert_eq!(scene.overrides(Some(scene.steps())), "model = \"fem\"\n");
+    assert_eq!(scene.overrides(Some(scene.steps())), Ok("model = \"fem\"\n".to_owned()));
 
     let table: toml::Table = (oscillators.run.clone() + "model = \"jelly\"\n").parse().expect("settings");
     let rejected = models::read("two", &oscillators.source, &table).expect_err("no such model");

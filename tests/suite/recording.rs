@@ -290,13 +290,13 @@ impl Run {
         let destinations = Destinations { save: Some(path.clone()), ..Destinations::default() };
         let mut sinks = Sinks::open(&destinations).expect("a file");
         let mut world = World::new(scene.clone()).expect("enough memory");
-        let mut recorder = Recorder::new(&world, settings.clone());
+        let mut recorder = Recorder::new(&world, settings.clone()).expect("its text describes it");
         let mut send =
             |messages: Vec<_>| messages.into_iter().for_each(|message| sinks.send(message).expect("disk space"));
         send(recorder.blueprint(&world));
         for step in 1..=settings.steps.expect("a last step") {
             world.step();
-            recorder.observe(&world);
+            recorder.observe(&world).expect("a valid step");
             if step % taken_every == 0 {
                 send(recorder.take());
             }
@@ -1369,11 +1369,11 @@ fn a_file_ends_with_the_ranges_of_its_plots_and_opens_at_its_first_event() {
     let scene = builtin("two");
     let mut world = World::new(scene.clone()).expect("enough memory");
     let settings = Settings::of(&scene);
-    let mut recorder = Recorder::new(&world, settings.clone());
+    let mut recorder = Recorder::new(&world, settings.clone()).expect("its text describes it");
     assert!(recorder.measured_layout(&world, Tab::Scene).is_empty(), "nothing was measured");
     for _ in 0..100 {
         world.step();
-        recorder.observe(&world);
+        recorder.observe(&world).expect("a valid step");
     }
     let store_of = |messages: &[LogMsg]| messages.last().expect("messages").store_id().clone();
     let layout = recorder.blueprint_at(&world, Tab::Timings);
@@ -1397,5 +1397,5 @@ fn a_file_ends_with_the_ranges_of_its_plots_and_opens_at_its_first_event() {
     }
 
     let thin = Settings { frames: Frames::Thin, ..settings };
-    assert!(Recorder::new(&world, thin).measured_layout(&world, Tab::Scene).is_empty());
+    assert!(Recorder::new(&world, thin).expect("its text describes it").measured_layout(&world, Tab::Scene).is_empty());
 }

@@ -51,11 +51,11 @@ fn record_with(path: &Path, played: &Scene, options: Options, settings: Settings
 
 fn send(sinks: &mut Sinks, played: &Scene, options: Options, settings: &Settings) {
     let mut world = World::with_options(played.clone(), options).expect("enough memory");
-    let mut recorder = Recorder::new(&world, settings.clone());
+    let mut recorder = Recorder::new(&world, settings.clone()).expect("its text describes it");
     let mut messages = recorder.blueprint(&world);
     for step in 1..=settings.steps.expect("a last step") {
         world.step();
-        recorder.observe(&world);
+        recorder.observe(&world).expect("a valid step");
         if step % 1000 == 0 {
             messages.extend(recorder.take());
         }

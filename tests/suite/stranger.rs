@@ -133,10 +133,10 @@ fn its_own_events_are_triggers() {
 fn its_own_thresholds_are_plotted_with_many_bodies() {
     let many = Octahedra { pull: 3.0, bodies: 17 };
     let mut simulation = many.start().expect("enough memory");
-    let mut recorder = Recorder::new(&*simulation, Settings::of(&many));
+    let mut recorder = Recorder::new(&*simulation, Settings::of(&many)).expect("its text describes it");
     for _ in 0..100 {
         simulation.step();
-        recorder.observe(&*simulation);
+        recorder.observe(&*simulation).expect("a valid step");
     }
     recorder.finish(&*simulation);
     let lines: Vec<String> = recorder

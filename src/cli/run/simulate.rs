@@ -83,7 +83,7 @@ pub fn simulate(
     let warnings: Vec<String> = schema.warnings.iter().map(|warning| format!("warning: {warning}")).collect();
     console.notes(&warnings);
     console.begin(&settings, arguments.save.as_deref());
-    let mut recorder = Recorder::numbered(&*simulation, settings.clone(), number);
+    let mut recorder = Recorder::numbered(&*simulation, settings.clone(), number).map_err(Failure::Input)?;
     // first write what a replay needs, because the run may be killed at any moment
     let mut first = recorder.take();
     let rest = first.split_off(Recorder::HEAD.min(first.len()));

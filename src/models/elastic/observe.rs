@@ -421,7 +421,7 @@ impl Simulation for Elastic {
         schema
     }
 
-    fn overrides(&self, steps: Option<u64>) -> String {
+    fn overrides(&self, steps: Option<u64>) -> Result<String, String> {
         self.scene.overrides(steps)
     }
 

@@ -307,7 +307,7 @@ impl Simulation for Metaballs {
         schema(&self.scene)
     }
 
-    fn overrides(&self, steps: Option<u64>) -> String {
+    fn overrides(&self, steps: Option<u64>) -> Result<String, String> {
         self.scene.overrides(steps)
     }
 

@@ -25,7 +25,7 @@ use crate::{
 const PARALLEL_VERTICES: usize = 512;
 
 /// A union-find forest of bodies that act on each other; each tree is an island.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub(super) struct Forest {
     leader: Vec<u32>,
     /// Indices of the pairs that couple their bodies.
@@ -78,7 +78,7 @@ impl Group {
 }
 
 /// An island in a step.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub(super) struct Job {
     pub group: Group,
     pub is_done: bool,
@@ -94,7 +94,17 @@ pub(super) struct Job {
     /// Whether it takes steps of fixed length.
     pub is_fixed: bool,
     /// The states within the step, once they are asked for; `Some(None)` if they cannot be found.
-    dense: Mutex<Option<Option<Dense>>>,
+    dense: OnRequest,
+}
+
+/// States that are found when they are asked for. A copy finds them anew.
+#[derive(Default)]
+struct OnRequest(Mutex<Option<Option<Dense>>>);
+
+impl Clone for OnRequest {
+    fn clone(&self) -> OnRequest {
+        OnRequest::default()
+    }
 }
 
 /// The input for advancing islands.
@@ -151,7 +161,7 @@ impl Job {
             return None; // its steps are not accurate enough to be subdivided
         }
         let paths = OfScene { scene, bodies: &self.all };
-        let mut dense = self.dense.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut dense = self.dense.0.lock().unwrap_or_else(PoisonError::into_inner);
         let dense = dense.get_or_insert_with(|| {
             let parts = self.parts_before(scene, start);
             Dense::new(parts, scene.tolerance, [start, end], Scratch::new(arch), &paths, work)
@@ -180,7 +190,7 @@ impl Job {
     fn advance(&mut self, turn: usize, conditions: &Conditions<'_>, scratch: &mut Scratch) {
         let Conditions { scene, members, near, span, work, .. } = *conditions;
         let Group { bodies, sources, pairs } = &self.group;
-        *self.dense.get_mut().unwrap_or_else(PoisonError::into_inner) = None;
+        self.dense = OnRequest::default();
         self.all.clear();
         self.all.extend(bodies.iter().chain(sources));
         let first_point = self.all.len() as u32;

@@ -42,6 +42,7 @@ const MIN_WAIT: u16 = 30;
 const MAX_WAIT: u16 = 1920;
 
 /// A body, and the engine's bookkeeping for it.
+#[derive(Clone)]
 pub(in crate::sim) struct Member {
     /// Its rest shape.
     pub mesh: Arc<Mesh>,
@@ -114,10 +115,15 @@ pub(in crate::sim) struct StepBounds {
 }
 
 /// Rest shapes at the scale of bodies, shared by equal bodies.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub(in crate::sim) struct Shapes(HashMap<(usize, u64, u64), Arc<Shape>, FxBuildHasher>);
 
 impl Shapes {
+    /// Forgets shapes that no body has: their meshes may be gone.
+    pub fn forget_unused(&mut self) {
+        self.0.retain(|_, shape| Arc::strong_count(shape) > 1);
+    }
+
     fn get(&mut self, mesh: &Arc<Mesh>, radius: f64, mass: f64) -> Arc<Shape> {
         let key = (Arc::as_ptr(mesh) as usize, radius.to_bits(), mass.to_bits());
         let make = || {
@@ -174,6 +180,13 @@ impl Member {
             member.clear_deformation();
         }
         member
+    }
+
+    /// Adds a push on it.
+    pub fn add_push(&mut self, push: &scene::Push) {
+        let mut pushes = std::mem::take(&mut self.pushes).into_vec();
+        pushes.insert(pushes.partition_point(|other| other.start <= push.start), pushed(push));
+        self.pushes = pushes.into();
     }
 
     /// Takes over the state of another body with the same shape.

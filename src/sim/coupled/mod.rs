@@ -86,6 +86,7 @@ const MAX_ADAPTIVE: u64 = 4_000_000;
 const CALM: f64 = 10.0;
 
 /// The bodies of a coupled scene.
+#[derive(Clone)]
 pub(super) struct Coupled {
     members: Vec<Member>,
     /// The force points, as bodies without vertices.
@@ -99,6 +100,8 @@ pub(super) struct Coupled {
     starts: Vec<(f64, u32)>,
     /// Number of pushes that have begun.
     started: usize,
+    /// The rest shapes of the bodies.
+    shapes: Shapes,
     forest: Forest,
     jobs: Vec<Job>,
     /// Buffers, reused; `before` holds the islands of the previous step.
@@ -108,7 +111,7 @@ pub(super) struct Coupled {
     stepped: Vec<u32>,
     /// Index of a body's island in the step, by its root.
     job_of: Vec<u32>,
-    scratches: Mutex<Vec<Scratch>>,
+    scratches: Scratches,
     /// Energy brought to free bodies so far, by cause.
     pub ledger: Ledger,
     /// Whether an island took steps of fixed length, which is announced once.
@@ -117,21 +120,33 @@ pub(super) struct Coupled {
     pub first_energy: f64,
 }
 
+/// Buffers of islands. A copy of a world begins with none.
+#[derive(Default)]
+struct Scratches(Mutex<Vec<Scratch>>);
+
+impl Clone for Scratches {
+    fn clone(&self) -> Scratches {
+        Scratches::default()
+    }
+}
+
 impl Coupled {
     /// The bodies at t = 0; `None` if there are more than `max_pairs` pairs of nearby bodies.
     pub fn new(scene: &Scene, max_pairs: u64, work: &Work) -> Option<Coupled> {
         let mut shapes = Shapes::default();
-        let members = (0..scene.bodies.len()).map(|index| Member::new(scene, index, &mut shapes));
+        let members: Vec<Member> =
+            (0..scene.bodies.len()).map(|index| Member::new(scene, index, &mut shapes)).collect();
         let mut starts: Vec<(f64, u32)> = scene.pushes.iter().map(|push| (push.start, push.body as u32)).collect();
         starts.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut coupled = Coupled {
-            members: members.collect(),
+            members,
             points: scene.points.iter().map(|point| source_at(point, 0.0)).collect(),
             near: Near::new(scene),
             awake: Vec::new(),
             sleeping_hash: 0,
             starts,
             started: 0,
+            shapes,
             forest: Forest::default(),
             jobs: Vec::new(),
             before: Vec::new(),
@@ -139,7 +154,7 @@ impl Coupled {
             unforced: Vec::new(),
             stepped: Vec::new(),
             job_of: vec![0; scene.bodies.len()],
-            scratches: Mutex::default(),
+            scratches: Scratches::default(),
             ledger: Ledger::default(),
             has_fixed: false,
             first_energy: 0.0,
@@ -226,8 +241,89 @@ impl Coupled {
         let brought = self.energy(scene, time) - before.energy(takeover.scene, time);
         self.ledger.edits += brought;
         report.ledger.edits += brought;
-        self.enter_phases(scene, time, report);
+        let known = (0..).zip(&self.members).flat_map(|(a, member)| {
+            let later = member.neighbours.iter().filter(move |neighbour| neighbour.other > a);
+            later.map(|neighbour| neighbour.pair)
+        });
+        self.enter_phases(scene, time, &known.collect::<Vec<u32>>(), report);
         true
+    }
+
+    /// Adds the last body of the scene at `time` [s], with the phase changes and the energy that this brings. False, and
+    /// nothing has changed, if there would be more than `max_pairs` pairs.
+    pub fn add_last(&mut self, scene: &Scene, time: f64, max_pairs: u64, report: &mut StepReport) -> bool {
+        let last = self.members.len();
+        let mut member = Member::new(scene, last, &mut self.shapes);
+        if let Some(path) = scene.bodies[last].path() {
+            let motion = path.at(time);
+            (member.body.centre, member.body.velocity) = (motion.position, motion.velocity);
+        }
+        member.is_awake = true;
+        member.bound_motion(&scene.bodies[last], scene.gravity, Span { start: time, end: time + scene.dt });
+        self.members.push(member);
+        if !self.near.add_last(scene, &mut self.members, time, max_pairs) {
+            self.members.pop();
+            self.shapes.forget_unused();
+            return false;
+        }
+        self.awake.push(last as u32);
+        self.job_of.push(0);
+        // results of islands name force points by numbers that follow those of the bodies
+        self.before.clear();
+        self.jobs.clear();
+        let brought = self.energy_of(scene, time, last);
+        if time == 0.0 {
+            self.first_energy += brought;
+            return true;
+        }
+        self.ledger.edits += brought;
+        report.ledger.edits += brought;
+        let pairs: Vec<u32> = self.members[last].neighbours.iter().map(|neighbour| neighbour.pair).collect();
+        self.enter_phases(scene, time, &pairs, report);
+        true
+    }
+
+    /// Energy of a body at `time` [s], and of its pairs.
+    fn energy_of(&self, scene: &Scene, time: f64, body: usize) -> f64 {
+        let Member { body: own, neighbours, .. } = &self.members[body];
+        let field = self.field(scene, time);
+        let pairs = neighbours.iter().map(|&Neighbour { other, pair }| {
+            let free::Pair { law, phase, .. } = self.near.pair(pair);
+            let other = &self.members[other as usize].body;
+            let q = own.centre.distance(other.centre) / (own.radius + other.radius);
+            free::influence_energy(own, other, &field, law.strength(*phase, q))
+        });
+        let pairs: f64 = pairs.sum();
+        let alone = Field { pushes: Vec::new(), forces: Vec::new(), first_point: 1, ..field };
+        let here = Span { start: time, end: time };
+        let with_points = self.points_near(scene, here, body).map(|(source, point)| {
+            let window = Window { start: point.start, end: point.end() };
+            Pair::with_point(0, 1 + source - scene.bodies.len() as u32, point.strength, window, time)
+        });
+        let bodies = std::iter::once(own).chain(&self.points).collect();
+        pairs + Snapshot::new(bodies, with_points.collect(), alone, time).conserved().energy()
+    }
+
+    /// Adds a push, which the scene has already.
+    pub fn push(&mut self, push: &scene::Push, time: f64) {
+        let member = &mut self.members[push.body];
+        member.add_push(push);
+        let index = self.starts.partition_point(|start| start.0 <= push.start);
+        self.starts.insert(index, (push.start, push.body as u32));
+        if push.start < time {
+            self.started += 1;
+            if time < push.end() {
+                self.wake_up(push.body);
+            }
+        }
+    }
+
+    /// Wakes a body between two steps.
+    pub fn wake_up(&mut self, body: usize) {
+        if !self.members[body].is_awake {
+            self.wake(body as u32);
+            self.awake.sort_unstable();
+        }
     }
 
     /// The energy of the free bodies at `time` [s].
@@ -236,13 +332,9 @@ impl Coupled {
     }
 
     /// Changes the phases of pairs that a threshold has passed.
-    fn enter_phases(&mut self, scene: &Scene, time: f64, report: &mut StepReport) {
+    fn enter_phases(&mut self, scene: &Scene, time: f64, pairs: &[u32], report: &mut StepReport) {
         let field = self.field(scene, time);
-        let known = (0..).zip(&self.members).flat_map(|(a, member)| {
-            let later = member.neighbours.iter().filter(move |neighbour| neighbour.other > a);
-            later.map(|neighbour| neighbour.pair)
-        });
-        for index in known.collect::<Vec<u32>>() {
+        for &index in pairs {
             let free::Pair { a, b, law, phase, .. } = *self.near.pair(index);
             let [first, second] = [a, b].map(|body| &self.members[body as usize].body);
             let (apart, radii) = (second.centre - first.centre, first.radius + second.radius);
@@ -551,7 +643,10 @@ impl Coupled {
         let mut is_repeated = false;
         loop {
             let Coupled { members, near, scratches, jobs, .. } = self;
-            islands::advance(jobs, &Conditions { scene, members, near, span, work: step.work, scratches, arch });
+            islands::advance(
+                jobs,
+                &Conditions { scene, members, near, span, work: step.work, scratches: &scratches.0, arch },
+            );
             if step.work.is_interrupted() {
                 return Err(Failure::Interrupted { step: step.report.step });
             }

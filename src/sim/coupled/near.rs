@@ -23,7 +23,7 @@ use crate::{
 const SKIN: f64 = 0.3;
 
 /// All pairs of bodies that are near each other.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub(in crate::sim) struct Near {
     pairs: Vec<Pair>,
     /// Unused indices of `pairs`.
@@ -57,6 +57,21 @@ impl Near {
                 break;
             }
         }
+        true
+    }
+
+    /// Finds the pairs of the last body, which is new at `t` [s]; false, and nothing has changed, if there would be more
+    /// than `max`.
+    pub fn add_last(&mut self, scene: &Scene, members: &mut [Member], t: f64, max: u64) -> bool {
+        let last = members.len() - 1;
+        self.place(scene, members, last);
+        let mut found = 0;
+        self.grid.each_touching(last as u32, |_| found += 1);
+        if self.count() as u64 + found > max {
+            self.grid.take(last as u32);
+            return false;
+        }
+        self.find(scene, members, last, t, &Tally::unlimited());
         true
     }
 

@@ -5,7 +5,7 @@ use crate::{scene::Scene, sim::checksum};
 
 /// The states of the bodies that are not at rest. Only this type moves them and sets [`Body::active`], their index
 /// here.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub(in crate::sim) struct ActiveSet {
     /// Awake bodies first, then sleeping ones.
     states: Vec<Active>,

@@ -25,6 +25,7 @@ use crate::{
 };
 
 /// A body of the scene, at rest or not: what a step reads of it besides its state, in one place.
+#[derive(Clone)]
 pub(in crate::sim) struct Body {
     /// Its rest shape, shared by all bodies of the same shape.
     pub mesh: Arc<Mesh>,

@@ -56,6 +56,7 @@ const PARALLEL_BODIES: usize = 512;
 const ROOM: f64 = 1.5;
 
 /// The bodies of a scene, all of which are on paths.
+#[derive(Clone)]
 pub(super) struct Prescribed {
     pub bodies: Vec<Body>,
     /// Bodies that are not at rest.

@@ -75,7 +75,7 @@ pub(in crate::sim) struct Moving<'a> {
 }
 
 /// All pairs of bodies that are near each other.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub(in crate::sim) struct Pairs {
     pairs: Vec<Pair>,
     /// Unused indices of `pairs`.

@@ -17,6 +17,7 @@ const PARALLEL_TRACKS: usize = 256;
 const STILL: u32 = u32::MAX;
 
 /// The tracks of all bodies, and of the force points, which follow them.
+#[derive(Clone)]
 pub struct Tracks {
     /// The path of each body.
     paths: Vec<Path>,
@@ -63,6 +64,7 @@ pub struct Samples {
 }
 
 /// A moving body during a step.
+#[derive(Clone)]
 pub struct Mover {
     /// Index of the body.
     pub body: u32,
