@@ -82,7 +82,7 @@ impl Scene {
     }
 
     fn has_core_defaults(&self) -> bool {
-        self.laws().any(|law| law.for_free != ForFree::Nothing)
+        std::iter::once(&self.common_law()).chain(self.pairs.laws()).any(|law| law.for_free != ForFree::Nothing)
     }
 
     /// The settings of a run, as lines of TOML: what a recording needs besides the scene's text. The default model is

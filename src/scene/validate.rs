@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use super::{
     Body, Force, FreeMotion, Motion, Path, Plane, Point, Push, Response, Scene,
-    keys::{self, ANY, Key, Kind, NON_NEGATIVE, Range, SMALLEST},
+    keys::{self, ANY, Key, Kind, LARGEST, NON_NEGATIVE, Range, SMALLEST},
     pairs::Members,
     parse::{MAX_PLANES, MAX_STEPS, key},
 };
@@ -26,6 +26,8 @@ pub struct InvalidScene {
 
 type Checked = Result<(), InvalidScene>;
 
+/// Masses are those of spheres of all radii, unless they are given.
+const MASS: Range = Range { min: SMALLEST * SMALLEST * SMALLEST, max: LARGEST * LARGEST * LARGEST };
 /// How far the length of a direction may be from 1.
 const UNIT: f64 = 1e-9;
 
@@ -166,7 +168,7 @@ impl Body {
     pub(crate) fn validate(&self, field: impl Fn(&str) -> String) -> Checked {
         text(key!(BODIES.name), Field(|| field("name")), &self.name)?;
         number(key!(BODIES.radius), Field(|| field("radius")), self.radius)?;
-        number(key!(BODIES.mass), Field(|| field("mass")), self.mass)?;
+        within(MASS, Field(|| field("mass")), self.mass)?;
         number(key!(OSCILLATOR.omega), Field(|| field("material.omega")), self.material.omega)?;
         number(key!(OSCILLATOR.damping), Field(|| field("material.damping")), self.material.damping)?;
         self.group.as_ref().map_or(Ok(()), |group| text(key!(BODIES.group), Field(|| field("group")), group))?;

@@ -145,8 +145,13 @@ impl Pipeline {
         let step = next_of(&mut packet.steps, &mut packet.steps_used);
         let has_frame = self.settings.has_frame(simulation.steps_taken());
         let mut frame = has_frame.then(|| next_of(&mut packet.frames, &mut packet.used));
-        if let Some(watch) = &mut self.watch {
-            watch.step(simulation, &self.settings, step, frame.as_deref_mut())?;
+        if let Some(watch) = &mut self.watch
+            && let Err(reason) = watch.step(simulation, &self.settings, step, frame.as_deref_mut())
+        {
+            // what breaks the contract is not recorded
+            packet.steps_used -= 1;
+            packet.used -= usize::from(has_frame);
+            return Err(reason);
         }
         self.surfaces.extend_from_slice(&step.surfaces);
         (step.waiting, step.lag) = (take(&mut self.waiting), lag);

@@ -73,11 +73,12 @@ fn record_to(
     }
     let mut pipeline = Pipeline::start(&*simulation, recorder, sinks)?;
     let mut run = Run::new(simulation, Some(steps));
-    while run.step() {
-        pipeline.observe(&*run.simulation, None).map_err(RecordError::Recording)?;
+    let mut refused = None;
+    while refused.is_none() && run.step() {
+        refused = pipeline.observe(&*run.simulation, None).err();
     }
     let mut end = pipeline.finish().map_err(RecordError::Recording)?;
-    if let Some(failure) = end.failure.take().or_else(|| end.finish(&*run.simulation)) {
+    if let Some(failure) = refused.or_else(|| end.failure.take()).or_else(|| end.finish(&*run.simulation)) {
         return Err(RecordError::Recording(failure));
     }
     for message in end.recorder.measured_layout(&*run.simulation, Tab::Scene) {

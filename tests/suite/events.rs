@@ -561,9 +561,9 @@ proptest! {
         let mut scene = two(ORIGIN, ORIGIN, thresholds(core_at, merge_at, 1.2 * merge_at), dt, 2.0);
         scene.influence.reach = reach;
         let body = scene.bodies.remove(0);
-        scene.bodies = movers.iter().map(|&(centre, motion, radius, frequency, straight)| {
+        scene.bodies = movers.iter().enumerate().map(|(index, &(centre, motion, radius, frequency, straight))| {
             let path = if straight { line(centre, motion) } else { sine(centre, motion, frequency, 0.3) };
-            meldscope::scene::Body { name: format!("{centre}"), radius, motion: path.into(), ..body.clone() }
+            meldscope::scene::Body { name: format!("b{index}"), radius, motion: path.into(), ..body.clone() }
         }).collect();
         let steps = scene.steps() as u32;
         let mut expected = vec![];

@@ -116,6 +116,10 @@ impl Simulation for Torn {
             let same = now.displacements.get(0) + DVec3::Z;
             now.displacements = now.displacements.iter().chain([same]).collect();
             now.velocities = now.velocities.iter().chain([DVec3::ZERO]).collect();
+            for term in &mut now.terms {
+                term.accelerations = term.accelerations.iter().chain([DVec3::ZERO]).collect();
+            }
+            now.labels.resize(self.version.vertex_count(), 0);
             now.mesh = Some(Arc::clone(&self.version));
             now.displaced(self.version.at(schema.bodies[0].radius));
         }

@@ -6,10 +6,11 @@ use std::{
     process::Command,
 };
 
+use glam::DVec3;
 use meldscope::{
     Scene, World,
     analysis::surface::Merger,
-    observe::{Frame, Simulation as _, Want},
+    observe::{Frame, Schema, Simulation, StepSummary, Want},
     recording::{
         Recorded, diff,
         golden::{self, GoldenOutcome},
@@ -26,6 +27,43 @@ use meldscope::{
 };
 
 use crate::recording::{Dir, Recording};
+
+/// A world of another version of the program, in which its text described it although that here describes another one.
+struct AnotherVersion<'a>(&'a World);
+
+impl Simulation for AnotherVersion<'_> {
+    fn schema(&self) -> Schema {
+        self.0.schema()
+    }
+    fn overrides(&self, steps: Option<u64>) -> Result<String, String> {
+        self.0.overrides(steps).or_else(|_| {
+            let Scene { dt, tolerance, integrator, model, ref source, ref name, ref set, .. } = *self.0.scene();
+            let own = Scene::parse(source, name).and_then(|own| own.with(set, name)).expect("its text is a scene");
+            Scene { dt, tolerance, integrator, model, ..own }.overrides(steps)
+        })
+    }
+    fn steps_taken(&self) -> u64 {
+        self.0.steps_taken()
+    }
+    fn time(&self) -> f64 {
+        self.0.time()
+    }
+    fn step(&mut self) {
+        unreachable!("only its start is recorded through it");
+    }
+    fn summary(&self, summary: &mut StepSummary) {
+        Simulation::summary(self.0, summary);
+    }
+    fn checksum(&self) -> u64 {
+        self.0.checksum()
+    }
+    fn observe(&self, want: Want, frame: &mut Frame) {
+        self.0.observe(want, frame);
+    }
+    fn framing(&self, only_what_happens: bool) -> Vec<(DVec3, f64)> {
+        self.0.framing(only_what_happens)
+    }
+}
 
 /// Records `played` with the scene text that it carries, as another version of the program would have done.
 fn record(path: &Path, played: &Scene, settings: Settings) {
@@ -51,7 +89,7 @@ fn record_with(path: &Path, played: &Scene, options: Options, settings: Settings
 
 fn send(sinks: &mut Sinks, played: &Scene, options: Options, settings: &Settings) {
     let mut world = World::with_options(played.clone(), options).expect("enough memory");
-    let mut recorder = Recorder::new(&world, settings.clone()).expect("its text describes it");
+    let mut recorder = Recorder::new(&AnotherVersion(&world), settings.clone()).expect("a valid schema");
     let mut messages = recorder.blueprint(&world);
     for step in 1..=settings.steps.expect("a last step") {
         world.step();
