@@ -39,7 +39,7 @@ pub fn chart(scenes: &[Scene]) -> Chart {
 /// The force of attraction on the nearest vertex when the first pair of a scene merges, over the largest at any
 /// distance [–].
 pub fn at_the_switch(scene: &Scene) -> f64 {
-    let z = distance(scene, scene.law(0, 1).thresholds.merge_at) / scene.influence.reach;
+    let z = distance(scene, scene.law(0, 1).thresholds.merge_at) / scene.bodies[1].reach;
     let weight = scene.influence.weight;
     z * weight.at(z) / weight.max_pull()
 }
@@ -78,9 +78,9 @@ fn weights() -> Panel {
 }
 
 fn forces(scene: &Scene) -> Panel {
-    let (law, influence) = (scene.law(0, 1), scene.influence);
+    let (law, influence, reach) = (scene.law(0, 1), scene.influence, scene.bodies[1].reach);
     let scale = influence.scale(scene.bodies[0].radius, scene.bodies[1].radius);
-    let force = |strength: f64, r: f64| scale * strength * r * influence.weight.at(r / influence.reach);
+    let force = |strength: f64, r: f64| scale * strength * r * influence.weight.at(r / reach);
     let of = |strength: f64| distances().map(|r| [r, force(strength, r)]).collect();
     // the phase has a memory, so it is followed from where the pair starts
     let switched = |from: f64, order: &mut dyn Iterator<Item = f64>| -> Vec<[f64; 2]> {
@@ -114,7 +114,7 @@ fn forces(scene: &Scene) -> Panel {
         marks[0].1 = "merge_at = split_at";
         marks.remove(1);
     }
-    let most = influence.reach * influence.weight.max_pull() * 1.1;
+    let most = reach * influence.weight.max_pull() * 1.1;
     Panel {
         title: scene.name.clone(),
         axes: [Axis::linear("r [R]", 0.0..FARTHEST), Axis::linear("force [R/s²]", -law.beta * most..law.alpha * most)],

@@ -315,7 +315,7 @@ impl<'a> Problem<'a> {
     /// `leash` of rest.
     fn is_near(&self, index: usize, other: usize, leash: f64, start: f64, end: f64) -> bool {
         let (body, source) = (&self.scene.bodies[index], source_path(self.scene, other));
-        let near = self.scene.influence.reach * self.scene.source_radius(other) + body.radius + leash;
+        let near = self.scene.source_sphere_radius(other) + body.radius + leash;
         let speed = path(body).bounds(start, end).speed + source.bounds(start, end).speed;
         let distance = path(body).position(start).distance(source.position(start));
         distance - speed * (end - start) <= near

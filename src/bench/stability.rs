@@ -263,9 +263,8 @@ fn doubt_of(event: &Event, scene: &Scene, index: usize, other: usize) -> f64 {
     let far = a.position.length() + b.position.length() + path(body).position(0.0).length();
     let law = scene.law(index, other);
     let strength = |phase| scene.strength(&law, phase, body.radius, source.radius);
-    let jump = (strength(event.from) - strength(event.to)).abs()
-        * scene.influence.sphere_radius(source.radius)
-        * scene.influence.weight.max_pull();
+    let jump =
+        (strength(event.from) - strength(event.to)).abs() * source.sphere_radius() * scene.influence.weight.max_pull();
     if jump == 0.0 { 0.0 } else { jump * (ROUNDING * far / speed) }
 }
 

@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use super::{Failure, say};
 use crate::{
-    scene::{Model, Scene},
+    scene::{Body, Model, Scene},
     sim::memory,
     stream::settings::Detail,
     text::{bytes, counted, significant},
@@ -40,9 +40,8 @@ struct Near {
 
 impl Near {
     fn of(scene: &Scene) -> Near {
-        let radii = || scene.bodies.iter().map(|body| body.radius);
-        let largest = radii().fold(0.0, f64::max);
-        let cell = radii().map(|radius| scene.influence.sphere_radius(radius)).fold(0.0, f64::max) + largest;
+        let largest = |of: fn(&Body) -> f64| scene.bodies.iter().map(of).fold(0.0, f64::max);
+        let cell = largest(Body::sphere_radius) + largest(|body| body.radius);
         let place = |centre: DVec3| (centre / cell).floor().to_array().map(|x| x as i64);
         let mut known: HashMap<[i64; 3], Vec<u32>> = HashMap::new();
         let mut is_near = vec![false; scene.bodies.len()];
@@ -60,8 +59,7 @@ impl Near {
                 for &a in known.get(&cell).into_iter().flatten() {
                     tests += 1;
                     let other = &scene.bodies[a as usize];
-                    let sphere = |of: f64, on: f64| scene.influence.sphere_radius(of) + on;
-                    let reach = f64::max(sphere(body.radius, other.radius), sphere(other.radius, body.radius));
+                    let reach = f64::max(body.sphere_radius() + other.radius, other.sphere_radius() + body.radius);
                     if centre.distance(other.motion.start()) < reach {
                         near.pairs += 1.0;
                         near.forces += (body.shape.vertex_count() + other.shape.vertex_count()) as f64;
@@ -116,7 +114,7 @@ fn notes(scene: &Scene, recorded: Option<Detail>, available: u64) -> Result<Vec<
     if seconds > LONG {
         notes.push(format!(
             "about {} of bodies are within reach of each other at the start: a step takes about {} s; move bodies apart, \
-             lower influence.reach, or `stacks` and `slices` of the shapes",
+             lower their reach, or `stacks` and `slices` of the shapes",
             counted(near.pairs as u64, "pair"),
             significant(seconds)
         ));
@@ -174,10 +172,7 @@ mod tests {
         assert_eq!(of(&usual, 1 << 40).unwrap(), [""; 0]);
         let coincident = grid("[2000, 1, 1]", "[0, 0, 0]", USUAL);
         let found = of(&coincident, 1 << 40).unwrap();
-        assert!(
-            found.iter().any(|note| note.contains("1,999,000 pairs") && note.contains("influence.reach")),
-            "{found:?}"
-        );
+        assert!(found.iter().any(|note| note.contains("1,999,000 pairs") && note.contains("reach")), "{found:?}");
         let fine = grid("[2, 1, 1]", "[1.5, 0, 0]", "{ stacks = 1500, slices = 1500 }");
         let found = of(&fine, 1 << 40).unwrap();
         assert!(found.iter().any(|note| note.contains("9.2 GiB") && note.contains("stacks")), "{found:?}");

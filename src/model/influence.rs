@@ -40,7 +40,8 @@ pub struct Influence {
     pub alpha: f64,
     /// Strength β of repulsion (3.5) [1/s²].
     pub beta: f64,
-    /// Radius of an influence sphere over the radius of its body, r_e / R [–].
+    /// Radius of an influence sphere over the radius R that belongs to it, r_e / R [–]: of force points, and of bodies
+    /// whose own `reach` is not given.
     pub reach: f64,
     /// The shape of the weight (3.3).
     pub weight: Weight,
@@ -59,7 +60,7 @@ impl Influence {
         }
     }
 
-    /// The radius r_e of the influence sphere of a body [scene unit].
+    /// The radius r_e of an influence sphere that belongs to a radius R, for this reach [scene unit].
     pub fn sphere_radius(&self, radius: f64) -> f64 {
         self.reach * radius
     }

@@ -35,6 +35,8 @@ pub(crate) struct Numbers {
     pub points: Vec<Point>,
     /// Of each body.
     materials: Vec<Material>,
+    /// Of each body.
+    pub reaches: Vec<f64>,
 }
 
 impl Numbers {
@@ -60,8 +62,9 @@ impl Edit {
     pub(super) fn new(time: f64, set: Vec<String>, after: Scene) -> Edit {
         let Scene { influence, thresholds, core_width, for_free, pairs, gravity, planes, points, bodies, .. } = after;
         let materials = bodies.iter().map(|body| body.material).collect();
+        let reaches = bodies.iter().map(|body| body.reach).collect();
         let numbers =
-            Numbers { influence, thresholds, core_width, for_free, pairs, gravity, planes, points, materials };
+            Numbers { influence, thresholds, core_width, for_free, pairs, gravity, planes, points, materials, reaches };
         Edit { time, set, numbers: Arc::new(numbers) }
     }
 
@@ -81,8 +84,10 @@ impl Edit {
     }
 
     /// Adds a last body.
-    pub(super) fn add_body(&mut self, material: Material) {
-        Arc::make_mut(&mut self.numbers).materials.push(material);
+    pub(super) fn add_body(&mut self, body: &super::Body) {
+        let numbers = Arc::make_mut(&mut self.numbers);
+        numbers.materials.push(body.material);
+        numbers.reaches.push(body.reach);
     }
 
     /// Removes a body; the indices of later bodies decrease by one.
@@ -90,6 +95,7 @@ impl Edit {
         let numbers = Arc::make_mut(&mut self.numbers);
         if index < numbers.materials.len() {
             numbers.materials.remove(index);
+            numbers.reaches.remove(index);
         }
         numbers.points.iter_mut().for_each(|point| point.remove_body(index));
     }
@@ -100,7 +106,7 @@ impl Scene {
     pub(crate) fn add_body(&mut self, body: super::Body) {
         let known = self.bodies.iter().position(|other| body.group.is_some() && other.group == body.group);
         self.pairs.add_body(known);
-        self.edits.iter_mut().for_each(|edit| edit.add_body(body.material));
+        self.edits.iter_mut().for_each(|edit| edit.add_body(&body));
         self.bodies.push(body);
     }
 
@@ -130,8 +136,8 @@ impl Scene {
             points: numbers.points.clone(),
             ..self.clone()
         };
-        for (body, material) in scene.bodies.iter_mut().zip(&numbers.materials) {
-            body.material = *material;
+        for (body, (material, reach)) in scene.bodies.iter_mut().zip(numbers.materials.iter().zip(&numbers.reaches)) {
+            (body.material, body.reach) = (*material, *reach);
         }
         scene
     }

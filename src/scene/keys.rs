@@ -330,15 +330,16 @@ pub(super) static STRENGTH: [Key; 2] = [
     ),
 ];
 
-pub(super) static SPHERE: [Key; 3] = [
-    number(
-        "reach",
-        POSITIVE,
-        "radii",
-        [1.0, 3.0],
-        Written(SQRT_2, "√2"),
-        "Radius of the influence sphere, in radii of its body.",
-    ),
+pub(super) static REACH: [Key; 1] = [number(
+    "reach",
+    POSITIVE,
+    "radii",
+    [1.0, 3.0],
+    Written(SQRT_2, "√2"),
+    "Radius of the influence sphere, in radii of its body.",
+)];
+
+pub(super) static SPHERE: [Key; 2] = [
     key(
         "weight",
         Kind::Word(|| words(&WEIGHTS)),
@@ -537,7 +538,7 @@ pub(super) static EDITS: [Key; 2] = [
         "set",
         Kind::Other(EDIT_FORM),
         Required,
-        "Numbers of influence, material, gravity, of a body (omega, damping), grid, pair, plane or point; keys as for --set.",
+        "Numbers of influence, material, gravity, of a body (omega, damping, reach), grid, pair, plane or point; keys as for --set.",
     ),
 ];
 
@@ -642,7 +643,7 @@ pub(super) static MATERIAL: Section =
 pub(super) static INFLUENCE: Section = table!(
     "influence",
     "The law between bodies: strengths, influence spheres, thresholds.",
-    &[&STRENGTH, &SPHERE, &PHASES]
+    &[&STRENGTH, &REACH, &SPHERE, &PHASES]
 );
 pub(super) static LATTICE: Section =
     table!("lattice", "For model = \"lattice\": cubes of masses and springs.", &[&LATTICES]);
@@ -654,7 +655,7 @@ pub(super) static BODY: Section = tables!(
     "body",
     "A soft body.",
     &[&BODIES],
-    &[(&OSCILLATOR, "[material]")],
+    &[(&OSCILLATOR, "[material]"), (&REACH, "[influence]")],
     "[[body]]
 name = \"a\"
 radius = 1.0
@@ -670,7 +671,7 @@ pub(super) static GRID: Section = tables!(
     "grid",
     "Many bodies from one description: its motion is that of the first, from which the others are offset.",
     &[&GRIDS],
-    &[(&BODIES, "[[body]]"), (&OSCILLATOR, "[material]")],
+    &[(&BODIES, "[[body]]"), (&OSCILLATOR, "[material]"), (&REACH, "[influence]")],
     "[[grid]]
 name = \"drop\"
 count = [2, 2, 1]

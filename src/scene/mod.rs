@@ -25,7 +25,7 @@
 //! [influence]
 //! alpha = 100.0                 # attraction, 1/s² [100]
 //! beta = 60.0                   # repulsion, 1/s² [60]
-//! reach = 1.41421356            # radius of the influence sphere, in radii of the body [√2]
+//! reach = 1.41421356            # radius of influence spheres, in radii of their bodies [√2]
 //! weight = "linear"             # linear | wendland [linear]
 //! scaling = "relative"          # relative | absolute [relative]
 //! merge_at = 1.05               # q, the centre distance over the sum of the radii [1.05]
@@ -59,7 +59,8 @@
 //! [[body]]
 //! name = "passing"
 //! radius = 0.8
-//! omega = 9.0
+//! omega = 9.0                   # and damping, response: of this body [as in [material]]
+//! reach = 1.2                   # of this body [as in [influence]]
 //! motion = { keyframes = [[0, 2.6, 0, 0], [1.5, 1.7, 0, 0], [3.0, 2.6, 0.4, 0]] }
 //! # or:    { line = { from = [2.6, 0, 0], velocity = [-0.4, 0, 0] } }
 //! # or:    { keyframes = { keys = [[0, 2.6, 0, 0], …], interpolation = "spline" } }   # | linear | hold [spline]
@@ -109,7 +110,8 @@
 //! [[edit]]                      # from this instant on, other values
 //! time = 1.9                    # s
 //! set = { "influence.merge_at" = 1.1, "body.still.omega" = 9.0 }   # numbers of influence, material, gravity, of a
-//!                               # body (omega, damping), grid, pair, plane or point; keys as for --set
+//!                               # body (omega, damping, reach), grid, pair, plane or point; keys as for --set
+//!                               # an edit of material or influence leaves alone what a body or pair has of its own
 //! ```
 //!
 //! The table of all keys, from which they are parsed, is [`keys`]; `meldscope reference scene` prints it.
@@ -237,6 +239,8 @@ pub struct Body {
     pub name: String,
     /// Radius R [scene unit], > 0.
     pub radius: f64,
+    /// Radius of its influence sphere over R, r_e / R [–], > 0.
+    pub reach: f64,
     /// Constants of the oscillators.
     pub material: Material,
     /// The rest shape, of unit radius.
@@ -268,6 +272,7 @@ impl Body {
         Body {
             name: name.into(),
             radius,
+            reach: std::f64::consts::SQRT_2,
             material: Material::default(),
             shape: Shape::default(),
             mass: radius * radius * radius,
@@ -284,6 +289,11 @@ impl Body {
             Motion::Prescribed(path) => Some(path),
             Motion::Free(_) => None,
         }
+    }
+
+    /// The radius r_e of its influence sphere [scene unit].
+    pub fn sphere_radius(&self) -> f64 {
+        self.reach * self.radius
     }
 }
 

@@ -217,9 +217,10 @@ pub(super) fn read_document(
         response: material.word(key!(OSCILLATOR.response), &keys::RESPONSES)?,
     };
     meshes.embedded(&mesh_tables)?;
-    let bodies = body_tables.iter().map(|table| read_body(table, material, meshes)).collect::<Result<Vec<_>, _>>()?;
+    let inherited = Inherited { material, reach: influence.number(key!(REACH.reach))? };
+    let bodies = body_tables.iter().map(|table| read_body(table, inherited, meshes)).collect::<Result<Vec<_>, _>>()?;
     let (mut bodies, mut from) = (bodies, body_tables.iter().collect());
-    grid::read(&grid_tables, material, meshes, &mut bodies, &mut from)?;
+    grid::read(&grid_tables, inherited, meshes, &mut bodies, &mut from)?;
     if bodies.is_empty() {
         let array = body_array.as_ref().or(grid_array.as_ref());
         let message = "expected at least one [[body]], found an empty array".to_owned();
@@ -293,7 +294,7 @@ fn read_influence(table: &Table<'_>) -> Result<Influence, SceneError> {
     Ok(Influence {
         alpha: PairLaw::DEFAULT.alpha,
         beta: PairLaw::DEFAULT.beta,
-        reach: table.number(key!(SPHERE.reach))?,
+        reach: table.number(key!(REACH.reach))?,
         weight: table.word(key!(SPHERE.weight), &keys::WEIGHTS)?,
         scaling: table.word(key!(SPHERE.scaling), &keys::SCALINGS)?,
         apart_repels: PairLaw::DEFAULT.apart_repels,
@@ -376,8 +377,16 @@ fn read_direction(table: &Table<'_>, key: &keys::Key) -> Result<DVec3, SceneErro
     }
 }
 
+/// What holds for the bodies that do not have their own.
+#[derive(Clone, Copy)]
+struct Inherited {
+    material: Material,
+    reach: f64,
+}
+
 /// A `[[body]]`, or the common description of the bodies of a `[[grid]]`.
-fn read_body(table: &Table<'_>, material: Material, meshes: &mut Meshes<'_>) -> Result<Body, SceneError> {
+fn read_body(table: &Table<'_>, inherited: Inherited, meshes: &mut Meshes<'_>) -> Result<Body, SceneError> {
+    let Inherited { material, reach } = inherited;
     let name = table.text(key!(BODIES.name))?;
     let radius = table.number(key!(BODIES.radius))?;
     let material = Material {
@@ -388,6 +397,7 @@ fn read_body(table: &Table<'_>, material: Material, meshes: &mut Meshes<'_>) -> 
     Ok(Body {
         name,
         radius,
+        reach: table.given_number(key!(REACH.reach))?.unwrap_or(reach),
         material,
         shape: read_shape(table, meshes)?,
         mass: table.given_number(key!(BODIES.mass))?.unwrap_or(radius * radius * radius),

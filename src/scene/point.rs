@@ -65,6 +65,14 @@ impl Scene {
         }
     }
 
+    /// The radius r_e of the influence sphere of a body, or of a force point, which follow the bodies [scene unit].
+    pub fn source_sphere_radius(&self, source: usize) -> f64 {
+        match source.checked_sub(self.bodies.len()) {
+            None => self.bodies[source].sphere_radius(),
+            Some(point) => self.influence.sphere_radius(self.points[point].radius),
+        }
+    }
+
     /// The force points that act on a body at some time, with their numbers as sources, which follow the bodies.
     pub fn points_on(&self, body: usize) -> impl Iterator<Item = (u32, &Point)> + '_ {
         let numbered = (self.bodies.len() as u32..).zip(&self.points);

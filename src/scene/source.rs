@@ -108,6 +108,7 @@ impl super::Body {
         let same = [
             ("name", self.name == other.name),
             ("radius", self.radius == other.radius),
+            ("reach", self.reach == other.reach),
             ("material", self.material == other.material),
             ("shape", self.shape == other.shape),
             ("mass", self.mass == other.mass),

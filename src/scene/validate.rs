@@ -58,7 +58,7 @@ impl Scene {
         self.fem.young.map_or(Ok(()), |young| number(key!(ELEMENTS.young), "fem.young", young))?;
         self.fem.tear_stress.map_or(Ok(()), |stress| number(key!(ELEMENTS.tear_stress), "fem.tear_stress", stress))?;
         number(key!(SURFACES.blend), "blend", self.blend)?;
-        number(key!(SPHERE.reach), "influence.reach", self.influence.reach)?;
+        number(key!(REACH.reach), "influence.reach", self.influence.reach)?;
         law("influence", &self.common_law())?;
         for (index, own) in self.pairs.laws().iter().enumerate() {
             law(&format!("pairs[{index}]"), own)?;
@@ -168,6 +168,7 @@ impl Body {
     pub(crate) fn validate(&self, field: impl Fn(&str) -> String) -> Checked {
         text(key!(BODIES.name), Field(|| field("name")), &self.name)?;
         number(key!(BODIES.radius), Field(|| field("radius")), self.radius)?;
+        number(key!(REACH.reach), Field(|| field("reach")), self.reach)?;
         within(MASS, Field(|| field("mass")), self.mass)?;
         number(key!(OSCILLATOR.omega), Field(|| field("material.omega")), self.material.omega)?;
         number(key!(OSCILLATOR.damping), Field(|| field("material.damping")), self.material.damping)?;

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{Motion, Rotation, Scene};
+use super::{Body, Motion, Rotation, Scene};
 
 /// The largest number of bodies that are compared with each other.
 const MAX_BODIES: usize = 64;
@@ -24,9 +24,9 @@ impl Scene {
             for a in 0..b {
                 let (law, pair) = (self.law(a, b), format!("{}~{}", self.bodies[a].name, self.bodies[b].name));
                 let (merge_at, split_at) = (law.thresholds.merge_at, law.thresholds.split_at);
-                let [one, other] = [a, b].map(|body| self.bodies[body].radius);
-                let reached = |source: f64, other: f64| self.influence.sphere_radius(source) + other;
-                let reach = f64::max(reached(one, other), reached(other, one)) / (one + other);
+                let [one, other] = [a, b].map(|body| &self.bodies[body]);
+                let reached = |source: &Body, other: &Body| source.sphere_radius() + other.radius;
+                let reach = f64::max(reached(one, other), reached(other, one)) / (one.radius + other.radius);
                 if merge_at > reach * (1.0 + MARGIN) {
                     warnings[0].push(format!(
                         "merge_at = {merge_at} is out of reach: at q = {merge_at} neither sphere of {pair} reaches the other \
@@ -53,17 +53,16 @@ impl Scene {
 
     /// Bodies that their influence sphere, which acts on others, does not enclose (3.2).
     fn not_enclosed(&self) -> Vec<String> {
-        let reach = self.influence.reach;
-        if self.bodies.len() < 2 || reach >= 1.0 {
+        if self.bodies.len() < 2 {
             return Vec::new();
         }
-        let warning = |name: &String| {
+        let warning = |Body { name, reach, .. }: &Body| {
             format!(
                 "reach = {reach} leaves the surface of {name} outside its influence sphere: others feel it only once they are \
                  inside it; use a reach above 1"
             )
         };
-        self.bodies.iter().map(|body| warning(&body.name)).collect()
+        self.bodies.iter().filter(|body| body.reach < 1.0).map(warning).collect()
     }
 
     /// Bodies whose centre, which is that of their influence sphere, is outside their surface (3.2).
@@ -156,6 +155,11 @@ mod tests {
         );
         assert!(found[0].ends_with("(and one more body like it)"), "{found:?}");
         assert_eq!(warnings("reach = 1.0\nmerge_at = 0.9\nsplit_at = 1.0"), [""; 0]);
+
+        let own = "duration = 1.0\n[[body]]\nname = 'a'\nradius = 1.0\nreach = 0.8\nmotion = { fixed = [0, 0, 0] }\n\
+                   [[body]]\nname = 'b'\nradius = 1.0\nmotion = { fixed = [4, 0, 0] }\n";
+        let found = Scene::parse(own, "warned.toml").unwrap().warnings();
+        assert!(found.len() == 1 && found[0].starts_with("reach = 0.8 leaves the surface of a outside"), "{found:?}");
 
         let found = Scene::builtin("mesh").unwrap().warnings();
         assert!(found.len() == 1 && found[0].starts_with("the centre of knot is outside its surface"), "{found:?}");

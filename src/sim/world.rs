@@ -345,7 +345,7 @@ impl World {
             Solver::Prescribed(prescribed) => prescribed.extent(i),
             Solver::Coupled(coupled) => coupled.member(i).extent,
         };
-        let sphere = |i: usize| self.scene.influence.sphere_radius(self.scene.bodies[i].radius);
+        let sphere = |i: usize| self.scene.bodies[i].sphere_radius();
         let touching = f64::max(sphere(a) + vertices(b), sphere(b) + vertices(a));
         let radii = self.scene.bodies[a].radius + self.scene.bodies[b].radius;
         (touching / radii).max(self.scene.law(a, b).thresholds.merge_at)

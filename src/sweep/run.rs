@@ -397,7 +397,7 @@ impl<'a> Run<'a> {
                 largest =
                     squared.map(|(x, u)| x.length_squared() + u.length_squared() / (omega * omega)).fold(0.0, f64::max);
             }
-            extents.push((radius + MARGIN * largest.sqrt(), self.world.scene().influence.sphere_radius(radius)));
+            extents.push((radius + MARGIN * largest.sqrt(), body.scene().sphere_radius()));
         }
         let apart = |a: usize, b: usize| {
             let [position, velocity] = self.relative(a, b);

@@ -50,7 +50,7 @@ fn positions(scene: &Scene) -> Vec<Vec<DVec3>> {
 
 /// Every influence sphere along its path.
 fn all_spheres(scene: &Scene) -> Vec<(DVec3, f64)> {
-    let radius = |body: &Body| scene.influence.sphere_radius(body.radius).min(2.0 * body.radius);
+    let radius = |body: &Body| body.sphere_radius().min(2.0 * body.radius);
     let spheres =
         |centres: Vec<DVec3>| centres.into_iter().zip(&scene.bodies).map(|(centre, body)| (centre, radius(body)));
     positions(scene).into_iter().flat_map(|centres| spheres(centres).collect::<Vec<_>>()).collect()
@@ -82,8 +82,7 @@ fn affected_bodies(scene: &Scene) -> Vec<(DVec3, f64)> {
         // pairs of fixed bodies are examined only at the first instant
         for &b in if k == 0 { &all } else { &movers } {
             for a in (0..pairs_of).filter(|&a| a != b) {
-                let reach =
-                    |from: usize, to: usize| scene.influence.sphere_radius(bodies[from].radius) + bodies[to].radius;
+                let reach = |from: usize, to: usize| bodies[from].sphere_radius() + bodies[to].radius;
                 if centres[a].distance(centres[b]) < f64::max(reach(a, b), reach(b, a)) {
                     // of a body that is much larger than the other, only the side towards the other
                     let shown = |i: usize, other: usize| {

@@ -32,7 +32,7 @@ use crate::{
             SchemaChange, SphereAt, Threshold,
         },
     },
-    scene::{Edit, Integrator, Model, Numbers, PairLaws, Plane, Point, ROUNDING, Scene},
+    scene::{Body, Edit, Integrator, Model, Numbers, PairLaws, Plane, Point, ROUNDING, Scene},
     sim::{
         self, Cause, Energy, Event, Failure, Stage, States, World,
         free::{Forces, Snapshot},
@@ -302,14 +302,16 @@ fn planes(planes: &[Plane]) -> Vec<PlaneSchema> {
 /// What edits change of influence spheres and planes.
 fn changes(scene: &Scene) -> Vec<SchemaChange> {
     let is_other = |numbers: &Numbers| {
-        numbers.influence.reach != scene.influence.reach || planes(&numbers.planes) != planes(&scene.planes)
+        let is_other_reach = |(body, reach): (&Body, &f64)| body.reach != *reach;
+        scene.bodies.iter().zip(&numbers.reaches).any(is_other_reach)
+            || planes(&numbers.planes) != planes(&scene.planes)
     };
     if !scene.edits.iter().any(|edit| is_other(edit.numbers())) {
         return Vec::new();
     }
     let change = |edit: &Edit| SchemaChange {
         after: edit.time + ROUNDING * scene.dt,
-        reaches: scene.bodies.iter().map(|body| edit.numbers().influence.sphere_radius(body.radius)).collect(),
+        reaches: scene.bodies.iter().zip(&edit.numbers().reaches).map(|(body, reach)| reach * body.radius).collect(),
         planes: planes(&edit.numbers().planes),
     };
     scene.edits.iter().map(change).collect()
@@ -320,7 +322,7 @@ pub fn schema(scene: &Scene) -> Schema {
     let bodies = scene.bodies.iter().map(|body| BodySchema {
         name: body.name.clone(),
         radius: body.radius,
-        reach: scene.influence.sphere_radius(body.radius),
+        reach: body.sphere_radius(),
         shape: body.shape.label(),
         mesh: body.shape.mesh(),
         is_free: body.path().is_none(),

@@ -1,6 +1,6 @@
 //! Lengths of arrows.
 
-use crate::scene::Scene;
+use crate::scene::{Body, Scene};
 
 /// Length per acceleration of net force arrows: about a radius for gravity or for a quarter of the strongest influence,
 /// whichever is larger.
@@ -11,12 +11,11 @@ pub fn net_force_scale(scene: &Scene) -> f64 {
 
 /// The strongest influence on any vertex [scene unit/s²], of the largest body, whose radius is given, and of force points.
 pub fn strongest_pull(scene: &Scene, radius: f64) -> f64 {
-    let pull = |strength: f64, radius: f64| {
-        strength.abs() * scene.influence.sphere_radius(radius) * scene.influence.weight.max_pull()
-    };
+    let pull = |strength: f64, sphere_radius: f64| strength.abs() * sphere_radius * scene.influence.weight.max_pull();
     let strength = scene.laws().map(|law| law.alpha.max(law.beta)).fold(0.0, f64::max);
-    let points = scene.points.iter().map(|point| pull(point.strength, point.radius));
-    points.fold(pull(strength, radius), f64::max)
+    let points = scene.points.iter().map(|point| pull(point.strength, scene.influence.sphere_radius(point.radius)));
+    let largest = scene.bodies.iter().filter(|body| body.radius == radius).map(Body::sphere_radius);
+    points.fold(pull(strength, largest.fold(0.0, f64::max)), f64::max)
 }
 
 /// Length of an arrow per acceleration [scene unit per scene unit/s²]. The strongest influence or push on the largest

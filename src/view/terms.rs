@@ -80,15 +80,17 @@ pub fn law(scene: &Scene) -> String {
 
 fn law_at_start(scene: &Scene) -> String {
     let (influence, thresholds) = (&scene.influence, &scene.thresholds);
+    let reaches = || scene.bodies.iter().map(|body| body.reach);
+    let [least, most] = [reaches().fold(f64::INFINITY, f64::min), reaches().fold(0.0, f64::max)];
+    let spheres = if least == most { format!("{least:.3}") } else { format!("{least:.3} to {most:.3}") };
     format!(
         "Bodies merge at q = {} and split at {}{}; q is the distance of their centres over the sum of their radii. α = {}/s², \
-         β = {}/s², spheres {:.3} R.{}",
+         β = {}/s², spheres {spheres} R.{}",
         thresholds.merge_at,
         thresholds.split_at,
         if thresholds.core_at > 0.0 { format!(", with a core below {}", thresholds.core_at) } else { String::new() },
         influence.alpha,
         influence.beta,
-        influence.reach,
         match scene.pairs.laws().len() {
             0 => String::new(),
             1 => " One `[[pair]]` has another law.".to_owned(),

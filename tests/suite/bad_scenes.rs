@@ -227,7 +227,7 @@ time = -1
 
 Edit: what makes the bodies
 set = { "body.ball.radius" = 2 }
-> bad.toml:7:30: edit[0].set."body.ball.radius": expected a number of body: omega, damping; found body.ball.radius; an edit changes no shape, mass, motion, push, dt, duration or tolerance
+> bad.toml:7:30: edit[0].set."body.ball.radius": expected a number of body: omega, damping, reach; found body.ball.radius; an edit changes no shape, mass, motion, push, dt, duration or tolerance
 
 Edit: the clock
 set = { dt = 0.1 }
@@ -521,11 +521,11 @@ young = 0
 
 Body: body key misspelled
 raduis = 1
-> bad.toml:3:1: body["ball"].raduis: unknown key; did you mean "radius"? (known keys: name, radius, shape, motion, mass, group, color, omega, damping, response)
+> bad.toml:3:1: body["ball"].raduis: unknown key; did you mean "radius"? (known keys: name, radius, shape, motion, mass, group, color, omega, damping, response, reach)
 
 Body: body key of a push
 start = 1
-> bad.toml:3:1: body["ball"].start: unknown key; "start" belongs in a [[point]] or in a [[push]] (known keys: name, radius, shape, motion, mass, group, color, omega, damping, response)
+> bad.toml:3:1: body["ball"].start: unknown key; "start" belongs in a [[point]] or in a [[push]] (known keys: name, radius, shape, motion, mass, group, color, omega, damping, response, reach)
 
 Body: name with a space
 name = "a b"

@@ -125,6 +125,7 @@ fn edited_runs_agree_with_an_independent_integrator() {
         "\"material.omega\" = 7, \"body.b.damping\" = 4.0",
         "\"influence.merge_at\" = 1.15, \"influence.split_at\" = 1.22",
         "\"influence.reach\" = 1.2",
+        "\"body.b.reach\" = 1.8",
     ];
     for (text, step) in [(PATHS, 0.0005), (FREE, 0.00025)] {
         let own = if text == FREE {
@@ -195,7 +196,7 @@ fn random_edits_keep_every_world_sound() {
         let mut text = if case % 2 == 0 { PATHS } else { FREE }.to_owned();
         text += "[[point]]\nname = \"p\"\nmotion = { fixed = [0.5, 0, 1] }\nradius = 1.0\nact = \"attract\"\nalpha = 20\nstart = 0.3\n";
         for _ in 0..1 + (3.0 * random()) as usize {
-            let set = match (7.0 * random()) as usize {
+            let set = match (8.0 * random()) as usize {
                 0 => format!("\"influence.merge_at\" = {:?}, \"influence.split_at\" = 1.3", 0.9 + 0.3 * random()),
                 1 => {
                     format!("\"influence.alpha\" = {:?}, \"influence.beta\" = {:?}", 200.0 * random(), 90.0 * random())
@@ -204,7 +205,8 @@ fn random_edits_keep_every_world_sound() {
                 3 => format!("\"body.a.damping\" = {:?}", 6.0 * random()),
                 4 => format!("gravity = [{:?}, 0, -3]", random()),
                 5 => format!("\"point.p.alpha\" = {:?}, \"point.p.radius\" = {:?}", 60.0 * random(), 0.5 + random()),
-                _ => format!("\"influence.reach\" = {:?}", 1.1 + 0.6 * random()),
+                6 => format!("\"influence.reach\" = {:?}", 1.1 + 0.6 * random()),
+                _ => format!("\"body.b.reach\" = {:?}", 0.9 + random()),
             };
             text += &edit(2.0 * random(), &set);
         }

@@ -164,7 +164,7 @@ impl Busy {
         let radius = self.scene.bodies[0].radius;
         let r: V = map(|i| own.position[i] + radius * unit[i] + x[i]);
         let d: V = map(|i| other.position[i] - r[i]);
-        let z = d[0].hypot(d[1]).hypot(d[2]) / (self.scene.influence.reach * self.scene.bodies[1].radius);
+        let z = d[0].hypot(d[1]).hypot(d[2]) / (self.scene.bodies[1].reach * self.scene.bodies[1].radius);
         let weight = if z < 1.0 { 1.0 - z } else { 0.0 };
         let mut f: V = map(|i| s * weight * d[i] - own.acceleration[i] - 2.0 * self.kappa * own.velocity[i]);
         for push in &self.scene.pushes {

@@ -19,6 +19,7 @@ mod models;
 mod octahedra;
 mod physics;
 mod random;
+mod reach;
 mod recording;
 mod reference;
 mod replay;

@@ -157,12 +157,14 @@ motion = {{ fixed = [0.0, 0.0, 0.0] }}
 [[body]]
 name = "b"
 radius = 0.5
+reach = 1.9
 response = "world"
 shape = {{ sphere = {{ stacks = 5, slices = 8 }} }}
 motion = {{ sine = {{ center = [1.2, 0.2, 0.0], amplitude = [0.04, 0.02, -0.03], frequency = 1.3, phase = 0.4 }} }}
 [[body]]
 name = "c"
 radius = 0.8
+reach = 1.2
 omega = 15.0
 response = "rigid"
 shape = {{ sphere = {{ stacks = 7, slices = 7 }} }}
@@ -265,7 +267,7 @@ fn forces_by_cause_match_explicit_sums() {
                     let r = centres[i] + this.radius * unit + x;
                     let [mut attraction, mut repulsion, mut core, mut push] = [DVec3::ZERO; 4];
                     for j in (0..5).filter(|&j| j != i) {
-                        let z = (centres[j] - r).length() / (scene.influence.reach * scene.bodies[j].radius);
+                        let z = (centres[j] - r).length() / (scene.bodies[j].reach * scene.bodies[j].radius);
                         let w = match scene.influence.weight {
                             _ if z > 1.0 => 0.0,
                             Weight::Linear => 1.0 - z,
@@ -326,7 +328,7 @@ fn energy_of_all_pairs(world: &World) -> Energy {
             sum.elastic += 0.5 * body.scene().material.omega.powi(2) * body.displacement(v).length_squared();
             let mut reached = false;
             for j in (0..scene.bodies.len()).filter(|&j| j != i) {
-                let sphere = scene.influence.reach * scene.bodies[j].radius;
+                let sphere = scene.bodies[j].reach * scene.bodies[j].radius;
                 let distance = (scene.bodies[j].path().unwrap().position(t) - r).length();
                 let z = f64::min(distance / sphere, 1.0);
                 // r²/2 − r³/(3 r_e); and the integral of z (1 − z)⁴ (4z + 1), by parts from the rim

@@ -690,7 +690,7 @@ impl Run {
         const COLORS: &str = "Ellipsoids3D:colors";
         let track = self.track("/world/influence");
         let fixed = self.recording.fixed("/world/influence");
-        let radii = self.scene.bodies.iter().map(|body| self.scene.influence.reach * body.radius);
+        let radii = self.scene.bodies.iter().map(|body| body.reach * body.radius);
         let half_sizes: Vec<Vec3> = radii.map(|radius| Vec3::splat(radius as f32)).collect();
         assert_eq!(fixed.vectors("Ellipsoids3D:half_sizes"), half_sizes);
         let names: Vec<&str> = self.scene.bodies.iter().map(|body| body.name.as_str()).collect();
@@ -736,7 +736,7 @@ impl Run {
             let step = format!("step {}", world.steps_taken());
             let centres: Vec<Vec3> = spheres.keys().map(|&i| world.body(i).centre().as_vec3()).collect();
             assert_same(&held.vectors("Ellipsoids3D:centers"), &centres, &step);
-            let half_size = |i: usize| Vec3::splat((self.scene.influence.reach * self.scene.bodies[i].radius) as f32);
+            let half_size = |i: usize| Vec3::splat(self.scene.bodies[i].sphere_radius() as f32);
             let half_sizes: Vec<Vec3> = spheres.keys().map(|&i| half_size(i)).collect();
             assert_same(&held.vectors("Ellipsoids3D:half_sizes"), &half_sizes, &step);
             let colors: Vec<Rgba32> = spheres.values().map(|&phase| color(phase_color(phase))).collect();

@@ -433,7 +433,7 @@ impl<'a> System<'a> {
                 Scaling::Absolute => 1.0,
                 Scaling::Relative => (radius / of_source).min(1.0),
             };
-            let reach = self.scene.influence.reach * of_source;
+            let reach = self.scene.source_sphere_radius(chunk.bodies[other]);
             let mut pull = DVec3::ZERO;
             for (i, _) in member.particles.clone().zip(&side.inside[one]).filter(|(_, inside)| **inside) {
                 let to_centre = world.centres[other] - world.vertices[i];
@@ -572,7 +572,7 @@ impl<'a> System<'a> {
             }
             Kink::Rim { link, side, particle } => {
                 let source = chunk.links[link].bodies[1 - side];
-                let reach = self.scene.influence.reach * self.scene.source_radius(chunk.bodies[source]);
+                let reach = self.scene.source_sphere_radius(chunk.bodies[source]);
                 reach - places.centre(source).distance(places.vertex(particle))
             }
             Kink::Zone { link, level, .. } | Kink::Threshold { link, transition: Transition { level, .. } } => {

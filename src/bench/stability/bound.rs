@@ -47,7 +47,7 @@ impl Allowance {
         let pull: f64 = others()
             .map(|other| {
                 let strongest = phases(other).into_iter().map(|phase| strength(phase, other).abs()).fold(0.0, f64::max);
-                let sphere = scene.influence.sphere_radius(scene.bodies[other].radius);
+                let sphere = scene.bodies[other].sphere_radius();
                 strongest * sphere * scene.influence.weight.max_pull()
             })
             .sum();
@@ -63,7 +63,7 @@ impl Allowance {
             let (mut available, mut force, mut stiffness) = (pull * rounding, DVec3::ZERO, 0.0);
             for other in others() {
                 let source = &scene.bodies[other];
-                let (weight, sphere) = (scene.influence.weight, scene.influence.sphere_radius(source.radius));
+                let (weight, sphere) = (scene.influence.weight, source.sphere_radius());
                 let strength: f64 = phases(other).into_iter().map(|phase| strength(phase, other)).sum();
                 let to_centre = path(source).position(0.0) - vertex;
                 let phi = |r: f64| influence_potential(weight, sphere, r);

@@ -212,7 +212,7 @@ fn max_influence_energy(scene: &Scene) -> f64 {
     let mut sum = 0.0;
     for (a, body) in scene.bodies.iter().enumerate() {
         for (b, source) in scene.bodies.iter().enumerate().filter(|&(b, _)| b != a) {
-            let (law, reach) = (scene.law(a, b), scene.influence.sphere_radius(source.radius));
+            let (law, reach) = (scene.law(a, b), source.sphere_radius());
             let scale = scene.influence.scale(body.radius, source.radius);
             let depth = influence_potential(scene.influence.weight, reach, reach);
             sum += body.mass * scale * (law.alpha + law.beta) * depth;

@@ -288,7 +288,7 @@ impl StepContext<'_> {
             law,
             phase,
             scale: scene.influence.scale(this.radius, source.radius),
-            radius: scene.influence.sphere_radius(source.radius),
+            radius: source.sphere_radius(),
             radii: this.radius + source.radius,
             share,
             is_of_point: false,

@@ -307,7 +307,7 @@ impl Elastic {
                 }
                 None => spread,
             };
-            let reach = scene.influence.sphere_radius(described.radius).max(extent).max(farthest * described.radius);
+            let reach = described.sphere_radius().max(extent).max(farthest * described.radius);
             let ball = Ball { centre, radius: (reach + spread) * (1.0 + 1e-12) };
             body.reach = extent + spread;
             body.spread = spread;
@@ -317,11 +317,8 @@ impl Elastic {
             }
         }
         let centres: Vec<_> = bodies.iter().map(|body| body.placed.unwrap_or_default().centre).collect();
-        let spheres: Vec<f64> = bodies
-            .iter()
-            .zip(&scene.bodies)
-            .map(|(body, described)| scene.influence.sphere_radius(described.radius) + body.spread)
-            .collect();
+        let spheres: Vec<f64> =
+            bodies.iter().zip(&scene.bodies).map(|(body, described)| described.sphere_radius() + body.spread).collect();
         let (grid, scene) = (&*grid, &*scene);
         bodies.iter_mut().for_each(|body| {
             body.sources.clear();

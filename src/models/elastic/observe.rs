@@ -249,9 +249,8 @@ impl Elastic {
         for (a, one) in self.scene.bodies.iter().enumerate() {
             for (b, other) in self.scene.bodies.iter().enumerate().skip(a + 1) {
                 let distance = centres[a].distance(centres[b]);
-                let of = |from: f64, to: f64| self.scene.influence.sphere_radius(from) + to;
                 let phase = self.phases.get(&[a as u32, b as u32]).copied().unwrap_or(Phase::Apart);
-                let reach = f64::max(of(one.radius, other.radius), of(other.radius, one.radius));
+                let reach = f64::max(one.sphere_radius() + other.radius, other.sphere_radius() + one.radius);
                 if phase != Phase::Apart || distance <= reach {
                     pairs.push(PairFrame { a, b, q: distance / (one.radius + other.radius), phase: number(phase) });
                 }

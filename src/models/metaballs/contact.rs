@@ -7,7 +7,7 @@
 
 use glam::{DMat3, DVec3};
 
-use super::density::{Ball, Jet, Kernel};
+use super::density::{Ball, Jet, density_of, jet_of, slope_of};
 use crate::sim::numerics::roots::root;
 
 /// Number of samples on the line of centres.
@@ -30,17 +30,17 @@ impl Saddle {
     /// The saddle between the first two balls, in the density of all. `None` if there is none: the balls are so close
     /// that the density is monotonic between the centres, or so far apart that there is no density between them, or a
     /// third ball fills the space between.
-    pub fn between(kernel: &Kernel, balls: &[Ball]) -> Option<Saddle> {
+    pub fn between(balls: &[Ball]) -> Option<Saddle> {
         let (a, b) = (balls.first()?, balls.get(1)?);
         let along = b.centre - a.centre;
         let distance = along.length();
-        if !(distance > 0.0 && distance < kernel.support(a) + kernel.support(b)) {
+        if !(distance > 0.0 && distance < a.support() + b.support()) {
             return None;
         }
-        let start = lowest(kernel, balls)?;
+        let start = lowest(balls)?;
         let mut place = start;
         for _ in 0..MAX_STEPS {
-            let Jet { value, gradient, hessian } = kernel.jet(balls, place);
+            let Jet { value, gradient, hessian } = jet_of(balls, place);
             let determinant = hessian.determinant();
             if determinant == 0.0 || !determinant.is_finite() {
                 return None;
@@ -54,39 +54,39 @@ impl Saddle {
             place += step * f64::min(1.0, MAX_STRIDE * distance / length);
         }
         // at the level of rounding errors, steps need not shrink: accept a stationary point
-        let Jet { value, gradient, hessian } = kernel.jet(balls, place);
+        let Jet { value, gradient, hessian } = jet_of(balls, place);
         let is_still = gradient.length() * distance < 1e-10 && place.distance(start) < 0.5 * distance;
         (is_still && has_index_one(&hessian)).then_some(Saddle { place, density: value })
     }
 }
 
 /// Whether the first two balls are joined directly at the threshold, not through other balls.
-pub fn are_one(kernel: &Kernel, balls: &[Ball]) -> bool {
+pub fn are_one(balls: &[Ball]) -> bool {
     let [a, b, ..] = balls else { return false };
     let distance = a.centre.distance(b.centre);
     if distance <= a.radius + b.radius {
         return true; // the density is above the threshold inside both balls
     }
-    if distance >= kernel.support(a) + kernel.support(b) {
+    if distance >= a.support() + b.support() {
         return false;
     }
     // a straight path that is dense enough suffices
-    match lowest(kernel, balls) {
+    match lowest(balls) {
         None => true,
-        Some(place) if kernel.at(balls, place) >= 1.0 => true,
-        Some(_) => Saddle::between(kernel, balls).is_some_and(|saddle| saddle.density >= 1.0),
+        Some(place) if density_of(balls, place) >= 1.0 => true,
+        Some(_) => Saddle::between(balls).is_some_and(|saddle| saddle.density >= 1.0),
     }
 }
 
 /// The point of minimum density on the line from the first ball's centre to the second's, or only between their
 /// surfaces if the lone balls are apart. `None` if that is an end of the line.
-fn lowest(kernel: &Kernel, balls: &[Ball]) -> Option<DVec3> {
+fn lowest(balls: &[Ball]) -> Option<DVec3> {
     let (a, b) = (balls.first()?, balls.get(1)?);
     let along = b.centre - a.centre;
     let distance = along.length();
     let [from, to] =
         if distance > a.radius + b.radius { [a.radius / distance, 1.0 - b.radius / distance] } else { [0.0, 1.0] };
-    let at = |z: f64| kernel.at(balls, a.centre + z * along);
+    let at = |z: f64| density_of(balls, a.centre + z * along);
     let of = |k: u32| from + (to - from) * (f64::from(k) / f64::from(SAMPLES));
     let (mut least, mut value) = (0, f64::INFINITY);
     for k in 0..=SAMPLES {
@@ -99,7 +99,7 @@ fn lowest(kernel: &Kernel, balls: &[Ball]) -> Option<DVec3> {
         return None;
     }
     // the slope along the line changes sign there
-    let slope = |z: f64| -kernel.slope(balls, a.centre + z * along).dot(along);
+    let slope = |z: f64| -slope_of(balls, a.centre + z * along).dot(along);
     let (low, high) = (of(least - 1), of(least + 1));
     let z = if slope(low) > 0.0 && slope(high) < 0.0 { root(low, high, slope) } else { of(least) };
     Some(a.centre + z * along)
@@ -115,23 +115,22 @@ fn has_index_one(matrix: &DMat3) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::SQRT_2;
+
     use super::*;
+    use crate::models::metaballs::density::Kernel;
 
-    fn kernel(reach: f64) -> Kernel {
-        Kernel::new(reach).unwrap()
-    }
-
-    fn ball(x: f64, y: f64, radius: f64) -> Ball {
-        Ball { centre: DVec3::new(x, y, 0.0), radius }
+    fn ball(x: f64, y: f64, radius: f64, reach: f64) -> Ball {
+        Ball { centre: DVec3::new(x, y, 0.0), radius, kernel: Kernel::new(reach).unwrap() }
     }
 
     /// 2 (1 − d²/4r_e²)³ = (1 − R²/r_e²)³, solved for d.
     #[test]
     fn two_equal_balls_are_one_from_a_distance_in_closed_form() {
-        for reach in [1.2, std::f64::consts::SQRT_2, 2.0] {
+        for reach in [1.2, SQRT_2, 2.0] {
             let inside = 1.0 - 1.0 / (reach * reach);
             let expected = 2.0 * reach * (1.0 - inside * 0.5f64.cbrt()).sqrt();
-            let is_one = |d: f64| are_one(&kernel(reach), &[ball(0.0, 0.0, 1.0), ball(0.6 * d, 0.8 * d, 1.0)]);
+            let is_one = |d: f64| are_one(&[ball(0.0, 0.0, 1.0, reach), ball(0.6 * d, 0.8 * d, 1.0, reach)]);
             let found = root(1.5, 2.5 * reach, |d| if is_one(d) { 1.0 } else { -1.0 });
             assert!((found - expected).abs() < 1e-12, "{reach}: {found} {expected}");
         }
@@ -141,10 +140,10 @@ mod tests {
     /// of one variable.
     #[test]
     fn a_third_ball_moves_the_saddle_off_the_line() {
-        let (kernel, d) = (kernel(3.0), 3.2);
+        let d = 3.2;
         let height = d * 0.75f64.sqrt();
-        let balls = [ball(-0.5 * d, 0.0, 1.0), ball(0.5 * d, 0.0, 1.0), ball(0.0, height, 1.0)];
-        let saddle = Saddle::between(&kernel, &balls).unwrap();
+        let balls = [ball(-0.5 * d, 0.0, 1.0, 3.0), ball(0.5 * d, 0.0, 1.0, 3.0), ball(0.0, height, 1.0, 3.0)];
+        let saddle = Saddle::between(&balls).unwrap();
         // the first stationary point of the density along the altitude, from the side inwards
         let f = |y: f64| {
             let of = |r2: f64| (1.0 - r2 / 9.0).max(0.0).powi(3) / (8.0f64 / 9.0).powi(3);
@@ -163,8 +162,7 @@ mod tests {
 
     #[test]
     fn far_near_and_concentric_balls_are_decided() {
-        let kernel = kernel(std::f64::consts::SQRT_2);
-        let one = |x, radius| are_one(&kernel, &[ball(0.0, 0.0, 1.0), ball(x, 0.0, radius)]);
+        let one = |x, radius| are_one(&[ball(0.0, 0.0, 1.0, SQRT_2), ball(x, 0.0, radius, SQRT_2)]);
         assert!(!one(2.9, 1.0) && !one(2.3, 1.0) && one(2.1, 1.0) && one(0.5, 1.0) && one(0.0, 1.0));
         assert!(!one(1.3, 0.1) && one(1.05, 0.1) && one(0.2, 0.1));
     }

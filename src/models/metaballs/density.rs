@@ -28,6 +28,8 @@ pub struct Ball {
     pub centre: DVec3,
     /// The radius of its surface when alone [scene unit].
     pub radius: f64,
+    /// Its density.
+    pub kernel: Kernel,
 }
 
 /// Density in units of the threshold, its gradient and its Hessian.
@@ -42,66 +44,68 @@ pub struct Jet {
 }
 
 impl Kernel {
-    /// The density for supports of `reach` radii; `None` if a support is not larger than its ball.
+    /// The density for a support of `reach` radii; `None` if that is not larger than the ball.
     pub fn new(reach: f64) -> Option<Kernel> {
         let inside = 1.0 - 1.0 / (reach * reach);
         let height = 1.0 / (inside * inside * inside);
         (reach > 1.0 && height.is_finite()).then_some(Kernel { reach, height })
     }
+}
 
-    /// The radius of a ball's support [scene unit].
-    pub fn support(&self, ball: &Ball) -> f64 {
-        self.reach * ball.radius
+impl Ball {
+    /// The radius of its support [scene unit].
+    pub fn support(&self) -> f64 {
+        self.kernel.reach * self.radius
     }
 
-    /// The density of one ball at `at`.
+    /// Its density at `at`.
     #[inline]
-    pub fn of_one(&self, ball: &Ball, at: DVec3) -> f64 {
-        let support = self.reach * ball.radius;
-        let u = 1.0 - (at - ball.centre).length_squared() / (support * support);
-        if u > 0.0 { self.height * (u * u * u) } else { 0.0 }
+    pub fn density(&self, at: DVec3) -> f64 {
+        let support = self.support();
+        let u = 1.0 - (at - self.centre).length_squared() / (support * support);
+        if u > 0.0 { self.kernel.height * (u * u * u) } else { 0.0 }
     }
 
-    /// The density F of some balls at `at`, summed in their order.
+    /// The gradient of its density [1/scene unit].
     #[inline]
-    pub fn at(&self, balls: &[Ball], at: DVec3) -> f64 {
-        balls.iter().map(|ball| self.of_one(ball, at)).sum()
+    pub fn slope(&self, at: DVec3) -> DVec3 {
+        let support = self.support();
+        let (x, inverse) = (at - self.centre, 1.0 / (support * support));
+        let u = 1.0 - x.length_squared() * inverse;
+        if u > 0.0 { (-6.0 * self.kernel.height * (u * u) * inverse) * x } else { DVec3::ZERO }
     }
+}
 
-    /// The gradient of one ball's density [1/scene unit].
-    #[inline]
-    pub fn slope_of_one(&self, ball: &Ball, at: DVec3) -> DVec3 {
-        let support = self.reach * ball.radius;
+/// The density F of some balls at `at`, summed in their order.
+#[inline]
+pub fn density_of(balls: &[Ball], at: DVec3) -> f64 {
+    balls.iter().map(|ball| ball.density(at)).sum()
+}
+
+/// The gradient of the density of some balls [1/scene unit].
+#[inline]
+pub fn slope_of(balls: &[Ball], at: DVec3) -> DVec3 {
+    balls.iter().map(|ball| ball.slope(at)).sum()
+}
+
+/// F, ∇F and ∇∇F of some balls at `at`.
+pub fn jet_of(balls: &[Ball], at: DVec3) -> Jet {
+    let mut jet = Jet { value: 0.0, gradient: DVec3::ZERO, hessian: DMat3::ZERO };
+    for ball in balls {
+        let (support, height) = (ball.support(), ball.kernel.height);
         let (x, inverse) = (at - ball.centre, 1.0 / (support * support));
         let u = 1.0 - x.length_squared() * inverse;
-        if u > 0.0 { (-6.0 * self.height * (u * u) * inverse) * x } else { DVec3::ZERO }
-    }
-
-    /// The gradient of the density of some balls [1/scene unit].
-    #[inline]
-    pub fn slope(&self, balls: &[Ball], at: DVec3) -> DVec3 {
-        balls.iter().map(|ball| self.slope_of_one(ball, at)).sum()
-    }
-
-    /// F, ∇F and ∇∇F at `at`.
-    pub fn jet(&self, balls: &[Ball], at: DVec3) -> Jet {
-        let mut jet = Jet { value: 0.0, gradient: DVec3::ZERO, hessian: DMat3::ZERO };
-        for ball in balls {
-            let support = self.reach * ball.radius;
-            let (x, inverse) = (at - ball.centre, 1.0 / (support * support));
-            let u = 1.0 - x.length_squared() * inverse;
-            if u > 0.0 {
-                jet.value += self.height * (u * u * u);
-                let slope = -6.0 * self.height * (u * u) * inverse;
-                jet.gradient += slope * x;
-                // ∂/∂x (−6 u²/r_e² x) = −6 u²/r_e² 1 + 24 u/r_e⁴ x xᵀ
-                let along = 24.0 * self.height * u * inverse * inverse;
-                let outer = DMat3::from_cols(x.x * x, x.y * x, x.z * x);
-                jet.hessian += outer * along + DMat3::from_diagonal(DVec3::splat(slope));
-            }
+        if u > 0.0 {
+            jet.value += height * (u * u * u);
+            let slope = -6.0 * height * (u * u) * inverse;
+            jet.gradient += slope * x;
+            // ∂/∂x (−6 u²/r_e² x) = −6 u²/r_e² 1 + 24 u/r_e⁴ x xᵀ
+            let along = 24.0 * height * u * inverse * inverse;
+            let outer = DMat3::from_cols(x.x * x, x.y * x, x.z * x);
+            jet.hessian += outer * along + DMat3::from_diagonal(DVec3::splat(slope));
         }
-        jet
     }
+    jet
 }
 
 #[cfg(test)]
@@ -112,24 +116,27 @@ mod tests {
     fn a_lone_ball_is_a_sphere_of_its_radius() {
         for reach in [1.1, std::f64::consts::SQRT_2, 2.0, 5.0] {
             let kernel = Kernel::new(reach).unwrap();
-            let ball = Ball { centre: DVec3::new(3.0, -2.0, 1.0), radius: 0.7 };
+            let ball = Ball { centre: DVec3::new(3.0, -2.0, 1.0), radius: 0.7, kernel };
             let on = ball.centre + 0.7 * DVec3::new(2.0, 1.0, -2.0) / 3.0;
-            assert!((kernel.of_one(&ball, on) - 1.0).abs() < 1e-12 * reach * kernel.height);
-            assert!(kernel.of_one(&ball, ball.centre + DVec3::X * kernel.support(&ball)) < 1e-30);
+            assert!((ball.density(on) - 1.0).abs() < 1e-12 * reach * kernel.height);
+            assert!(ball.density(ball.centre + DVec3::X * ball.support()) < 1e-30);
         }
         assert_eq!([0.5, 1.0, f64::NAN].map(Kernel::new), [None; 3]);
     }
 
     #[test]
     fn slope_and_curvature_match_finite_differences() {
-        let kernel = Kernel::new(std::f64::consts::SQRT_2).unwrap();
-        let ball = |x: f64, y: f64, radius| Ball { centre: DVec3::new(x, y, 0.1), radius };
-        let balls = [ball(0.0, 0.0, 1.0), ball(1.9, 0.3, 0.8), ball(0.7, 1.4, 1.1)];
+        let ball = |x: f64, y: f64, radius, reach| Ball {
+            centre: DVec3::new(x, y, 0.1),
+            radius,
+            kernel: Kernel::new(reach).unwrap(),
+        };
+        let balls = [ball(0.0, 0.0, 1.0, 1.5), ball(1.9, 0.3, 0.8, 1.9), ball(0.7, 1.4, 1.1, 1.3)];
         let (at, h) = (DVec3::new(0.8, 0.5, 0.2), 1e-5);
-        let jet = kernel.jet(&balls, at);
-        assert_eq!(jet.gradient, kernel.slope(&balls, at));
+        let jet = jet_of(&balls, at);
+        assert_eq!(jet.gradient, slope_of(&balls, at));
         for (k, axis) in DVec3::AXES.into_iter().enumerate() {
-            let [before, after] = [-h, h].map(|h| kernel.jet(&balls, at + h * axis));
+            let [before, after] = [-h, h].map(|h| jet_of(&balls, at + h * axis));
             assert!(((after.value - before.value) / (2.0 * h) - jet.gradient[k]).abs() < 1e-6);
             assert!((((after.gradient - before.gradient) / (2.0 * h)) - jet.hessian.col(k)).length() < 1e-6);
         }

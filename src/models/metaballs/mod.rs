@@ -51,7 +51,7 @@ use crate::{
     view,
 };
 use contact::are_one;
-use density::{Ball, Kernel};
+use density::{Ball, Kernel, density_of};
 use surface::LevelSet;
 
 /// Upper limit on the number of balls, as any two may interact.
@@ -68,7 +68,8 @@ const MAX_COMPARED: usize = 8;
 /// Metaballs on their paths.
 pub struct Metaballs {
     scene: Scene,
-    kernel: Kernel,
+    /// The density of each body.
+    kernels: Vec<Kernel>,
     /// The paths, and the phases given by the thresholds on q.
     world: World,
     /// Current centres of the bodies [scene unit].
@@ -97,11 +98,11 @@ impl Metaballs {
     /// # Errors
     /// A message: metaballs do not support a part of the scene, or it is too large for this machine.
     pub fn new(scene: &Scene, options: Options) -> Result<Metaballs, String> {
-        let kernel = kernel(scene).map_err(|error| error.to_string())?;
+        let kernels = kernels(scene).map_err(|error| error.to_string())?;
         let world = World::with_options(scene.without_forces(), options).map_err(|error| error.to_string())?;
         let mut balls = Metaballs {
             scene: scene.clone(),
-            kernel,
+            kernels,
             world,
             centres: Vec::new(),
             ones: BTreeMap::new(),
@@ -117,11 +118,6 @@ impl Metaballs {
         Ok(balls)
     }
 
-    /// The density of a ball.
-    pub fn kernel(&self) -> Kernel {
-        self.kernel
-    }
-
     fn centres_at(&self, time: f64) -> Vec<DVec3> {
         self.scene.bodies.iter().map(|body| path(body).position(time)).collect()
     }
@@ -132,12 +128,11 @@ impl Metaballs {
     }
 
     fn around(&self, group: &[usize], centres: &[DVec3]) -> Vec<Ball> {
-        let ball = |body: usize| Ball { centre: centres[body], radius: self.scene.bodies[body].radius };
-        around(&self.kernel, centres.len(), ball, group)
+        around(centres.len(), |body| self.ball(body, centres), group)
     }
 
     fn are_one(&self, pair: [usize; 2], centres: &[DVec3]) -> bool {
-        are_one(&self.kernel, &self.around(&pair, centres))
+        are_one(&self.around(&pair, centres))
     }
 
     /// Finds the pairs that joined or separated in the step that began at `start`.
@@ -237,9 +232,8 @@ impl Metaballs {
         (now.centre, now.mesh) = (centres[index], None);
         let balls = self.around(&[index], centres);
         // a ball whose surface is not reached by any other density is a sphere
-        let reaches = |other: &Ball| {
-            other.centre.distance(centres[index]) < (self.kernel.support(other) + body.radius) * (1.0 + 1e-12)
-        };
+        let reaches =
+            |other: &Ball| other.centre.distance(centres[index]) < (other.support() + body.radius) * (1.0 + 1e-12);
         if !balls[1..].iter().any(reaches) {
             now.rest();
             return;
@@ -263,36 +257,35 @@ impl Metaballs {
     /// Velocities of a body and of those around it, in the order of [`Metaballs::around`].
     fn velocities(&self, index: usize, centres: &[DVec3], time: f64) -> Vec<DVec3> {
         let of = |body: usize| path(&self.scene.bodies[body]).at(time).velocity;
-        near(&self.kernel, centres.len(), |body| self.ball(body, centres), &[index]).map(of).collect()
+        near(centres.len(), |body| self.ball(body, centres), &[index]).map(of).collect()
     }
 
     fn ball(&self, body: usize, centres: &[DVec3]) -> Ball {
-        Ball { centre: centres[body], radius: self.scene.bodies[body].radius }
+        Ball { centre: centres[body], radius: self.scene.bodies[body].radius, kernel: self.kernels[body] }
     }
 
     /// Distance of the surface along a ray from the first ball's centre [scene unit], and its rate of change
     /// [scene unit/s].
     fn ray(&self, balls: &[Ball], velocities: &[DVec3], direction: DVec3) -> (f64, f64) {
         let Some((own, others)) = balls.split_first() else { return (0.0, 0.0) };
-        let kernel = &self.kernel;
-        let densest = |at: DVec3| others.iter().map(|ball| kernel.of_one(ball, at)).fold(0.0, f64::max);
-        let excess = |at: DVec3| kernel.at(balls, at) - 1.0;
-        let lead = |at: DVec3| kernel.of_one(own, at) - densest(at);
+        let densest = |at: DVec3| others.iter().map(|ball| ball.density(at)).fold(0.0, f64::max);
+        let excess = |at: DVec3| density_of(balls, at) - 1.0;
+        let lead = |at: DVec3| own.density(at) - densest(at);
         let place = |r: f64| own.centre + r * direction;
         let both = |r: f64| f64::min(excess(place(r)), lead(place(r)));
-        let step = kernel.support(own) / f64::from(SAMPLES);
+        let step = own.support() / f64::from(SAMPLES);
         let Some(outside) = (1..=SAMPLES).find(|&k| both(f64::from(k) * step) < 0.0) else {
-            return (kernel.support(own), 0.0);
+            return (own.support(), 0.0);
         };
         let high = f64::from(outside) * step;
         let r = root(high - step, high, both);
         let at = place(r);
         // d/dt of F − 1 or the lead, whichever is zero there: the point moves with the centre, and along the ray
-        let mut slopes: Vec<DVec3> = balls.iter().map(|ball| kernel.slope_of_one(ball, at)).collect();
+        let mut slopes: Vec<DVec3> = balls.iter().map(|ball| ball.slope(at)).collect();
         if lead(at) < excess(at) {
             let highest = densest(at);
             for (ball, slope) in balls.iter().zip(&mut slopes).skip(1) {
-                *slope = if kernel.of_one(ball, at) == highest { -*slope } else { DVec3::ZERO };
+                *slope = if ball.density(at) == highest { -*slope } else { DVec3::ZERO };
             }
         }
         let along = slopes.iter().sum::<DVec3>().dot(direction);
@@ -439,9 +432,9 @@ pub fn schema(scene: &Scene) -> Schema {
         model: Model::Metaballs.name().to_owned(),
         integrator: "exact".to_owned(),
         law: format!(
-            "Density f(r) = (1 − r²/r_e²)³ about each centre, r_e = {:.3} R; on the surface, the sum equals the density of a \
-            lone ball at its radius. No dynamics. {}",
-            scene.influence.reach, oscillators.law
+            "Density f(r) = (1 − r²/r_e²)³ about each centre, r_e: radius of its influence sphere; on the surface, the sum \
+             equals the density of a lone ball at its radius. No dynamics. {}",
+            oscillators.law
         ),
         terms: vec![net],
         labels: vec!["no force"],
@@ -454,7 +447,8 @@ pub fn schema(scene: &Scene) -> Schema {
             count("pairs_in_one", "pairs that are one surface"),
         ],
         stages: vec!["paths", "contacts"],
-        surfaces: kernel(scene).map_or_else(|_| OwnSurfaces::default(), |kernel| OwnSurfaces::new(LevelSet { kernel })),
+        surfaces: kernels(scene)
+            .map_or_else(|_| OwnSurfaces::default(), |kernels| OwnSurfaces::new(LevelSet { kernels })),
         warnings,
         ..oscillators
     }
@@ -482,7 +476,7 @@ fn idle(scene: &Scene) -> Option<String> {
 ///
 /// # Errors
 /// The scene has something that metaballs do not support.
-fn kernel(scene: &Scene) -> Result<Kernel, Unsupported> {
+fn kernels(scene: &Scene) -> Result<Vec<Kernel>, Unsupported> {
     let unsupported = |body: Option<&Body>, what: String, remedy: &str| Unsupported {
         scene: scene.name.clone(),
         model: Model::Metaballs,
@@ -509,9 +503,11 @@ fn kernel(scene: &Scene) -> Result<Kernel, Unsupported> {
         let what = "[[edit]]: the model does not change within a run".to_owned();
         return Err(unsupported(None, what, "leave the edits out, or choose model = \"oscillators\""));
     }
-    let what =
-        || format!("influence.reach = {}: a density that ends within the ball has no surface", scene.influence.reach);
-    Kernel::new(scene.influence.reach).ok_or_else(|| unsupported(None, what(), "give a reach above 1"))
+    let kernel = |body: &Body| {
+        let what = || format!("reach = {}: a density that ends within the ball has no surface", body.reach);
+        Kernel::new(body.reach).ok_or_else(|| unsupported(Some(body), what(), "give a reach above 1"))
+    };
+    scene.bodies.iter().map(kernel).collect()
 }
 
 fn path(body: &Body) -> &Path {
@@ -520,21 +516,16 @@ fn path(body: &Body) -> &Path {
 }
 
 /// The bodies of a group, followed by all others whose supports reach theirs, in ascending order.
-fn near<'a>(
-    kernel: &'a Kernel,
-    count: usize,
-    ball: impl Fn(usize) -> Ball + 'a,
-    group: &'a [usize],
-) -> impl Iterator<Item = usize> + 'a {
+fn near<'a>(count: usize, ball: impl Fn(usize) -> Ball + 'a, group: &'a [usize]) -> impl Iterator<Item = usize> + 'a {
     let touches = move |body: usize| {
         let other = ball(body);
-        let reach = |of: &Ball| kernel.support(&other) + kernel.support(of);
+        let reach = |of: &Ball| other.support() + of.support();
         group.iter().map(|&own| ball(own)).any(|of| other.centre.distance_squared(of.centre) < reach(&of) * reach(&of))
     };
     group.iter().copied().chain((0..count).filter(move |body| !group.contains(body) && touches(*body)))
 }
 
 /// The balls of a group, followed by all others whose supports reach theirs.
-fn around(kernel: &Kernel, count: usize, ball: impl Fn(usize) -> Ball, group: &[usize]) -> Vec<Ball> {
-    near(kernel, count, &ball, group).map(&ball).collect()
+fn around(count: usize, ball: impl Fn(usize) -> Ball, group: &[usize]) -> Vec<Ball> {
+    near(count, &ball, group).map(&ball).collect()
 }

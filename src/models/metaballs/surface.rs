@@ -16,7 +16,7 @@ use glam::{DMat3, DVec3};
 
 use super::{
     contact::{Saddle, are_one},
-    density::{Ball, Kernel},
+    density::{Ball, Kernel, density_of, slope_of},
 };
 use crate::{
     analysis::surface::{connected, for_all},
@@ -39,10 +39,10 @@ const MAX_NODES: f64 = 2e6;
 const MAX_BALLS: usize = 4096;
 
 /// The surfaces of a scene of metaballs.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct LevelSet {
-    /// The density of a ball.
-    pub kernel: Kernel,
+    /// The density of each body.
+    pub kernels: Vec<Kernel>,
 }
 
 impl Surfaces for LevelSet {
@@ -50,8 +50,8 @@ impl Surfaces for LevelSet {
         // groups are connected by merged pairs (thresholds on q) and by joined surfaces
         let groups = connected(frame, |pair| {
             schema.phases[pair.phase].is_joined || {
-                let balls = around(&self.kernel, schema, frame, &[pair.a, pair.b]);
-                are_one(&self.kernel, &balls)
+                let balls = self.around(schema, frame, &[pair.a, pair.b]);
+                are_one(&balls)
             }
         });
         Surfaced {
@@ -70,12 +70,12 @@ impl Surfaces for LevelSet {
         if is_raised(interrupt) {
             return None;
         }
-        let balls = around(&self.kernel, schema, frame, &pair);
+        let balls = self.around(schema, frame, &pair);
         let (a, b) = (&balls[0], &balls[1]);
         let (radius, distance) = (f64::min(a.radius, b.radius), a.centre.distance(b.centre));
-        let is_one = are_one(&self.kernel, &balls);
-        let gap = if is_one { f64::min(0.0, distance - a.radius - b.radius) } else { self.gap(&balls) };
-        let neck = if is_one { self.neck(&balls) } else { 0.0 };
+        let is_one = are_one(&balls);
+        let gap = if is_one { f64::min(0.0, distance - a.radius - b.radius) } else { gap(&balls) };
+        let neck = if is_one { neck(&balls) } else { 0.0 };
         let overlap = lens(a.radius, b.radius, distance);
         Some(PairMeasures {
             gap: gap / radius,
@@ -92,15 +92,15 @@ impl LevelSet {
         if group.len() > MAX_BALLS || is_raised(interrupt) {
             return None;
         }
-        let balls = around(&self.kernel, schema, frame, group);
-        let Mesh { positions, triangles } = extract(&self.kernel, &balls, group.len(), interrupt)?;
-        let origins = positions.iter().map(|&at| origin(&self.kernel, &balls[..group.len()], group, at)).collect();
+        let balls = self.around(schema, frame, group);
+        let Mesh { positions, triangles } = extract(&balls, group.len(), interrupt)?;
+        let origins = positions.iter().map(|&at| origin(&balls[..group.len()], group, at)).collect();
         let [volume, area] = measures(&positions, &triangles);
         let components = components(positions.len(), &triangles);
         let euler = positions.len() as i64 - triangles.len() as i64 / 2;
         Some(Group {
             bodies: group.to_vec(),
-            normals: positions.iter().map(|&at| (-self.kernel.slope(&balls, at)).normalize_or(DVec3::Z)).collect(),
+            normals: positions.iter().map(|&at| (-slope_of(&balls, at)).normalize_or(DVec3::Z)).collect(),
             positions,
             origins,
             triangles,
@@ -113,66 +113,70 @@ impl LevelSet {
         })
     }
 
-    /// The distance between the surfaces of the first two balls, which are not joined, on the line of their centres
-    /// [scene unit].
-    fn gap(&self, balls: &[Ball]) -> f64 {
-        let (a, b) = (&balls[0], &balls[1]);
-        let distance = a.centre.distance(b.centre);
-        let end = |from: &Ball, to: &Ball| {
-            let along = (to.centre - from.centre) / distance;
-            let excess = |r: f64| self.kernel.at(balls, from.centre + r * along) - 1.0;
-            // outwards from the ball to the first point outside
-            let step = (distance - a.radius - b.radius) / 64.0;
-            let outside = (1..=64).map(|k| from.radius + f64::from(k) * step).find(|&r| excess(r) < 0.0);
-            outside.map(|r| root(r - step, r, excess))
+    /// The balls of a group in a frame, followed by all others whose supports reach theirs.
+    fn around(&self, schema: &Schema, frame: &Frame, group: &[usize]) -> Vec<Ball> {
+        let ball = |body: usize| Ball {
+            centre: frame.bodies[body].centre,
+            radius: schema.bodies[body].radius,
+            kernel: self.kernels[body],
         };
-        match (end(a, b), end(b, a)) {
-            (Some(of_a), Some(of_b)) => f64::max(0.0, distance - of_a - of_b),
-            _ => 0.0,
-        }
-    }
-
-    /// The radius of the circle with the area of the thinnest cross-section of the first two balls, which are joined
-    /// [scene unit]; exact without other balls.
-    fn neck(&self, balls: &[Ball]) -> f64 {
-        const DIRECTIONS: u32 = 16;
-        let (a, b) = (&balls[0], &balls[1]);
-        let Some(along) = (b.centre - a.centre).try_normalize() else { return f64::max(a.radius, b.radius) };
-        let waist = || {
-            // without a saddle: where both densities are equal, or the smaller ball is within the larger
-            let excess = |r: f64| {
-                let at = a.centre + r * along;
-                self.kernel.of_one(a, at) - self.kernel.of_one(b, at)
-            };
-            a.centre + root(0.0, a.centre.distance(b.centre), excess) * along
-        };
-        let middle = Saddle::between(&self.kernel, balls).map_or_else(waist, |saddle| saddle.place);
-        let (u, v) = along.any_orthonormal_pair();
-        let support = f64::max(self.kernel.support(a), self.kernel.support(b));
-        let alone = balls.len() == 2;
-        let directions = if alone { 1 } else { DIRECTIONS };
-        let squares = (0..directions).map(|k| {
-            let (sin, cos) = libm::sincos(std::f64::consts::TAU * f64::from(k) / f64::from(directions));
-            let direction = cos * u + sin * v;
-            let excess = |r: f64| self.kernel.at(balls, middle + r * direction) - 1.0;
-            let r = root(0.0, support, excess);
-            r * r
-        });
-        (squares.sum::<f64>() / f64::from(directions)).sqrt()
+        super::around(frame.bodies.len(), ball, group)
     }
 }
 
-/// The balls of a group in a frame, followed by all others whose supports reach theirs.
-fn around(kernel: &Kernel, schema: &Schema, frame: &Frame, group: &[usize]) -> Vec<Ball> {
-    let ball = |body: usize| Ball { centre: frame.bodies[body].centre, radius: schema.bodies[body].radius };
-    super::around(kernel, frame.bodies.len(), ball, group)
+/// The distance between the surfaces of the first two balls, which are not joined, on the line of their centres
+/// [scene unit].
+fn gap(balls: &[Ball]) -> f64 {
+    let (a, b) = (&balls[0], &balls[1]);
+    let distance = a.centre.distance(b.centre);
+    let end = |from: &Ball, to: &Ball| {
+        let along = (to.centre - from.centre) / distance;
+        let excess = |r: f64| density_of(balls, from.centre + r * along) - 1.0;
+        // outwards from the ball to the first point outside
+        let step = (distance - a.radius - b.radius) / 64.0;
+        let outside = (1..=64).map(|k| from.radius + f64::from(k) * step).find(|&r| excess(r) < 0.0);
+        outside.map(|r| root(r - step, r, excess))
+    };
+    match (end(a, b), end(b, a)) {
+        (Some(of_a), Some(of_b)) => f64::max(0.0, distance - of_a - of_b),
+        _ => 0.0,
+    }
+}
+
+/// The radius of the circle with the area of the thinnest cross-section of the first two balls, which are joined
+/// [scene unit]; exact without other balls.
+fn neck(balls: &[Ball]) -> f64 {
+    const DIRECTIONS: u32 = 16;
+    let (a, b) = (&balls[0], &balls[1]);
+    let Some(along) = (b.centre - a.centre).try_normalize() else { return f64::max(a.radius, b.radius) };
+    let waist = || {
+        // without a saddle: where both densities are equal, or the smaller ball is within the larger
+        let excess = |r: f64| {
+            let at = a.centre + r * along;
+            a.density(at) - b.density(at)
+        };
+        a.centre + root(0.0, a.centre.distance(b.centre), excess) * along
+    };
+    let middle = Saddle::between(balls).map_or_else(waist, |saddle| saddle.place);
+    let (u, v) = along.any_orthonormal_pair();
+    let support = f64::max(a.support(), b.support());
+    let alone = balls.len() == 2;
+    let directions = if alone { 1 } else { DIRECTIONS };
+    let squares = (0..directions).map(|k| {
+        let (sin, cos) = libm::sincos(std::f64::consts::TAU * f64::from(k) / f64::from(directions));
+        let direction = cos * u + sin * v;
+        let excess = |r: f64| density_of(balls, middle + r * direction) - 1.0;
+        let r = root(0.0, support, excess);
+        r * r
+    });
+    (squares.sum::<f64>() / f64::from(directions)).sqrt()
 }
 
 /// The two bodies of a group with the largest densities at a point.
-fn origin(kernel: &Kernel, balls: &[Ball], group: &[usize], at: DVec3) -> VertexOrigin {
+fn origin(balls: &[Ball], group: &[usize], at: DVec3) -> VertexOrigin {
     let (mut first, mut second) = ((0, 0.0), (0, 0.0));
     for (ball, &body) in balls.iter().zip(group) {
-        let density = kernel.of_one(ball, at);
+        let density = ball.density(at);
         if density > first.1 {
             (second, first) = (first, (body, density));
         } else if density > second.1 {
@@ -225,14 +229,14 @@ struct Grid {
 
 impl Grid {
     /// A grid that encloses the surface of the first `own` balls.
-    fn about(kernel: &Kernel, balls: &[Ball], own: usize) -> Option<Grid> {
+    fn about(balls: &[Ball], own: usize) -> Option<Grid> {
         let balls_own = balls.get(..own)?;
         let (axes, centre) = match balls_own {
             [a, b] => {
                 let along = (b.centre - a.centre).normalize_or(DVec3::Z);
                 let u = along.any_orthonormal_vector();
                 let v = along.cross(u);
-                let place = Saddle::between(kernel, balls).map_or(a.centre, |saddle| saddle.place);
+                let place = Saddle::between(balls).map_or(a.centre, |saddle| saddle.place);
                 (DMat3::from_cols(u, v, along), place)
             }
             [a, ..] => (DMat3::IDENTITY, a.centre),
@@ -241,7 +245,7 @@ impl Grid {
         let inverse = axes.transpose();
         let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         for ball in balls_own {
-            let (at, support) = (inverse * (ball.centre - centre), DVec3::splat(kernel.support(ball)));
+            let (at, support) = (inverse * (ball.centre - centre), DVec3::splat(ball.support()));
             (low, high) = (low.min(at - support), high.max(at + support));
         }
         let size = high - low;
@@ -291,8 +295,8 @@ const SINGLES: [[usize; 4]; 4] = [[0, 1, 2, 3], [1, 0, 3, 2], [2, 0, 1, 3], [3, 
 
 /// The surface of the first `own` balls in the density of all; `None` if it exceeds the grid limits, or after an
 /// interrupt.
-pub fn extract(kernel: &Kernel, balls: &[Ball], own: usize, interrupt: Option<&AtomicBool>) -> Option<Mesh> {
-    let grid = Grid::about(kernel, balls, own)?;
+pub fn extract(balls: &[Ball], own: usize, interrupt: Option<&AtomicBool>) -> Option<Mesh> {
+    let grid = Grid::about(balls, own)?;
     let [nx, ny, nz] = grid.counts;
     let mut inside = vec![false; nx * ny * nz];
     for k in 0..nz {
@@ -301,7 +305,7 @@ pub fn extract(kernel: &Kernel, balls: &[Ball], own: usize, interrupt: Option<&A
         }
         for j in 0..ny {
             for i in 0..nx {
-                inside[grid.index([i, j, k])] = is_inside(kernel, balls, own, grid.place([i, j, k]));
+                inside[grid.index([i, j, k])] = is_inside(balls, own, grid.place([i, j, k]));
             }
         }
     }
@@ -337,7 +341,7 @@ pub fn extract(kernel: &Kernel, balls: &[Ball], own: usize, interrupt: Option<&A
                             |corner: usize| grid.place([i + (corner & 1), j + (corner >> 1 & 1), k + (corner >> 2)]);
                         let (inner, outer) = if corners[from] { (from, to) } else { (to, from) };
                         *slot = mesh.positions.len() as u32;
-                        mesh.positions.push(on_surface(kernel, balls, place(inner), place(outer)));
+                        mesh.positions.push(on_surface(balls, place(inner), place(outer)));
                     }
                     *slot
                 };
@@ -374,14 +378,14 @@ fn cut(of: &[usize; 4], inside: &[bool; 8], cuts: &mut Vec<[[usize; 2]; 3]>) {
 }
 
 /// Whether a point is inside, and one of the first `own` balls is the densest there.
-fn is_inside(kernel: &Kernel, balls: &[Ball], own: usize, at: DVec3) -> bool {
-    let densest = |balls: &[Ball]| balls.iter().map(|ball| kernel.of_one(ball, at)).fold(0.0, f64::max);
-    kernel.at(balls, at) >= 1.0 && (own == balls.len() || densest(&balls[..own]) >= densest(&balls[own..]))
+fn is_inside(balls: &[Ball], own: usize, at: DVec3) -> bool {
+    let densest = |balls: &[Ball]| balls.iter().map(|ball| ball.density(at)).fold(0.0, f64::max);
+    density_of(balls, at) >= 1.0 && (own == balls.len() || densest(&balls[..own]) >= densest(&balls[own..]))
 }
 
 /// The point of the surface between a point inside and a point outside.
-fn on_surface(kernel: &Kernel, balls: &[Ball], inner: DVec3, outer: DVec3) -> DVec3 {
-    let excess = |z: f64| kernel.at(balls, inner.lerp(outer, z)) - 1.0;
+fn on_surface(balls: &[Ball], inner: DVec3, outer: DVec3) -> DVec3 {
+    let excess = |z: f64| density_of(balls, inner.lerp(outer, z)) - 1.0;
     // at the border to another group's surface, both points are inside
     let z = if excess(1.0) >= 0.0 { 0.5 } else { root(0.0, 1.0, excess) };
     inner.lerp(outer, z)
@@ -434,9 +438,8 @@ const GAUSS: [[f64; 2]; 5] = [
 /// product rule over the triangle. With the mesh of [`extract`], the error is below 1e-7 of the volume for balls of
 /// similar size, and below 1e-6 beside a much smaller one, because the third derivative of the density jumps at the end
 /// of a support.
-pub fn volume(kernel: &Kernel, balls: &[Ball], mesh: &Mesh) -> f64 {
-    let normals: Vec<DVec3> =
-        mesh.positions.iter().map(|&at| (-kernel.slope(balls, at)).normalize_or(DVec3::Z)).collect();
+pub fn volume(balls: &[Ball], mesh: &Mesh) -> f64 {
+    let normals: Vec<DVec3> = mesh.positions.iter().map(|&at| (-slope_of(balls, at)).normalize_or(DVec3::Z)).collect();
     let beyond = mesh.triangles.iter().map(|corners| {
         let [p, q, r] = corners.map(|v| mesh.positions[v as usize]);
         let [n, o, m] = corners.map(|v| normals[v as usize]);
@@ -447,7 +450,7 @@ pub fn volume(kernel: &Kernel, balls: &[Ball], mesh: &Mesh) -> f64 {
                 // the unit square, folded onto the triangle
                 let (u, v) = (z * (1.0 - w), w);
                 let (at, d) = (p + u * e1 + v * e2, n + u * d1 + v * d2);
-                let s = height(kernel, balls, at, d, e1.length().max(e2.length()));
+                let s = height(balls, at, d, e1.length().max(e2.length()));
                 let flat = d.dot(e1.cross(e2));
                 let bent = d.dot(e1.cross(d2) + d1.cross(e2));
                 let twisted = d.dot(d1.cross(d2));
@@ -461,11 +464,11 @@ pub fn volume(kernel: &Kernel, balls: &[Ball], mesh: &Mesh) -> f64 {
 }
 
 /// The signed distance from a point to the surface along a direction [scene unit], at most `max` either way.
-fn height(kernel: &Kernel, balls: &[Ball], at: DVec3, direction: DVec3, max: f64) -> f64 {
+fn height(balls: &[Ball], at: DVec3, direction: DVec3, max: f64) -> f64 {
     let mut s = 0.0;
     for _ in 0..20 {
         let here = at + s * direction;
-        let step = (kernel.at(balls, here) - 1.0) / kernel.slope(balls, here).dot(direction);
+        let step = (density_of(balls, here) - 1.0) / slope_of(balls, here).dot(direction);
         if !step.is_finite() {
             return 0.0;
         }

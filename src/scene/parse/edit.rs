@@ -89,7 +89,7 @@ fn numbers_beside(path: &KeyPath) -> Option<Vec<&'static str>> {
     let (depth, keys) = match *path.names().first()? {
         "influence" => (2, all(&keys::INFLUENCE)),
         "material" => (2, all(&keys::MATERIAL)),
-        "body" | "grid" => (3, keys::OSCILLATOR.iter().collect()),
+        "body" | "grid" => (3, keys::OSCILLATOR.iter().chain(&keys::REACH).collect()),
         "pair" => (3, all(&keys::PAIR)),
         "plane" => (3, all(&keys::PLANE)),
         "point" => (3, all(&keys::POINT)),

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::{Body, Material, SceneError, Table, Value, key, meshes::Meshes, reader::is_body_name};
+use super::{Body, Inherited, SceneError, Table, Value, key, meshes::Meshes, reader::is_body_name};
 use crate::{
     random::Random,
     scene::{Motion, Path, keys::COUNT_FORM},
@@ -14,14 +14,14 @@ const MAX_BODIES: u64 = 1_000_000;
 /// Appends the bodies of these tables, and for each body its table.
 pub(super) fn read<'t, 's>(
     tables: &'t [Table<'s>],
-    material: Material,
+    inherited: Inherited,
     meshes: &mut Meshes<'_>,
     bodies: &mut Vec<Body>,
     from: &mut Vec<&'t Table<'s>>,
 ) -> Result<(), SceneError> {
     let mut room = MAX_BODIES;
     for table in tables {
-        let first = super::read_body(table, material, meshes)?;
+        let first = super::read_body(table, inherited, meshes)?;
         let value = table.present("count", COUNT_FORM)?;
         let counts = read_count(&value)?;
         let keys = match &first.motion {

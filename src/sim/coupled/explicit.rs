@@ -141,7 +141,7 @@ impl Step<'_> {
                 let q = apart.length() / (body.radius + source.radius);
                 let scale = scene.influence.scaling.factor(body.radius, source.radius);
                 let strength = scale * pair.law.strength(pair.phase, q);
-                let radius = scene.influence.sphere_radius(source.radius);
+                let radius = source.sphere_radius;
                 (strength != 0.0).then_some((neighbour.other, strength, radius, apart))
             })
             .collect();

@@ -210,7 +210,7 @@ impl Job {
         field.pushes.clear();
         field.forces.clear();
         let influence = &scene.influence;
-        (field.reach, field.weight, field.scaling) = (influence.reach, influence.weight, influence.scaling);
+        (field.weight, field.scaling) = (influence.weight, influence.scaling);
         field.breaks.clear();
         field.first_point = first_point;
         copies.resize_with(self.all.len(), || source(&members[self.all[0] as usize].body));
@@ -222,7 +222,7 @@ impl Job {
             }
             if let Some(point) = (body as usize).checked_sub(scene.bodies.len()) {
                 let point = &scene.points[point];
-                *copy = source_at(point, span.start);
+                *copy = source_at(scene, point, span.start);
                 field.breaks.extend([point.start, point.end()]);
                 continue;
             }
@@ -286,19 +286,20 @@ impl Paths for OfScene<'_> {
 
 /// A body on a path that only acts on others.
 fn source(body: &Body) -> Body {
-    without_vertices(body.radius, body.centre, body.velocity)
+    Body { centre: body.centre, velocity: body.velocity, ..without_vertices(body.radius, body.sphere_radius) }
 }
 
 /// A force point at `t` [s], as a body without vertices.
-pub(super) fn source_at(point: &Point, t: f64) -> Body {
+pub(super) fn source_at(scene: &Scene, point: &Point, t: f64) -> Body {
     let motion = point.path.at(t);
-    without_vertices(point.radius, motion.position, motion.velocity)
+    let body = without_vertices(point.radius, scene.influence.sphere_radius(point.radius));
+    Body { centre: motion.position, velocity: motion.velocity, ..body }
 }
 
-fn without_vertices(radius: f64, centre: DVec3, velocity: DVec3) -> Body {
+fn without_vertices(radius: f64, sphere_radius: f64) -> Body {
     thread_local! {
         static NONE: std::sync::Arc<Shape> = std::sync::Arc::new(Shape::none());
     }
     let source = Body::prescribed(NONE.with(std::sync::Arc::clone), radius, Oscillator { omega: 0.0, damping: 0.0 });
-    Body { centre, velocity, ..source }
+    Body { sphere_radius, ..source }
 }

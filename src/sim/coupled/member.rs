@@ -145,6 +145,7 @@ impl Member {
         let shape = shapes.get(&mesh, body.radius, body.mass);
         let oscillator = Oscillator { omega: body.material.omega, damping: body.material.damping };
         let extent = shape.extent();
+        let sphere_radius = body.sphere_radius();
         let body = match &body.motion {
             Motion::Prescribed(path) => {
                 let start = path.at(0.0);
@@ -161,7 +162,7 @@ impl Member {
         let speed = body.u.iter().map(|u| u.length()).fold(0.0, f64::max);
         let mut member = Member {
             mesh,
-            body,
+            body: Body { sphere_radius, ..body },
             step_length: f64::INFINITY,
             fixed: FixedSteps::default(),
             slow_steps: 0,
@@ -195,7 +196,8 @@ impl Member {
             before;
         self.fixed = *fixed;
         let is_same = self.body.oscillator == body.oscillator;
-        self.body = Body { shape: Arc::clone(&self.body.shape), oscillator: self.body.oscillator, ..body.clone() };
+        let Body { sphere_radius, oscillator, .. } = self.body;
+        self.body = Body { shape: Arc::clone(&self.body.shape), sphere_radius, oscillator, ..body.clone() };
         (self.step_length, self.slow_steps, self.slow_from, self.is_awake) =
             (*step_length, *slow_steps, *slow_from, *is_awake);
         (self.extent, self.speed, self.rigid_spin) = (*extent, *speed, rigid_spin.filter(|_| is_same));

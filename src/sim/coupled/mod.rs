@@ -140,7 +140,7 @@ impl Coupled {
         starts.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut coupled = Coupled {
             members,
-            points: scene.points.iter().map(|point| source_at(point, 0.0)).collect(),
+            points: scene.points.iter().map(|point| source_at(scene, point, 0.0)).collect(),
             near: Near::new(scene),
             awake: Vec::new(),
             sleeping_hash: 0,
@@ -505,7 +505,7 @@ impl Coupled {
             for index in 0..self.members[body as usize].neighbours.len() {
                 let Neighbour { other, pair } = self.members[body as usize].neighbours[index];
                 let is_awake = self.members[other as usize].is_awake;
-                if (is_awake && other < body) || !self.near.is_coupled(scene, pair, &self.members) {
+                if (is_awake && other < body) || !self.near.is_coupled(pair, &self.members) {
                     continue;
                 }
                 if !is_awake {
@@ -518,10 +518,7 @@ impl Coupled {
         self.awake.sort_unstable();
         for &body in &self.awake {
             for &Neighbour { other, pair } in &self.members[body as usize].neighbours {
-                if other > body
-                    && self.members[other as usize].is_awake
-                    && self.near.is_coupled(scene, pair, &self.members)
-                {
+                if other > body && self.members[other as usize].is_awake && self.near.is_coupled(pair, &self.members) {
                     self.forest.coupled.push(pair);
                     if self.is_free(body) || self.is_free(other) {
                         self.forest.join(body, other);
@@ -735,7 +732,6 @@ impl Coupled {
             planes: scene.planes.clone(),
             pushes: pushes.collect(),
             forces: forces.collect(),
-            reach: scene.influence.reach,
             weight: scene.influence.weight,
             scaling: scene.influence.scaling,
             first_point: scene.bodies.len() as u32,
@@ -1088,7 +1084,7 @@ impl Coupled {
             let q = centre.length() / (own.radius + source.radius);
             let scaling = scene.influence.scaling.factor(own.radius, source.radius);
             let (strength, phase) = (scaling * pair.law.strength(pair.phase, q), pair.phase);
-            let sphere_radius = scene.influence.sphere_radius(source.radius);
+            let sphere_radius = source.sphere_radius;
             if strength != 0.0 && centre.length() <= sphere_radius + member.extent {
                 sources.push(Source { origin: Origin::Body { index: other, phase }, centre, sphere_radius, strength });
             }

@@ -46,7 +46,7 @@ impl Near {
     /// Finds the pairs of all bodies at the start; false if there are more than `max`.
     pub fn start(&mut self, scene: &Scene, members: &mut [Member], max: u64, work: &Tally<'_>) -> bool {
         for i in 0..members.len() {
-            self.place(scene, members, i);
+            self.place(members, i);
         }
         for i in 0..members.len() {
             self.find(scene, members, i, 0.0, work);
@@ -64,7 +64,7 @@ impl Near {
     /// than `max`.
     pub fn add_last(&mut self, scene: &Scene, members: &mut [Member], t: f64, max: u64) -> bool {
         let last = members.len() - 1;
-        self.place(scene, members, last);
+        self.place(members, last);
         let mut found = 0;
         self.grid.each_touching(last as u32, |_| found += 1);
         if self.count() as u64 + found > max {
@@ -79,17 +79,17 @@ impl Near {
     pub fn update(&mut self, scene: &Scene, members: &mut [Member], i: usize, t: f64, work: &Tally<'_>) {
         let Member { body, bounds, fat, .. } = &members[i];
         if body.centre.distance(fat.centre) + bounds.way > fat.skin || bounds.extent > fat.extent {
-            self.place(scene, members, i);
+            self.place(members, i);
             self.find(scene, members, i, t, work);
         }
     }
 
-    fn place(&mut self, scene: &Scene, members: &mut [Member], i: usize) {
+    fn place(&mut self, members: &mut [Member], i: usize) {
         let Member { body, bounds, extent, fat, .. } = &mut members[i];
         let skin = (SKIN * body.radius).max(4.0 * bounds.way);
         let extent = bounds.extent.max(*extent) + SKIN * body.radius;
         *fat = FatBounds { centre: body.centre, skin, extent };
-        let reach = scene.influence.sphere_radius(body.radius).max(extent).max(self.merge_at * body.radius) + skin;
+        let reach = body.sphere_radius.max(extent).max(self.merge_at * body.radius) + skin;
         let rounding = 16.0 * f64::EPSILON * (body.centre.abs().max_element() + reach);
         self.grid.place(i as u32, Ball { centre: body.centre, radius: reach + rounding });
     }
@@ -189,13 +189,13 @@ impl Near {
 
     /// Whether, within the step, one body of a pair can have vertices inside the other's sphere, or the pair can change
     /// phase.
-    pub fn is_coupled(&self, scene: &Scene, index: u32, members: &[Member]) -> bool {
+    pub fn is_coupled(&self, index: u32, members: &[Member]) -> bool {
         let pair = &self.pairs[index as usize];
         let (a, b) = (&members[pair.a as usize], &members[pair.b as usize]);
         if pair.phase != Phase::Apart {
             return true;
         }
-        let sphere = |member: &Member| scene.influence.sphere_radius(member.body.radius);
+        let sphere = |member: &Member| member.body.sphere_radius;
         let touching = match pair.law.strength(Phase::Apart, f64::INFINITY) {
             0.0 => 0.0,
             _ => f64::max(sphere(a) + b.bounds.extent, sphere(b) + a.bounds.extent),

@@ -1,6 +1,6 @@
 //! A free or prescribed body: vertices with masses around a rest shape that follows them.
 
-use std::{ops::Add, sync::Arc};
+use std::{f64::consts::SQRT_2, ops::Add, sync::Arc};
 
 use glam::{DMat3, DQuat, DVec3};
 
@@ -98,6 +98,8 @@ pub struct Body {
     pub shape: Arc<Shape>,
     /// Radius R [scene unit].
     pub radius: f64,
+    /// Radius r_e of its influence sphere [scene unit].
+    pub sphere_radius: f64,
     /// ω and κ of its vertices.
     pub oscillator: Oscillator,
     /// What moves the body.
@@ -117,12 +119,13 @@ pub struct Body {
 }
 
 impl Body {
-    /// A free body at rest at the origin.
+    /// A free body at rest at the origin, with an influence sphere of √2 R.
     pub fn free(shape: Arc<Shape>, radius: f64, oscillator: Oscillator, rotation: Rotation) -> Body {
         let none = vec![DVec3::ZERO; shape.rest.len()];
         Body {
             shape,
             radius,
+            sphere_radius: SQRT_2 * radius,
             oscillator,
             motion: Motion::Free(rotation),
             centre: DVec3::ZERO,
@@ -141,11 +144,12 @@ impl Body {
 
     /// Copies another body, reusing allocations.
     pub(in crate::sim) fn copy_from(&mut self, other: &Body) {
-        let Body { shape, radius, oscillator, motion, centre, velocity, rotation, spin, x, u } = other;
+        let Body { shape, radius, sphere_radius, oscillator, motion, centre, velocity, rotation, spin, x, u } = other;
         if !Arc::ptr_eq(&self.shape, shape) {
             self.shape = Arc::clone(shape);
         }
-        (self.radius, self.oscillator, self.motion) = (*radius, *oscillator, *motion);
+        (self.radius, self.sphere_radius) = (*radius, *sphere_radius);
+        (self.oscillator, self.motion) = (*oscillator, *motion);
         (self.centre, self.velocity, self.rotation, self.spin) = (*centre, *velocity, *rotation, *spin);
         self.x.clone_from(x);
         self.u.clone_from(u);

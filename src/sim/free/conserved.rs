@@ -100,7 +100,7 @@ pub(super) fn potential(
     source: &Body,
     field: &Field,
 ) -> f64 {
-    let r_e = field.reach * source.radius;
+    let r_e = source.sphere_radius;
     let outside = influence_potential(field.weight, r_e, r_e);
     let sum =
         vertices.map(|(mass, s)| mass * (influence_potential(field.weight, r_e, (to_source - s).length()) - outside));

@@ -23,8 +23,6 @@ pub struct Field {
     pub pushes: Vec<Push>,
     /// Forces set by a program, with the indices of their bodies.
     pub forces: Vec<(u32, Force)>,
-    /// Influence radius in body radii, r_e / R [–].
-    pub reach: f64,
     /// Weight of the influence by distance (3.3).
     pub weight: Weight,
     /// Dependence of strengths on body sizes.
@@ -43,7 +41,6 @@ impl Default for Field {
             planes: Vec::new(),
             pushes: Vec::new(),
             forces: Vec::new(),
-            reach: std::f64::consts::SQRT_2,
             weight: Weight::Linear,
             scaling: Scaling::Relative,
             breaks: Vec::new(),

@@ -179,7 +179,7 @@ impl Acting {
                 scale * pair.law.strength(pair.phase, q)
             });
             if is_gradual || strength != [0.0; 5] {
-                let radius = field.reach * source.radius;
+                let radius = source.sphere_radius;
                 // the spheres stay the same within a step: keep their bands
                 let band = self.spheres.get(count).map_or(0.0, |sphere| sphere.band);
                 let (law, phase) = (pair.law, pair.phase);

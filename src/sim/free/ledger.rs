@@ -249,8 +249,8 @@ impl Done<'_> {
                 let to_source = self.places[source][node].centre - place.centre;
                 let own = &self.bodies[own];
                 let (field, source) = (self.field, &self.bodies[source]);
-                let radius = field.reach * source.radius;
-                let sum = kernels::potential(self.arch, &course.active, node, field.weight, radius, to_source);
+                let r_e = source.sphere_radius;
+                let sum = kernels::potential(self.arch, &course.active, node, field.weight, r_e, to_source);
                 field.scale(own.radius, source.radius) * sum
             };
             slope * rate * (of(a, b) + of(b, a))

@@ -182,7 +182,7 @@ impl<'a> Snapshot<'a> {
         let mut sum = DVec3::ZERO;
         if strength != 0.0 {
             let places = [Place { centre: other.centre, velocity: other.velocity }; 5];
-            let (radius, scale) = (self.field.reach * other.radius, self.field.scale(own.radius, other.radius));
+            let (radius, scale) = (other.sphere_radius, self.field.scale(own.radius, other.radius));
             let (radii, law, phase) = (own.radius + other.radius, pair.law, pair.phase);
             let strength = [strength; 5];
             let sphere = Sphere { source, radius, strength, scale, radii, law, phase, places, band: 0.0 };

@@ -282,7 +282,7 @@ impl Substep<'_> {
             }
             let source = if of.a as usize == i { of.b } else { of.a };
             let other = &island.bodies[source as usize];
-            let radius = field.reach * other.radius;
+            let radius = other.sphere_radius;
             let to = self.centres[source as usize].centre - here;
             if (to - centre).length() > radius + own.extent {
                 continue;
@@ -392,7 +392,7 @@ impl Island {
                 stiffness += strength * self.field.scale(body.radius, other.radius);
                 if body.is_free() && other.mass() > 0.0 {
                     // the reaction on its sphere, by the share of the other body's vertices in it
-                    let across = self.field.reach * body.radius / other.radius;
+                    let across = body.sphere_radius / other.radius;
                     let share = f64::min(1.0, across * across);
                     let scale = self.field.scale(other.radius, body.radius);
                     stiffness += strength * scale * share * other.mass() / body.mass();

@@ -211,7 +211,7 @@ impl Pairs {
         let (this, path) = (&scene.bodies[i], of.tracks.path(i));
         let (skin, until) = stay(path, SKIN * this.radius, t, scene.dt);
         let merging = self.max_merge_at * this.radius;
-        let reach = scene.influence.sphere_radius(this.radius).max(vertices).max(merging) + skin;
+        let reach = this.sphere_radius().max(vertices).max(merging) + skin;
         let centre = path.position(t);
         // so that a pair exactly on a threshold is not lost to rounding of the centres
         let rounding = 16.0 * f64::EPSILON * (centre.abs().max_element() + reach);
@@ -445,11 +445,11 @@ impl Pair {
 /// Whether, within their fat bounds, one of two bodies can have vertices inside the other's sphere, or the two can
 /// merge. (Stricter than overlap of the fat bounds: a sphere does not act on another sphere.)
 fn are_near(scene: &Scene, bodies: &[Body], grid: &Grid, i: u32, j: u32) -> bool {
-    let [a, b] = [i, j].map(|k| (&bodies[k as usize].fat_bounds, scene.bodies[k as usize].radius));
-    let sphere = |radius| scene.influence.sphere_radius(radius);
-    let touching = f64::max(sphere(a.1) + b.0.vertices, sphere(b.1) + a.0.vertices);
+    let [a, b] = [i, j].map(|k| &bodies[k as usize].fat_bounds);
+    let [one, other] = [i, j].map(|k| &scene.bodies[k as usize]);
+    let touching = f64::max(one.sphere_radius() + b.vertices, other.sphere_radius() + a.vertices);
     let merge_at = scene.law(i as usize, j as usize).thresholds.merge_at;
-    let near = touching.max(merge_at * (a.1 + b.1)) + a.0.skin + b.0.skin;
+    let near = touching.max(merge_at * (one.radius + other.radius)) + a.skin + b.skin;
     !(grid.ball(i).centre.distance(grid.ball(j).centre) > near)
 }
 

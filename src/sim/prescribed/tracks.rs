@@ -98,7 +98,7 @@ impl Tracks {
         let mut movers = Vec::new();
         let motion_bounds = sources.zip(&paths).map(|(source, path)| {
             let radius = scene.source_radius(source);
-            let sphere = scene.influence.sphere_radius(radius);
+            let sphere = scene.source_sphere_radius(source);
             MotionBounds { centre: path.position(0.0), speed: 0.0, radius, sphere }
         });
         let motion_bounds = motion_bounds.collect();

@@ -8,7 +8,7 @@ use super::{Acting, Cause, Moment, On, Phases, Surroundings, Term};
 use crate::{
     geometry::Rest,
     model::{PairLaw, energy, influence::Weight, phase::Phase},
-    scene::{Members, Scene, path::Kinematics},
+    scene::{Body, Members, Scene, path::Kinematics},
     sim::{numerics::arrays::Vectors, prescribed::neighbours::Neighbour, span::Span},
 };
 
@@ -146,7 +146,7 @@ pub(in crate::sim) fn neighbour(scene: &Scene, this: u32, other: u32, pair: u32)
     let law = scene.law_index(this as usize, other as usize);
     let strengths = strengths(scene, &scene.law_at(law), this, other);
     // a bound on the acceleration of any vertex, in any phase
-    let source = scene.influence.sphere_radius(scene.bodies[other as usize].radius);
+    let source = scene.bodies[other as usize].sphere_radius();
     let pull = strengths.into_iter().fold(0.0, f64::max) * source * scene.influence.weight.max_pull();
     Neighbour { other, pair, law, pull, always_acts: !strengths.contains(&0.0) }
 }
@@ -213,16 +213,17 @@ fn find_distances(rest: Rest<'_>, displacement: &Vectors, centre: DVec3, first: 
 /// Σ s Φ over the vertices of body `index` if all of them were outside the sphere of body `source` [scene unit²/s²].
 pub fn energy_outside(scene: &Scene, index: usize, source: usize, phase: Phase) -> f64 {
     let law = scene.law(index, source);
-    let (body, source) = (&scene.bodies[index], scene.bodies[source].radius);
-    outside_per_vertex(scene, &law, body.radius, source, phase) * body.shape.vertex_count() as f64
+    let (body, source) = (&scene.bodies[index], &scene.bodies[source]);
+    outside_per_vertex(scene, &law, body, source, phase) * body.shape.vertex_count() as f64
 }
 
-fn outside_per_vertex(scene: &Scene, law: &PairLaw, radius: f64, source: f64, phase: Phase) -> f64 {
-    let sphere = scene.influence.sphere_radius(source);
-    scene.strength(law, phase, radius, source) * energy::influence_potential(scene.influence.weight, sphere, sphere)
+fn outside_per_vertex(scene: &Scene, law: &PairLaw, body: &Body, source: &Body, phase: Phase) -> f64 {
+    let sphere = source.sphere_radius();
+    scene.strength(law, phase, body.radius, source.radius)
+        * energy::influence_potential(scene.influence.weight, sphere, sphere)
 }
 
-/// Bodies of the same radius to which the same laws of pairs apply.
+/// Bodies of the same radius and reach to which the same laws of pairs apply.
 struct Alike {
     /// The index of one of them.
     body: usize,
@@ -235,12 +236,12 @@ struct Alike {
 /// pairs of [`Alike`] bodies at once.
 pub fn energy_of_distant_pairs(scene: &Scene) -> f64 {
     let named: BTreeSet<Members> = scene.pairs.rules().flat_map(|(sides, _)| sides).collect();
-    let mut all: BTreeMap<(Option<Members>, u64), Alike> = BTreeMap::new();
+    let mut all: BTreeMap<(Option<Members>, [u64; 2]), Alike> = BTreeMap::new();
     for (index, body) in scene.bodies.iter().enumerate() {
         let itself = Members::Body(index as u32);
         let side = if named.contains(&itself) { Some(itself) } else { scene.pairs.group_of(index).map(Members::Group) };
         let first = Alike { body: index, bodies: 0.0, vertices: 0.0 };
-        let alike = all.entry((side, body.radius.to_bits())).or_insert(first);
+        let alike = all.entry((side, [body.radius, body.reach].map(f64::to_bits))).or_insert(first);
         alike.bodies += 1.0;
         alike.vertices += body.shape.vertex_count() as f64;
     }
@@ -249,9 +250,9 @@ pub fn energy_of_distant_pairs(scene: &Scene) -> f64 {
         for source in all.values() {
             let sources = if source.body == this.body { source.bodies - 1.0 } else { source.bodies };
             if sources > 0.0 {
-                let [radius, of_source] = [this, source].map(|alike| scene.bodies[alike.body].radius);
+                let [one, other] = [this, source].map(|alike| &scene.bodies[alike.body]);
                 let law = scene.law(this.body, source.body);
-                sum += this.vertices * sources * outside_per_vertex(scene, &law, radius, of_source, Phase::Apart);
+                sum += this.vertices * sources * outside_per_vertex(scene, &law, one, other, Phase::Apart);
             }
         }
     }
@@ -268,9 +269,10 @@ mod tests {
         let mut text = "duration = 1.0\n[influence]\nbeta = 40.0\n".to_owned();
         for (k, group) in ["", "g", "g", "h", "h", "h", "", ""].into_iter().enumerate() {
             let group = if group.is_empty() { String::new() } else { format!("group = \"{group}\"\n") };
-            let radius = 1.0 + 0.25 * f64::from(k as u32 % 3);
-            text +=
-                &format!("[[body]]\nname = \"b{k}\"\nradius = {radius}\n{group}motion = {{ fixed = [{k}, 0, 0] }}\n");
+            let (radius, reach) = (1.0 + 0.25 * f64::from(k as u32 % 3), 1.2 + 0.3 * f64::from(k as u32 % 2));
+            text += &format!(
+                "[[body]]\nname = \"b{k}\"\nradius = {radius}\nreach = {reach}\n{group}motion = {{ fixed = [{k}, 0, 0] }}\n"
+            );
         }
         for (k, (a, b)) in [("g", "g"), ("g", "h"), ("b0", "h"), ("b6", "b7"), ("b3", "h")].into_iter().enumerate() {
             let apart = if k == 1 { "none" } else { "repel" };
