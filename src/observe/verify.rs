@@ -75,6 +75,7 @@ pub fn verify(experiment: &dyn Experiment, steps: u64) -> Result<(), Vec<String>
 }
 
 /// Checks a schema, as [`verify`] does. The error is the first mistake.
+#[cfg(feature = "viewer")]
 pub(crate) fn schema(schema: &Schema) -> Result<(), String> {
     let mut mistakes = Mistakes::default();
     mistakes.schema(schema);
@@ -82,6 +83,7 @@ pub(crate) fn schema(schema: &Schema) -> Result<(), String> {
 }
 
 /// Checks what a simulation says of its last step, as [`verify`] does. The error is the first mistake.
+#[cfg(feature = "viewer")]
 pub(crate) fn summary(schema: &Schema, summary: &StepSummary, bodies: &[BodyEvent]) -> Result<(), String> {
     let mut mistakes = Mistakes::default();
     mistakes.summary(schema, summary, bodies);
@@ -90,6 +92,7 @@ pub(crate) fn summary(schema: &Schema, summary: &StepSummary, bodies: &[BodyEven
 
 /// Checks a frame, as [`verify`] does, but in a build without debug assertions not every vertex. The error is the first
 /// mistake.
+#[cfg(feature = "viewer")]
 pub(crate) fn frame(schema: &Schema, frame: &Frame, want: Want) -> Result<(), String> {
     let mut mistakes = Mistakes::default();
     mistakes.frame(schema, frame, want, cfg!(debug_assertions));
@@ -114,6 +117,7 @@ impl Mistakes {
         }
     }
 
+    #[cfg(feature = "viewer")]
     fn first(self) -> Result<(), String> {
         self.found.into_iter().next().map_or(Ok(()), Err)
     }

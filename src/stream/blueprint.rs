@@ -1004,7 +1004,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
     };
     let springs = match draws_springs(schema, settings) {
         true => format!(
-            "- **Springs**: blue shorter, white as long, red longer than at rest (full colour: {} %)\n",
+            "- **Springs**: blue shorter, white as long, orange longer than at rest (full colour: {} %)\n",
             100.0 * palette::MAX_STRAIN
         ),
         false => String::new(),
