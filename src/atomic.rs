@@ -106,6 +106,16 @@ pub fn is_same_destination(a: &Path, b: &Path) -> bool {
     a == b || ignores_case && a.to_string_lossy().to_lowercase() == b.to_string_lossy().to_lowercase()
 }
 
+/// Writes a file unless there is one by now: of several processes that start at once, one writes it.
+///
+/// # Errors
+/// [`io::ErrorKind::AlreadyExists`], or another of the operating system's errors.
+pub fn write_new(path: &Path, text: &str) -> io::Result<()> {
+    let mut file = AtomicFile::create(path)?;
+    file.write_all(text.as_bytes())?;
+    file.commit_new()
+}
+
 /// A file in the making, under a temporary name; removed when dropped.
 pub struct AtomicFile {
     destination: PathBuf,

@@ -28,6 +28,11 @@ pub const WHITE: Rgb = [0xF4, 0xF4, 0xF4];
 /// A dark grey.
 pub const GREY: Rgb = [0x6A, 0x72, 0x7C];
 
+/// A colour as `#rrggbb`.
+pub fn hex([r, g, b]: Rgb) -> String {
+    format!("#{r:02x}{g:02x}{b:02x}")
+}
+
 /// The common name of one of these colours; empty for any other colour.
 pub fn name(rgb: Rgb) -> &'static str {
     match rgb {

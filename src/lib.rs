@@ -57,7 +57,7 @@
 //! | `atomic` | files that are either complete or not there | | `viewer` |
 //! | [`sdk`] | the parts of the Rerun SDK that are used | | `viewer` |
 //! | [`stream`] | frames as Rerun data: entities, blueprint, sinks | `geometry`, `text`, `hash`, `colors`, `observe`, `analysis`, `atomic`, `sdk` | `viewer` |
-//! | `svg` | diagrams: shapes, text, ticks | | `cli` |
+//! | `svg` | diagrams: shapes, text, ticks | `colors` | `cli` |
 //! | [`table`] | tables as CSV, JSON and Parquet files | `atomic`, `sdk` | `cli` |
 //! | [`recording`] | reading recordings: replay, check, diff | all above | `viewer` |
 //! | [`sweep`] | grids of runs over a scene's parameters, refinement, thresholds, maps | all above | `cli` |

@@ -2,25 +2,17 @@
 
 use std::fmt::Write as _;
 
-/// Red, green, blue.
-pub type Rgb = [u8; 3];
+use crate::colors::hex;
+pub use crate::colors::{GREEN, ORANGE, Rgb, SKY_BLUE, VERMILION};
 
 /// Colour of text and outlines.
 pub const INK: Rgb = [34, 34, 34];
 /// Colour of axes and notes.
 pub const GREY: Rgb = [110, 110, 110];
-/// Colours that differ with any colour vision, on a light background (Okabe & Ito 2008).
-pub const GREEN: Rgb = [0, 158, 115];
-/// See [`GREEN`].
+/// Okabe and Ito's blue, for a light background.
 pub const BLUE: Rgb = [0, 114, 178];
-/// See [`GREEN`].
-pub const VERMILION: Rgb = [213, 94, 0];
-/// See [`GREEN`].
+/// Okabe and Ito's reddish purple, for a light background.
 pub const PURPLE: Rgb = [204, 121, 167];
-/// See [`GREEN`].
-pub const ORANGE: Rgb = [230, 159, 0];
-/// See [`GREEN`].
-pub const SKY_BLUE: Rgb = [86, 180, 233];
 
 /// Where a text stands relative to its position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -142,10 +134,6 @@ pub fn through(points: &[[f64; 2]]) -> String {
         let _ = write!(text, "{command}{x:.1} {y:.1}");
     }
     text
-}
-
-fn hex([r, g, b]: Rgb) -> String {
-    format!("#{r:02x}{g:02x}{b:02x}")
 }
 
 /// Round numbers within a range, ascending: about six on a linear axis; on a logarithmic one, powers of ten, and twice and

@@ -12,7 +12,7 @@ use super::{
 use crate::{
     analysis::{Approaches, surface::Merger},
     models::SceneRun,
-    observe::{BodyFrame, Experiment as _, Frame, PairEvent, PairFrame, Schema, Simulation, StepSummary, Want},
+    observe::{BodyFrame, Experiment as _, Frame, PairEvent, PairFrame, Run, Schema, Simulation, Want},
     recording::existing::Existing,
     sim,
     text::{counted, did_you_mean, thousands},
@@ -151,32 +151,28 @@ struct History {
 }
 
 impl History {
-    fn of(mut simulation: Box<dyn Simulation>, schema: &Schema, step: u64, last: u64) -> Result<History, Failure> {
+    fn of(simulation: Box<dyn Simulation>, schema: &Schema, step: u64, last: u64) -> Result<History, Failure> {
         let progress = Progress::new("simulating", Work::Units("step", Some(last)));
         let mut approaches = Approaches::new(&*simulation, schema);
-        let (mut frame, mut events, mut failure) = (Frame::default(), Vec::new(), None);
-        let mut summary = StepSummary::default();
+        let (mut frame, mut events) = (Frame::default(), Vec::new());
+        let mut run = Run::new(simulation, Some(last));
         loop {
+            let simulation = &*run.simulation;
             progress.step(simulation.steps_taken(), simulation.time());
             if simulation.steps_taken() == step {
                 simulation.observe(Want::ALL, &mut frame);
             }
-            if simulation.steps_taken() == last || failure.is_some() {
+            if !run.step() {
                 break;
             }
-            simulation.step();
-            simulation.summary(&mut summary);
-            failure = summary.failure.as_ref().map(|failure| format!("the run ends early: {failure}"));
-            if summary.failure.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
-                break;
-            }
-            approaches.step(&*simulation, schema, &summary.events);
-            events.extend_from_slice(&summary.events);
+            approaches.step(&*run.simulation, schema, &run.summary.events);
+            events.extend_from_slice(&run.summary.events);
         }
-        if let Some(failure) = failure.as_ref().filter(|_| simulation.steps_taken() < step) {
+        let failure = run.failure.map(|failure| format!("the run ends early: {failure}"));
+        if let Some(failure) = failure.as_ref().filter(|_| run.simulation.steps_taken() < step) {
             return Err(Failure::Run(format!("step {step} is not reached: {failure}")));
         }
-        Ok(History { frame, events, approaches, end: simulation.time(), failure })
+        Ok(History { frame, events, approaches, end: run.simulation.time(), failure })
     }
 }
 

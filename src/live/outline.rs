@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::change::Problem;
 use crate::{
-    colors,
+    colors::{self, hex},
     observe::{BodyEvent, EventRow, Frame, PairEvent, Schema, Simulation, StepSummary, SurfaceEvent, row::rows},
 };
 
@@ -178,12 +178,6 @@ impl Outline {
             problem: self.failure.clone().map(Problem::new),
         }
     }
-}
-
-/// A colour as `#rrggbb`.
-pub fn hex(color: [u8; 3]) -> String {
-    let [r, g, b] = color;
-    format!("#{r:02x}{g:02x}{b:02x}")
 }
 
 /// How often each kind of event happens, in words.

@@ -2,7 +2,6 @@
 
 use std::{
     collections::{BTreeMap, VecDeque},
-    io::{self, Write as _},
     path::{Path, PathBuf},
     sync::{
         Arc, Condvar, Mutex, PoisonError,
@@ -17,12 +16,13 @@ use super::{
     change::{Branch, Change, Poke, Problem},
     feed::Feed,
     lock,
-    outline::{Outline, hex},
+    outline::Outline,
     recording::{Parts, Recording, Writer},
     thresholds::{self, Mark},
 };
 use crate::{
-    atomic::AtomicFile,
+    atomic,
+    colors::hex,
     observe::{BodyFrame, Experiment, Frame, Schema, Want, schema::BodySchema},
     sdk::LogMsg,
     stream::{
@@ -437,7 +437,7 @@ impl Runs {
             }
             Save::Scene => {
                 let path = free_name(&self.save, "toml");
-                write_new(&path, &experiment.schema().source)
+                atomic::write_new(&path, &experiment.schema().source)
                     .map_err(|error| Problem::new(format!("{} cannot be written: {error}", path.display())))?;
                 format!("saved {}", path.display())
             }
@@ -453,12 +453,6 @@ fn free_name(path: &Path, extension: &str) -> PathBuf {
     let numbered = (2..NAMES).map(|number| path.with_file_name(format!("{stem}-{number}.{extension}")));
     let first = path.with_file_name(format!("{stem}.{extension}"));
     std::iter::once(first.clone()).chain(numbered).find(|path| !path.exists()).unwrap_or(first)
-}
-
-fn write_new(path: &Path, text: &str) -> io::Result<()> {
-    let file = AtomicFile::create(path)?;
-    file.handle()?.write_all(text.as_bytes())?;
-    file.commit_new()
 }
 
 /// Steps from one frame to the next with which the rest of a recording stays below its upper limit, if its frames are

@@ -1,10 +1,10 @@
 //! The page and its requests. Everything is below a token that only who started the program knows.
 
-use std::{net::IpAddr, pin::pin, sync::Arc};
+use std::{net::IpAddr, sync::Arc};
 
 use hyper::{
     Method, Request, Response, StatusCode,
-    body::{Body as _, Bytes, Incoming},
+    body::{Bytes, Incoming},
     header::{self, HeaderValue},
 };
 use re_web_viewer_server::WebViewerData;
@@ -14,7 +14,7 @@ use super::{
     change::{Change, Problem},
     runs::{Runs, Save},
 };
-use crate::stream::sinks::serve::{Content, Guard, Site, viewer_files};
+use crate::stream::sinks::serve::{Content, Guard, Site, body, confine, respond, viewer_files};
 
 /// Upper limit on the body of a request [bytes].
 const REQUEST: usize = 256 << 10;
@@ -60,7 +60,7 @@ impl Page {
     }
 
     async fn posted(&self, path: &str, request: Request<Incoming>) -> Response<Content> {
-        let Some(body) = body(request.into_body()).await else {
+        let Some(body) = body(request.into_body(), REQUEST).await else {
             return text(StatusCode::PAYLOAD_TOO_LARGE, "the request is too large");
         };
         let done = match path {
@@ -88,25 +88,17 @@ impl Page {
             Err(reason) => return text(StatusCode::INTERNAL_SERVER_ERROR, reason),
         };
         if path == "feed" {
-            let mut response = Response::new(Content::Parts(Box::pin(self.runs.feed.read())));
-            set_type(&mut response, "text/event-stream");
-            return response;
+            return respond(StatusCode::OK, "text/event-stream", Content::Parts(Box::pin(self.runs.feed.read())));
         }
         if let Some((folder, number)) = path.strip_suffix(".rrd").and_then(|path| path.split_once('/')) {
             let run = number.parse().ok().and_then(|number| self.runs.recording(number, folder == "first"));
             let Some(parts) = run.filter(|_| matches!(folder, "first" | "runs")) else {
                 return text(StatusCode::NOT_FOUND, "this run has been replaced");
             };
-            let mut response = Response::new(Content::Parts(Box::pin(parts)));
-            set_type(&mut response, "application/octet-stream");
-            return response;
+            return respond(StatusCode::OK, "application/octet-stream", Content::Parts(Box::pin(parts)));
         }
         match file(files, path) {
-            Some((kind, bytes)) => {
-                let mut response = Response::new(Content::Whole(Bytes::from_static(bytes)));
-                set_type(&mut response, kind);
-                response
-            }
+            Some((kind, bytes)) => respond(StatusCode::OK, kind, Content::Whole(Bytes::from_static(bytes))),
             None => text(StatusCode::NOT_FOUND, "there is no such file"),
         }
     }
@@ -126,11 +118,8 @@ impl Site for Page {
             (_, Some(path)) if request.method() == Method::GET => self.got(path),
             _ => text(StatusCode::METHOD_NOT_ALLOWED, "there is only GET and POST"),
         };
-        let headers = response.headers_mut();
-        headers.insert(header::CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY));
-        headers.insert(header::REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
-        headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
-        headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+        confine(&mut response, HeaderValue::from_static(POLICY));
+        response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
         response
     }
 }
@@ -151,32 +140,10 @@ fn read<T: DeserializeOwned>(body: &[u8]) -> Result<T, Problem> {
     serde_json::from_slice(body).map_err(|error| Problem::new(format!("the request cannot be read: {error}")))
 }
 
-/// Reads the body of a request; `None` if it is too long.
-async fn body(body: Incoming) -> Option<Vec<u8>> {
-    let (mut body, mut read) = (pin!(body), Vec::new());
-    while let Some(frame) = std::future::poll_fn(|context| body.as_mut().poll_frame(context)).await {
-        read.extend_from_slice(frame.ok()?.data_ref()?);
-        if read.len() > REQUEST {
-            return None;
-        }
-    }
-    Some(read)
-}
-
 fn text(status: StatusCode, text: impl Into<Bytes>) -> Response<Content> {
-    let mut response = Response::new(Content::Whole(text.into()));
-    *response.status_mut() = status;
-    set_type(&mut response, "text/plain; charset=utf-8");
-    response
+    respond(status, "text/plain; charset=utf-8", Content::Whole(text.into()))
 }
 
 fn json(status: StatusCode, value: &impl serde::Serialize) -> Response<Content> {
-    let mut response = Response::new(Content::Whole(serde_json::to_vec(value).unwrap_or_default().into()));
-    *response.status_mut() = status;
-    set_type(&mut response, "application/json");
-    response
-}
-
-fn set_type(response: &mut Response<Content>, kind: &'static str) {
-    response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static(kind));
+    respond(status, "application/json", Content::Whole(serde_json::to_vec(value).unwrap_or_default().into()))
 }

@@ -124,8 +124,11 @@ impl Store {
         fs::create_dir_all(path).map_err(|error| store.error("create the folder", path, error))?;
         for (file, text) in [("sweep.toml", &sweep.text), ("scene.toml", &sweep.scene_text)] {
             let there = path.join(file);
-            if !there.exists() {
-                store.claim(&there, text)?;
+            if !there.exists()
+                && let Err(error) = atomic::write_new(&there, text)
+                && error.kind() != io::ErrorKind::AlreadyExists
+            {
+                return Err(store.error("write", &there, error));
             }
             let known = fs::read(&there).map_err(|error| store.error("read", &there, error))?;
             if known != text.as_bytes() {
@@ -133,19 +136,6 @@ impl Store {
             }
         }
         Ok(store)
-    }
-
-    /// Writes a file unless there is one by now: of several processes that start at once, one writes it.
-    fn claim(&self, path: &Path, text: &str) -> Result<(), StoreError> {
-        let claimed = || {
-            let mut file = AtomicFile::create(path)?;
-            file.write_all(text.as_bytes())?;
-            file.commit_new()
-        };
-        match claimed() {
-            Err(error) if error.kind() != io::ErrorKind::AlreadyExists => Err(self.error("write", path, error)),
-            _ => Ok(()),
-        }
     }
 
     /// The folder.

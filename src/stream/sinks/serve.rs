@@ -21,7 +21,7 @@ mod guard;
 mod history;
 mod port;
 
-pub(crate) use answer::Content;
+pub(crate) use answer::{Content, body, confine, respond};
 pub(crate) use guard::Guard;
 pub use guard::Host;
 pub(crate) use port::Site;

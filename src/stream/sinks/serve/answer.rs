@@ -26,6 +26,8 @@ const GRPC_STATUS: HeaderName = HeaderName::from_static("grpc-status");
 const GRPC_MESSAGE: HeaderName = HeaderName::from_static("grpc-message");
 const PERMISSION_DENIED: HeaderValue = HeaderValue::from_static("7");
 const UNIMPLEMENTED: HeaderValue = HeaderValue::from_static("12");
+/// The policy that lets a browser load nothing.
+const NOTHING: HeaderValue = HeaderValue::from_static("default-src 'none'");
 
 /// Largest part of a response that is sent at once, and the amount that a client must read for it to count as activity
 /// [bytes].
@@ -76,11 +78,7 @@ impl Site for OfRun {
         match self {
             OfRun::Viewer(files, data_port) => {
                 let mut response = file(files, guard, &request);
-                let policy = HeaderValue::try_from(policy(request.headers(), at, *data_port));
-                let headers = response.headers_mut();
-                headers.extend(policy.ok().map(|policy| (header::CONTENT_SECURITY_POLICY, policy)));
-                headers.insert(header::REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
-                headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+                confine(&mut response, policy(request.headers(), at, *data_port));
                 response
             }
             OfRun::Data(history) => {
@@ -102,7 +100,7 @@ impl Site for OfRun {
 
 /// What a browser may load for the page: its own files, and the data of the run from the host that it was requested
 /// from, or from this machine under a usual name.
-fn policy(headers: &HeaderMap, at: IpAddr, data_port: u16) -> String {
+fn policy(headers: &HeaderMap, at: IpAddr, data_port: u16) -> HeaderValue {
     let host = headers.get(header::HOST).and_then(|host| Host::of(host.as_bytes()));
     let host = match host.unwrap_or(Host::Ip(at)) {
         Host::Ip(IpAddr::V6(ip)) => format!("[{ip}]"),
@@ -110,10 +108,11 @@ fn policy(headers: &HeaderMap, at: IpAddr, data_port: u16) -> String {
         Host::Name(name) => name,
     };
     let data = [&host, "127.0.0.1", "localhost"].map(|host| format!("http://{host}:{data_port}")).join(" ");
-    format!(
+    let policy = format!(
         "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self'; img-src 'self' data: blob:; \
          connect-src 'self' {data}; base-uri 'none'; form-action 'none'"
-    )
+    );
+    HeaderValue::try_from(policy).unwrap_or(NOTHING)
 }
 
 /// Responds with a file of the web viewer.
@@ -134,9 +133,7 @@ fn file(files: &'static WebViewerData, guard: &Guard, request: &Request<Incoming
         "/re_viewer_bg.wasm" => ("application/wasm", files.viewer_wasm()),
         _ => return text(StatusCode::NOT_FOUND, "there is no such file\n"),
     };
-    let mut response = Response::new(Content::Whole(Bytes::from_static(bytes)));
-    response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static(kind));
-    response
+    respond(StatusCode::OK, kind, Content::Whole(Bytes::from_static(bytes)))
 }
 
 /// Responds to a call of the SDK's message proxy.
@@ -164,7 +161,7 @@ async fn data(history: &History, guard: &Guard, request: Request<Incoming>) -> R
         (Some("/ReadMessages"), Some(content_type)) if kind.starts_with("application/grpc") && !is_text => {
             let end = end(kind);
             let content_type = content_type.clone();
-            if !is_short(request.into_body()).await {
+            if body(request.into_body(), REQUEST).await.is_none() {
                 return invalid(StatusCode::PAYLOAD_TOO_LARGE, "a read request must be empty\n");
             }
             let mut response = Response::new(Content::Stream(history.read(), Some(end)));
@@ -203,25 +200,37 @@ fn end(kind: &str) -> Frame<Bytes> {
     Frame::trailers(trailers)
 }
 
-/// Reads a request's body to its end; `false` if that fails or the body is too long.
-async fn is_short(body: Incoming) -> bool {
-    let mut body = pin!(body);
-    let mut length = 0;
+/// Reads the body of a request; `None` if that fails or the body is longer than `most` [bytes].
+pub(crate) async fn body(body: Incoming, most: usize) -> Option<Vec<u8>> {
+    let (mut body, mut read) = (pin!(body), Vec::new());
     while let Some(frame) = std::future::poll_fn(|context| body.as_mut().poll_frame(context)).await {
-        let Ok(frame) = frame else { return false };
-        length += frame.data_ref().map_or(0, Bytes::len);
-        if length > REQUEST {
-            return false;
+        let frame = frame.ok()?;
+        read.extend_from_slice(frame.data_ref().map_or(&[], |data| data));
+        if read.len() > most {
+            return None;
         }
     }
-    true
+    Some(read)
+}
+
+/// A response of a media type.
+pub(crate) fn respond(status: StatusCode, kind: &'static str, content: Content) -> Response<Content> {
+    let mut response = Response::new(content);
+    *response.status_mut() = status;
+    response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static(kind));
+    response
+}
+
+/// Lets a browser load and send only what `policy` says.
+pub(crate) fn confine(response: &mut Response<Content>, policy: HeaderValue) {
+    let headers = response.headers_mut();
+    headers.insert(header::CONTENT_SECURITY_POLICY, policy);
+    headers.insert(header::REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
+    headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
 }
 
 fn text(status: StatusCode, text: impl Into<Bytes>) -> Response<Content> {
-    let mut response = Response::new(Content::Whole(text.into()));
-    *response.status_mut() = status;
-    response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static("text/plain"));
-    response
+    respond(status, "text/plain", Content::Whole(text.into()))
 }
 
 /// Adds the gRPC status to a response.
