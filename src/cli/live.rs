@@ -10,11 +10,11 @@ use std::{
     time::Duration,
 };
 
-use super::{Failure, interrupt, overrides::Overrides, print_always, run, say, sink_failure};
+use super::{Failure, interrupt, print_always, run, say, sink_failure};
 use crate::{
     live::{self, Live, change::Problem},
     models::SceneRun,
-    scene::Scene,
+    scene::{Scene, template::Override},
     sim,
     stream::sinks::{Host, Serve},
 };
@@ -42,8 +42,9 @@ pub(super) struct Arguments {
     /// Also accept requests under this host name or address, not only this machine's own; may be repeated.
     #[arg(long, value_name = "HOST")]
     allow_host: Vec<Host>,
-    #[command(flatten)]
-    overrides: Overrides,
+    /// Another value for a key of the scene, such as influence.merge_at=1.1; may be repeated.
+    #[arg(long, value_name = "KEY=VALUE", value_parser = Override::parse)]
+    set: Vec<Override>,
 }
 
 /// Set to interrupt the run of an outdated change.
@@ -59,10 +60,12 @@ pub(super) fn live(arguments: Arguments) -> Result<(), Failure> {
         return Err(Failure::Input(format!("--watch needs a scene file, and there is no file {:?}", arguments.scene)));
     }
     let mut text = if arguments.watch { std::fs::read_to_string(path).unwrap_or_default() } else { String::new() };
-    // what is saved has the overrides in its text
+    // what is saved has these values in its text
     let overridden = |scene: Scene| {
-        let scene = arguments.overrides.apply(scene, &arguments.scene)?;
-        scene.rewritten(&arguments.scene).map_err(Failure::input)
+        let scene = scene.with(&arguments.set, &arguments.scene);
+        scene
+            .and_then(|scene| scene.rewritten(&arguments.scene))
+            .map_err(|error| Failure::Input(format!("--set: {error}")))
     };
     let scene = overridden(run::scene(&arguments.scene)?)?;
     let name = path.file_stem().map_or(scene.name.clone(), |stem| stem.to_string_lossy().into_owned());

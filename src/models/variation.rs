@@ -48,7 +48,7 @@ pub fn varied(run: &SceneRun, variation: &Variation) -> Result<Arc<dyn Experimen
     for branch in branches.iter().filter(|branch| !branch.values.is_empty()) {
         let _ = write_edit(&mut added, branch);
     }
-    let base = if run.scene.set.is_empty() { Ok(run.scene.clone()) } else { run.scene.clone().rewritten(name) };
+    let base = run.scene.clone().rewritten(name);
     let base = base.map_err(|error| InvalidVariation { key: None, text: error.to_string() })?;
     let text = if values.is_empty() { base.source } else { with_values(&base, values)? };
     // an embedded mesh ends the text

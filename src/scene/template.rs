@@ -42,11 +42,6 @@ impl fmt::Display for KeyPath {
 }
 
 impl KeyPath {
-    /// The path of a key of the scene itself.
-    fn name(name: &str) -> KeyPath {
-        KeyPath { text: name.to_owned(), parts: vec![Part::Name(name.to_owned())] }
-    }
-
     /// The number of its parts: names and indices.
     pub(super) fn len(&self) -> usize {
         self.parts.len()
@@ -172,22 +167,17 @@ impl Scene {
         Ok(Scene { source: self.source, set, ..scene })
     }
 
-    /// The scene with its [settings](Scene::set), integrator and model in its text, which loses its comments if there
-    /// are any to write. `file` is its name in errors.
+    /// The scene with its [settings](Scene::set) in its text, which loses its comments if there are any to write. `file` is
+    /// its name in errors.
     ///
     /// # Errors
     /// Those of [`Scene::with`].
     pub fn rewritten(self, file: &str) -> Result<Scene, SceneError> {
-        let own = Scene::parse(&self.source, file)?;
-        let mut set = self.set.clone();
-        let choice = |key, name: &str| Override { key: KeyPath::name(key), value: format!("\"{name}\"") };
-        set.extend((own.integrator != self.integrator).then(|| choice("integrator", self.integrator.name())));
-        set.extend((own.model != self.model).then(|| choice("model", self.model.name())));
-        if set.is_empty() {
+        if self.set.is_empty() {
             return Ok(self);
         }
         let text = on_deep_stack(|| {
-            let settings: Vec<_> = set.iter().map(|one| (&one.key, one.value.clone())).collect();
+            let settings: Vec<_> = self.set.iter().map(|one| (&one.key, one.value.clone())).collect();
             Template::new(&self.source, file, None)?.varied_text(&settings)
         })?;
         Ok(Scene { name: self.name, ..Scene::parse(&text, file)? })
