@@ -297,6 +297,13 @@ impl Mistakes {
         self.ensure(now.lengths.len() == expected, || {
             format!("{} has {} entries, expected {expected}, {form}", field("lengths"), now.lengths.len())
         });
+        if deeply {
+            let is_number = now
+                .springs
+                .iter()
+                .all(|spring| spring.strain.is_finite() && spring.ends.iter().all(|end| end.is_finite()));
+            self.ensure(is_number, || format!("{} has a number that is not finite", field("springs")));
+        }
         if !want.forces || !now.has_forces {
             return;
         }

@@ -69,17 +69,10 @@ impl Scene {
             ensure(sides.iter().all(exists), "pairs", || self.body_index(), &sides)?;
         }
         ensure(!self.bodies.is_empty(), "bodies", || "at least one body".to_owned(), &"none")?;
-        let mut names = HashSet::with_capacity(self.bodies.len());
         for (index, body) in self.bodies.iter().enumerate() {
             body.validate(|part| format!("bodies[{index}].{part}"))?;
-            let is_new = names.insert(body.name.as_str());
-            ensure(
-                is_new,
-                Field(|| format!("bodies[{index}].name")),
-                || "a name that no other body has".to_owned(),
-                &body.name,
-            )?;
         }
+        let names = unique("bodies", self.bodies.iter().map(|body| &*body.name))?;
         for (index, body) in self.bodies.iter().enumerate() {
             let is_own = body.group.as_ref().is_none_or(|group| !names.contains(group.as_str()));
             ensure(
@@ -93,17 +86,10 @@ impl Scene {
         for (index, plane) in self.planes.iter().enumerate() {
             plane.check(|part| format!("planes[{index}].{part}"))?;
         }
-        let mut names = HashSet::with_capacity(self.points.len());
         for (index, point) in self.points.iter().enumerate() {
             self.check_point(point, |part| format!("points[{index}].{part}"))?;
-            let is_new = names.insert(point.name.as_str());
-            ensure(
-                is_new,
-                Field(|| format!("points[{index}].name")),
-                || "a name that no other point has".to_owned(),
-                &point.name,
-            )?;
         }
+        unique("points", self.points.iter().map(|point| &*point.name))?;
         for (index, push) in self.pushes.iter().enumerate() {
             self.check_push(push, |part| format!("pushes[{index}].{part}"))?;
         }
@@ -298,6 +284,16 @@ fn ensure(is_valid: bool, field: impl Place, expected: impl FnOnce() -> String, 
         true => Ok(()),
         false => Err(InvalidScene { field: field.name(), expected: expected(), found: format!("{found:?}") }),
     }
+}
+
+/// The names of a list, each of which must be there once.
+fn unique<'n>(list: &str, names: impl ExactSizeIterator<Item = &'n str>) -> Result<HashSet<&'n str>, InvalidScene> {
+    let mut seen = HashSet::with_capacity(names.len());
+    for (index, name) in names.enumerate() {
+        let field = Field(|| format!("{list}[{index}].name"));
+        ensure(seen.insert(name), field, || format!("a name that no other of the {list} has"), &name)?;
+    }
+    Ok(seen)
 }
 
 fn within(range: Range, field: impl Place, x: f64) -> Checked {

@@ -136,10 +136,10 @@ impl Recorder {
     /// As for [`Recorder::new`].
     pub fn numbered(simulation: &dyn Simulation, settings: Settings, number: u64) -> Result<Recorder, String> {
         let overrides = simulation.overrides(settings.steps)?;
-        let (schema, mut first) = (simulation.schema(), Frame::default());
+        let (schema, mut frame) = (simulation.schema(), Frame::default());
         verify::schema(&schema)?;
-        simulation.observe(settings.want(), &mut first);
-        verify::frame(&schema, &first, settings.want())?;
+        simulation.observe(settings.want(), &mut frame);
+        verify::frame(&schema, &frame, settings.want())?;
         let application = ApplicationId::new_or_unknown(application(&schema.name));
         let run = schema.run.clone() + &settings.to_toml();
         let mut id = recording_id(&schema.name, &schema.source, &run, env!("CARGO_PKG_VERSION"));
@@ -176,7 +176,7 @@ impl Recorder {
             stage_count: 0,
             watch: StepWatch::new(simulation, &settings),
             step: StepRecord::default(),
-            frame: Frame::default(),
+            frame,
             schema,
             settings,
             chunks,
@@ -186,8 +186,7 @@ impl Recorder {
         // in its own row, so that a killed run has at least this checksum
         recorder.checksums.log(&mut recorder.chunks, true);
         if recorder.parts.is_some() {
-            let mut frame = take(&mut recorder.frame);
-            simulation.observe(recorder.settings.want(), &mut frame);
+            let frame = take(&mut recorder.frame);
             recorder.log_frame(&frame, at);
             recorder.frame = frame;
         }

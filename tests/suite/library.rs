@@ -337,6 +337,10 @@ fn mistakes_of_an_implementer_are_named() {
         .into_iter()
         .chain(frames.map(|(text, frame)| (text, Broken { frame, ..Broken::NOWHERE })))
         .chain(summaries.map(|(text, summary)| (text, Broken { summary, ..Broken::NOWHERE })));
+    // single vertices are left to `verify`
+    let frame = |frame: &mut Frame| frame.bodies[0].positions.x[2] = f64::INFINITY;
+    let mistakes = observe::verify(&Broken { frame, ..Broken::NOWHERE }, 100).expect_err("an infinite position");
+    assert_eq!(mistakes, ["frame.bodies[0].positions in step 0 has a number that is not finite"]);
     let dir = Dir::new();
     for (text, broken) in broken {
         let mistakes = observe::verify(&broken, 100).expect_err(text);
