@@ -6,7 +6,7 @@ use pulp::Arch;
 use super::{
     body::Body,
     field::{Field, Pair, Push},
-    kernels::{self, Detect, Pull},
+    kernels::{self, Detect, Kernel, Pull},
     split::{hold, is_stiff, passages, softened},
     step::{Course, Held, MIDDLE, Place, Reaction, Span},
 };

@@ -81,10 +81,17 @@ pub(super) trait Kernel {
 
     /// `W` registers hold [`WIDTH`] numbers.
     fn run<S: Simd, const W: usize>(self, simd: S) -> Self::Output;
+
+    /// Runs it.
+    fn find(self, arch: Arch) -> Self::Output
+    where
+        Self: Sized,
+    {
+        arch.dispatch(InLanes(self))
+    }
 }
 
-/// Runs a [`Kernel`].
-pub(super) struct InLanes<K>(pub K);
+struct InLanes<K>(K);
 
 impl<K: Kernel> WithSimd for InLanes<K> {
     type Output = K::Output;
@@ -256,15 +263,9 @@ impl Kernel for Reach<'_> {
     }
 }
 
-impl Reach<'_> {
-    pub fn find(self, arch: Arch) {
-        arch.dispatch(InLanes(self));
-    }
-}
-
 /// The largest |v|².
 pub fn largest_square(arch: Arch, v: &[Lanes]) -> f64 {
-    arch.dispatch(InLanes(Largest(v)))
+    Largest(v).find(arch)
 }
 
 struct Largest<'a>(&'a [Lanes]);
@@ -284,7 +285,7 @@ impl Kernel for Largest<'_> {
 
 /// Moments of all vertices, with the masses of [`Start`]: of the inactive ones.
 pub fn moments(arch: Arch, start: &Start, rest: &[Lanes]) -> Moments {
-    arch.dispatch(InLanes(Sum { start, rest }))
+    Sum { start, rest }.find(arch)
 }
 
 struct Sum<'a> {
@@ -304,7 +305,7 @@ impl Kernel for Sum<'_> {
 
 /// Moments of active vertices at the start.
 pub fn moments_of_active(arch: Arch, active: &Active) -> Moments {
-    arch.dispatch(InLanes(SumActive(&active.blocks)))
+    SumActive(&active.blocks).find(arch)
 }
 
 struct SumActive<'a>(&'a [Block]);
@@ -396,12 +397,6 @@ impl Kernel for Finish<'_> {
             store(linear(&x, x0, u0, rest), into_x);
             store(linear(&u, x0, u0, rest), into_u);
         }
-    }
-}
-
-impl Finish<'_> {
-    pub fn find(self, arch: Arch) {
-        arch.dispatch(InLanes(self));
     }
 }
 
@@ -625,15 +620,9 @@ impl Kernel for Move<'_> {
     }
 }
 
-impl Move<'_> {
-    pub fn find(self, arch: Arch) -> Moved {
-        arch.dispatch(InLanes(self))
-    }
-}
-
 /// Computes the positions of active vertices relative to the centre, for these axes.
 pub fn place(arch: Arch, active: &mut Active, sample: usize, axes: DMat3) {
-    arch.dispatch(InLanes(PlaceAll { active, sample, axes }));
+    PlaceAll { active, sample, axes }.find(arch);
 }
 
 struct PlaceAll<'a> {
@@ -745,12 +734,6 @@ impl Kernel for Detect<'_> {
     }
 }
 
-impl Detect<'_> {
-    pub fn find(self, arch: Arch) {
-        arch.dispatch(InLanes(self));
-    }
-}
-
 /// Adds the force of a sphere on the active vertices inside it, except those that are advanced alone.
 pub struct Pull<'a> {
     pub active: &'a mut Active,
@@ -822,15 +805,9 @@ impl Kernel for Pull<'_> {
     }
 }
 
-impl Pull<'_> {
-    pub fn find(self, arch: Arch) -> Pulled {
-        arch.dispatch(InLanes(self))
-    }
-}
-
 /// Adds the force of a sphere at a single sample on the active vertices inside it. Returns Σ m f.
 pub fn pull_at(arch: Arch, active: &mut Active, sphere: &Sphere, weight: Weight, sample: usize, apart: DVec3) -> DVec3 {
-    arch.dispatch(InLanes(PullAt { active, sphere, weight, sample, apart }))
+    PullAt { active, sphere, weight, sample, apart }.find(arch)
 }
 
 struct PullAt<'a> {
@@ -888,7 +865,7 @@ impl Default for Gathered {
 
 /// Sums the accelerations of active vertices at a sample; then adds `turning`×x to them.
 pub fn gather(arch: Arch, active: &mut Active, sample: usize, turning: DVec3) -> Gathered {
-    arch.dispatch(InLanes(Gather { active, sample, turning }))
+    Gather { active, sample, turning }.find(arch)
 }
 
 struct Gather<'a> {
@@ -930,7 +907,7 @@ impl Kernel for Gather<'_> {
 /// Σ m (Φ − Φ(r_e)) of the active vertices at a node, in a sphere of radius r_e with its centre at `apart` from the
 /// body's.
 pub fn potential(arch: Arch, active: &Active, node: usize, weight: Weight, radius: f64, apart: DVec3) -> f64 {
-    arch.dispatch(InLanes(Potential { active, node, weight, radius, apart }))
+    Potential { active, node, weight, radius, apart }.find(arch)
 }
 
 struct Potential<'a> {
@@ -989,15 +966,9 @@ impl Kernel for AddResidual<'_> {
     }
 }
 
-impl AddResidual<'_> {
-    pub fn find(self, arch: Arch) {
-        arch.dispatch(InLanes(self))
-    }
-}
-
 /// The largest error of x and of u of an active vertex, squared.
 pub fn largest_errors(arch: Arch, active: &Active) -> [f64; 2] {
-    arch.dispatch(InLanes(LargestErrors(active)))
+    LargestErrors(active).find(arch)
 }
 
 struct LargestErrors<'a>(&'a Active);
@@ -1022,7 +993,7 @@ impl Kernel for LargestErrors<'_> {
 
 /// Σ m |u − spin×x + slip l|² of active vertices at a node.
 pub fn slipping(arch: Arch, active: &Active, node: usize, spin: DVec3, slip: DMat3) -> f64 {
-    arch.dispatch(InLanes(Slipping { active, node, spin, slip }))
+    Slipping { active, node, spin, slip }.find(arch)
 }
 
 struct Slipping<'a> {

@@ -22,7 +22,7 @@ use super::{
     body::{Body, Sums},
     field::{Driven, Field, Paths},
     force::{Acting, View},
-    kernels::{self, Active, AddResidual, Finish, Gathered, Move, Moved, Reach, Start, WIDTH},
+    kernels::{self, Active, AddResidual, Finish, Gathered, Kernel, Move, Moved, Reach, Start, WIDTH},
     passive::{Linear, Maxima, Moments, Scaled},
     split::{By, Motion, Piece, Split},
 };

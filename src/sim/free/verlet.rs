@@ -19,7 +19,7 @@ use super::{
     body::Body,
     field::{Driven, Paths},
     island::{Change, Failure, GROWTH, Island, Report, Scratch},
-    kernels::{Lane, Lanes, at, by_coordinate, by_vertex, replace},
+    kernels::{Kernel, Lane, Lanes, at, by_coordinate, by_vertex, replace},
     step::Place,
     verlet_kernels::{Drift, Drifted, Kick, Kicked, Pull, Spring, Support, angular_momentum, largest_change},
 };

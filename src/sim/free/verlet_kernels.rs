@@ -4,8 +4,8 @@ use glam::{DMat3, DVec3};
 use pulp::{Arch, Simd};
 
 use super::kernels::{
-    InLanes, Kernel, Lane, Lanes, add_outer, columns, cross, largest, load, store, times, total, total_matrix,
-    total_vector, zero,
+    Kernel, Lane, Lanes, add_outer, columns, cross, largest, load, store, times, total, total_matrix, total_vector,
+    zero,
 };
 use crate::{
     model::{energy::influence_potential, influence::Weight, shape_matching::Plane},
@@ -37,12 +37,6 @@ impl Kernel for Spring<'_> {
     }
 }
 
-impl Spring<'_> {
-    pub fn find(self, arch: Arch) {
-        arch.dispatch(InLanes(self));
-    }
-}
-
 /// Adds the pressure of a plane: k d n.
 pub struct Support<'a> {
     pub r: &'a [Lanes],
@@ -66,12 +60,6 @@ impl Kernel for Support<'_> {
                 store(load(simd, a) + normal * (none.larger(depth) * self.stiffness), a);
             }
         }
-    }
-}
-
-impl Support<'_> {
-    pub fn find(self, arch: Arch) {
-        arch.dispatch(InLanes(self));
     }
 }
 
@@ -128,12 +116,6 @@ impl Kernel for Pull<'_> {
     }
 }
 
-impl Pull<'_> {
-    pub fn find(self, arch: Arch) -> PulledBy {
-        arch.dispatch(InLanes(self))
-    }
-}
-
 /// The largest |a − b|².
 pub fn largest_change(arch: Arch, a: &[Lanes], b: &[Lanes]) -> f64 {
     struct Change<'a>(&'a [Lanes], &'a [Lanes]);
@@ -149,7 +131,7 @@ pub fn largest_change(arch: Arch, a: &[Lanes], b: &[Lanes]) -> f64 {
             largest(max)
         }
     }
-    arch.dispatch(InLanes(Change(a, b)))
+    Change(a, b).find(arch)
 }
 
 /// Σ m s×v about a centre, with velocities relative to its own.
@@ -177,7 +159,7 @@ pub fn angular_momentum(
             total_vector(sum)
         }
     }
-    arch.dispatch(InLanes(Momentum(r, v, masses, [centre, velocity])))
+    Momentum(r, v, masses, [centre, velocity]).find(arch)
 }
 
 /// Applies accelerations for `h`, then the friction of planes.
@@ -239,12 +221,6 @@ impl Kernel for Kick<'_> {
             store(now, v);
         }
         Kicked { momentum: total_vector(momentum), rubbed: total(rubbed) }
-    }
-}
-
-impl Kick<'_> {
-    pub fn find(self, arch: Arch) -> Kicked {
-        arch.dispatch(InLanes(self))
     }
 }
 
@@ -321,11 +297,5 @@ impl Kernel for Drift<'_> {
             power: total(power),
             farthest: largest(farthest),
         }
-    }
-}
-
-impl Drift<'_> {
-    pub fn find(self, arch: Arch) -> Drifted {
-        arch.dispatch(InLanes(self))
     }
 }
