@@ -54,10 +54,7 @@ pub struct Influence {
 impl Influence {
     /// The factor on the strength of a source [–], from the radii of the body acted on and of the source [scene unit].
     pub fn scale(&self, radius: f64, source_radius: f64) -> f64 {
-        match self.scaling {
-            Scaling::Absolute => 1.0,
-            Scaling::Relative => f64::min(1.0, radius / source_radius),
-        }
+        self.scaling.factor(radius, source_radius)
     }
 
     /// The radius r_e of an influence sphere that belongs to a radius R, for this reach [scene unit].

@@ -10,7 +10,6 @@ use super::{
     prescribed::{
         body::Active,
         deformation::{DISPLACEMENT, Deformation, FreeVertices, VELOCITY},
-        pairs::Pair,
     },
     state::State,
 };
@@ -84,13 +83,6 @@ impl Deformation {
         }
         lanes.add_states(blocks, vertices);
         lanes.hash()
-    }
-}
-
-impl Pair {
-    /// A hash of the pair and its phase; 0 if it is apart, like pairs that are not listed.
-    pub fn hash(&self) -> u64 {
-        of_pair(self.a, self.b, self.phase)
     }
 }
 

@@ -6,6 +6,8 @@ use std::{
     time::{Duration, Instant},
 };
 
+use smallvec::{Array, SmallVec};
+
 use crate::{geometry::Shape, scene::Scene, text::bytes};
 
 /// State of a vertex: displacement and velocity, three doubles each [bytes].
@@ -177,4 +179,9 @@ impl Budget {
             available: self.available,
         }
     }
+}
+
+/// Memory allocated for a list beyond what it holds in place [bytes].
+pub(super) fn spilled<A: Array>(list: &SmallVec<A>) -> usize {
+    if list.spilled() { list.capacity() * size_of::<A::Item>() } else { 0 }
 }

@@ -10,7 +10,7 @@
 //! | what acts on vertices, one file per force term | `terms` |
 //! | how vertices of a body on a path are advanced | [`integrator`] |
 //! | when pairs merge, split, enter and leave their core | [`events`] |
-//! | which bodies can touch: a grid | [`reach`] |
+//! | which bodies are near each other, by a grid | `neighbours`, [`reach`] |
 //! | nodes, polynomials, responses of oscillators, roots, SIMD lanes | `numerics` |
 //! | changes between steps | `edit` |
 //! | observation: forces by cause, energy | `observe` |
@@ -48,7 +48,7 @@
 //! Names in front are those of the stages in `/timings`.
 //!
 //! 1. [`World::step`] → `World::advance`, which divides a step at edits → `Prescribed::step` (`prescribed`): its stages
-//! 2. reach: `Tracks::evaluate` (`tracks`) evaluates the paths; `Pairs::update` (`pairs`) searches the grid
+//! 2. reach: `Tracks::evaluate` (`tracks`) evaluates the paths; `Pairs::update` searches for `neighbours`
 //! 3. events: `Pairs::find_events` → `Search::first_change` ([`events`]) → `roots`
 //! 4. reach: `wake_acted_on`, `wake_moved`, `wake_near_points`; `find_bounds` → `Context::find_reachable` (`advance`)
 //! 5. integrate: `Context::advance` for every awake body
@@ -60,7 +60,7 @@
 //!
 //! # A step of a coupled scene
 //! 1. [`World::step`] → `World::advance`, which divides a step at edits → `Coupled::step` (`coupled`): its stages
-//! 2. reach: `wake_pushed`, `wake_near_points`; `find_neighbours` → `Near::update` (`near`) searches the grid
+//! 2. reach: `wake_pushed`, `wake_near_points`; `find_neighbours` → `Near::update` searches for `neighbours`
 //! 3. integrate, of an explicit scheme: `explicit::step` (`coupled`); otherwise:
 //! 4. reach: `find_islands` groups the bodies that can act on each other (`islands`)
 //! 5. integrate: `islands::advance` → `Island::advance_with` ([`free`]) for every island
@@ -98,6 +98,7 @@ mod handle;
 #[doc(hidden)]
 pub mod integrator;
 pub(crate) mod memory;
+mod neighbours;
 pub(crate) mod numerics;
 pub(crate) mod observe;
 pub(crate) mod prescribed;
@@ -105,7 +106,7 @@ pub(crate) mod prescribed;
 pub mod reach;
 mod report;
 mod solver;
-mod span;
+pub(crate) mod span;
 mod state;
 pub(crate) mod terms;
 pub(crate) mod work;

@@ -12,7 +12,7 @@ use crate::{
     },
     observe::PairEvent,
     scene::{Material, Path, Point, Push, Response, Scene, path::Kinematics},
-    sim::{Cause, terms::carry},
+    sim::{Cause, span::Span, terms::carry},
 };
 
 use super::PHASES;
@@ -135,15 +135,13 @@ impl StepContext<'_> {
         breaks.extend([self.start, self.end]);
         let own = self.events.iter().filter(|event| event.a == index || event.b == index);
         breaks.extend(own.map(|event| event.time));
-        let paths = sources.iter().map(|&other| other as usize).chain([index]);
-        for path in paths.filter_map(|source| self.scene.source_path(source)) {
-            let knots = path.knots();
-            let first = knots.partition_point(|&knot| knot <= self.start);
-            breaks.extend(knots[first..].iter().take_while(|&&knot| knot < self.end));
-        }
+        self.add_jumps(sources.iter().copied().chain([index as u32]), pushes, breaks);
+    }
+
+    /// Appends the instants in the step at which one of these bodies or force points jumps, or a push [s], and sorts all.
+    pub fn add_jumps(&self, sources: impl Iterator<Item = u32>, pushes: &[Push], breaks: &mut Vec<f64>) {
+        Span { start: self.start, end: self.end }.jumps_of(self.scene, sources, breaks);
         breaks.extend(pushes.iter().flat_map(|push| [push.start, push.end()]));
-        let points = sources.iter().filter_map(|&source| self.point(source));
-        breaks.extend(points.flat_map(|point| [point.start, point.end()]));
         breaks.retain(|&time| (self.start..=self.end).contains(&time));
         breaks.sort_unstable_by(f64::total_cmp);
         breaks.dedup();

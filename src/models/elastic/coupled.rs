@@ -29,7 +29,10 @@
 //! rotation at the end of each step removes it, so that only external torques change the angular momentum. If a pair
 //! changes its phase within a step, spheres act in proportion to time, because the factor requires a fixed step.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::{
+    borrow::Cow,
+    sync::atomic::{AtomicBool, Ordering},
+};
 
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
@@ -48,16 +51,15 @@ use crate::{
     },
     models::{cells::Cells, lattice::Scheme},
     observe::{PairEvent, StepFailure},
-    scene::{FreeMotion, Integrator, Model, Path, Plane, Point, Scene},
-    sim::Event,
+    scene::{
+        FreeMotion, Integrator, Model, Path, Plane, Point, Scene,
+        path::{Bounds, Given, Kinematics},
+    },
+    sim::{Event, events::PairPaths},
 };
 
 /// Upper limit on phase changes in a step; more would take forever.
 const MAX_CHANGES: usize = 1000;
-/// Number of samples of each distance in a step; crossings back and forth between two samples are missed.
-const SAMPLES: u32 = 8;
-/// Number of bisections between two samples.
-const HALVINGS: u32 = 60;
 
 /// The rigid motion of a free body.
 #[derive(Clone, Debug)]
@@ -129,6 +131,18 @@ impl Free {
     /// Upper bound of the distance that the centre moves within some time [scene unit].
     pub fn farthest(&self, time: f64) -> f64 {
         (self.velocity.length() + 0.5 * time * self.acceleration.length()) * time
+    }
+
+    /// Its motion from `start` to `end` [s].
+    fn path(&self, start: f64, end: f64) -> Path {
+        let Free { centre, velocity, acceleration, .. } = *self;
+        let at = move |t: f64| Kinematics {
+            position: centre + (velocity + acceleration * (0.5 * (t - start))) * (t - start),
+            velocity: velocity + acceleration * (t - start),
+            acceleration,
+        };
+        let speed = velocity.length() + acceleration.length() * (end - start);
+        Path::Given(Given::new(Bounds { speed, acceleration: acceleration.length() }, at))
     }
 
     /// c + c′τ + ½c″τ² after τ [s].
@@ -215,7 +229,11 @@ impl Elastic {
         match self.scene.model {
             Model::Fem => self.take_implicit(start, end)?,
             _ => {
-                let breaks = self.breaks(start, end);
+                let Elastic { scene, phases, step, .. } = &*self;
+                let around = StepContext { scene, phases, events: &[], start, end, step: *step + 1 };
+                let mut breaks = vec![start, end];
+                let all = 0..(scene.bodies.len() + scene.points.len()) as u32;
+                around.add_jumps(all, &scene.pushes, &mut breaks);
                 for (number, ends) in breaks.windows(2).enumerate() {
                     self.take_explicit([ends[0], ends[1]], number == 0)?;
                 }
@@ -232,22 +250,6 @@ impl Elastic {
             Some(failure) => Err(failure),
             None => Ok(()),
         }
-    }
-
-    /// Instants in a step at which a path or a push jumps [s], including its ends, ascending.
-    fn breaks(&self, start: f64, end: f64) -> Vec<f64> {
-        let mut breaks = vec![start, end];
-        for path in (0..self.scene.bodies.len() + self.scene.points.len()).filter_map(|of| self.scene.source_path(of)) {
-            let knots = path.knots();
-            let first = knots.partition_point(|&knot| knot <= start);
-            breaks.extend(knots[first..].iter().take_while(|&&knot| knot < end));
-        }
-        breaks.extend(self.scene.pushes.iter().flat_map(|push| [push.start, push.end()]));
-        breaks.extend(self.scene.points.iter().flat_map(|point| [point.start, point.end()]));
-        breaks.retain(|&time| (start..=end).contains(&time));
-        breaks.sort_unstable_by(f64::total_cmp);
-        breaks.dedup();
-        breaks
     }
 
     /// Positions of the centres some time after `t` [s], in a part of a step without jumps; those of force points follow.
@@ -436,6 +438,18 @@ impl Elastic {
         self.events.push(event);
     }
 
+    /// The known motion of a centre from `start` to `end` [s], in a part of a step without jumps.
+    fn path_within(&self, body: usize, [start, end]: [f64; 2], part: [f64; 2]) -> Cow<'_, Path> {
+        match (&self.bodies[body].free, self.scene.bodies[body].path()) {
+            (Some(free), _) => Cow::Owned(free.path(start, end)),
+            (None, Some(path)) if path.is_held() => {
+                Cow::Owned(Path::Fixed(path.position(part[0] + 0.5 * (part[1] - part[0]))))
+            }
+            (None, Some(path)) => Cow::Borrowed(path),
+            (None, None) => Cow::Owned(Path::Fixed(DVec3::ZERO)),
+        }
+    }
+
     /// The phase changes on the known motion of the centres, in order of time; only the first if `only_first`.
     fn changes(&self, [start, end]: [f64; 2], part: [f64; 2], only_first: bool) -> Result<Vec<PairEvent>, StepFailure> {
         let mut pairs: Vec<[u32; 2]> = self.phases.keys().copied().collect();
@@ -449,37 +463,19 @@ impl Elastic {
         for pair in pairs {
             let [a, b] = pair.map(|body| body as usize);
             let radii = self.scene.bodies[a].radius + self.scene.bodies[b].radius;
-            let place = |body: usize, time: f64| match (&self.bodies[body].free, self.scene.bodies[body].path()) {
-                (Some(free), _) => free.after(time - start),
-                (None, Some(path)) if path.is_held() => path.position(part[0] + 0.5 * (part[1] - part[0])),
-                (None, Some(path)) => path.position(time),
-                (None, None) => DVec3::ZERO,
-            };
-            let apart = |time: f64| place(a, time) - place(b, time);
+            let [one, other] = [a, b].map(|body| self.path_within(body, [start, end], part));
+            let between = PairPaths { a: &one, b: &other, radii };
             let thresholds = self.scene.law(a, b).thresholds;
             let mut phase = self.phases.get(&pair).copied().unwrap_or(Phase::Apart);
             let mut from = start;
-            while let Some((time, to)) = thresholds
-                .transitions(phase)
-                .filter_map(|way| {
-                    let level = way.level * radii;
-                    let is_beyond = |time: f64| {
-                        let distance = apart(time).length();
-                        if way.falling { distance < level } else { distance > level }
-                    };
-                    Some((first(is_beyond, from, end)?, way.to))
-                })
-                .min_by(|x, y| x.0.total_cmp(&y.0))
-            {
-                let (between, tick) = (apart(time), 1e-3 * (end - start));
-                let rate = (apart(time + tick) - apart(time - tick)) / (2.0 * tick);
+            while let Some((time, to)) = between.first_change(&thresholds, phase, from, end) {
                 let event = Event {
                     time,
                     step: self.step + 1,
                     a: pair[0],
                     b: pair[1],
-                    q: between.length() / radii,
-                    rate: between.dot(rate) / (between.length() * radii),
+                    q: between.q(time),
+                    rate: between.rate(time),
                     from: phase,
                     to,
                     energy: 0.0,
@@ -505,26 +501,6 @@ impl Elastic {
         }
         Ok(found)
     }
-}
-
-/// The first time in a span at which `holds` is true [s], to rounding, as found by sampling and bisection.
-fn first(holds: impl Fn(f64) -> bool, start: f64, end: f64) -> Option<f64> {
-    if holds(start) {
-        return Some(start);
-    }
-    let at = |sample: u32| {
-        if sample == SAMPLES { end } else { start + (end - start) * (f64::from(sample) / f64::from(SAMPLES)) }
-    };
-    let sample = (1..=SAMPLES).find(|&sample| holds(at(sample)))?;
-    let (mut low, mut high) = (at(sample - 1), at(sample));
-    for _ in 0..HALVINGS {
-        let middle = low + 0.5 * (high - low);
-        if middle <= low || middle >= high {
-            break;
-        }
-        if holds(middle) { high = middle } else { low = middle }
-    }
-    Some(high)
 }
 
 fn for_each_body(bodies: &mut [Body], of: impl Fn(&mut Body) + Sync + Send) {

@@ -113,6 +113,7 @@ fn padding_does_not_count() {
 fn phases_count() {
     let mut world = merged();
     let before = world.checksum();
-    prescribed(&mut world).pairs = crate::sim::prescribed::pairs::Pairs::default();
+    let none = crate::sim::prescribed::pairs::Pairs::new(world.scene());
+    prescribed(&mut world).pairs = none;
     assert_ne!(world.checksum(), before);
 }

@@ -2,8 +2,8 @@
 //! phase changes at the ends of steps.
 //!
 //! The rest shape to which the springs pull is recomputed for each evaluation (shape matching, Müller et al. 2005). The
-//! schemes are those of [`integrator::explicit`](crate::sim::integrator::explicit), applied to all vertices together
-//! because they act on each other here.
+//! schemes are those of [`integrator::explicit`](crate::sim::integrator::explicit), for all vertices together because
+//! they act on each other here.
 
 use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
@@ -13,6 +13,7 @@ use super::{
     near::Near,
 };
 pub(super) use crate::sim::integrator::explicit::Scheme;
+use crate::sim::integrator::explicit::{Instant, Part, System};
 use crate::{
     model::{
         influence,
@@ -95,6 +96,7 @@ struct Step<'a> {
     scene: &'a Scene,
     members: &'a [Member],
     near: &'a Near,
+    span: Span,
 }
 
 impl Step<'_> {
@@ -128,7 +130,7 @@ impl Step<'_> {
     }
 
     fn forces_on(&self, index: usize, particles: &Particles, frames: &[Frame], t: f64, is_damped: bool) -> Forces {
-        let Step { scene, members, near } = *self;
+        let Step { scene, members, near, .. } = *self;
         let (member, frame) = (&members[index], &frames[index]);
         let (body, is_free) = (&member.body, member.body.is_free());
         let axes = DMat3::from_quat(frame.rotation);
@@ -136,7 +138,7 @@ impl Step<'_> {
             .neighbours
             .iter()
             .filter_map(|neighbour| {
-                let (pair, source) = (near.pair(neighbour.pair), &members[neighbour.other as usize].body);
+                let (pair, source) = (near.get(neighbour.pair), &members[neighbour.other as usize].body);
                 let apart = frames[neighbour.other as usize].centre - frame.centre;
                 let q = apart.length() / (body.radius + source.radius);
                 let scale = scene.influence.scaling.factor(body.radius, source.radius);
@@ -179,64 +181,46 @@ impl Step<'_> {
         reactions.truncate(bodies); // nothing acts on a force point
         Forces { outer, inner, reactions }
     }
+}
 
-    /// One step of `dt` [s] from `t` [s].
-    fn advance(&self, scheme: Scheme, all: &[Particles], t: f64, dt: f64) -> Vec<Particles> {
-        match scheme {
-            Scheme::Thesis | Scheme::Mps => {
-                let mut next = all.to_vec();
-                for (body, forces) in next.iter_mut().zip(self.forces(all, t, true)) {
-                    add(&mut body.v, dt, &forces.outer); // (3.6)
-                    for (r, &v) in body.r.iter_mut().zip(&body.v) {
-                        *r += dt * v; // (3.7)
-                    }
-                }
-                let predicted = self.forces(&next, t, true);
-                for ((body, forces), before) in next.iter_mut().zip(predicted).zip(all) {
-                    add(&mut body.v, dt, &forces.inner); // (3.8), (3.9)
-                    if scheme == Scheme::Mps {
-                        body.r.copy_from_slice(&before.r);
-                    }
-                    for (r, &v) in body.r.iter_mut().zip(&body.v) {
-                        *r += dt * v; // (3.10)
-                    }
-                }
-                next
+impl System for Step<'_> {
+    type State = Vec<Particles>;
+    type Forces = Vec<Vec<DVec3>>;
+
+    fn forces(&self, at: Instant, all: &Vec<Particles>, part: Part) -> Vec<Vec<DVec3>> {
+        let Span { start, end } = self.span;
+        let t = match at {
+            Instant::Start => start,
+            Instant::Middle => start + 0.5 * (end - start),
+            Instant::End => end,
+        };
+        let of_part = |Forces { mut outer, inner, .. }| match part {
+            Part::Outer => outer,
+            Part::Inner => inner,
+            Part::All | Part::Undamped => {
+                add(&mut outer, 1.0, &inner);
+                outer
             }
-            Scheme::Euler => {
-                let mut next = all.to_vec();
-                for (body, forces) in next.iter_mut().zip(self.forces(all, t, true)) {
-                    add(&mut body.v, dt, &forces.outer);
-                    add(&mut body.v, dt, &forces.inner);
-                    for (r, &v) in body.r.iter_mut().zip(&body.v) {
-                        *r += dt * v;
-                    }
-                }
-                next
-            }
-            Scheme::Verlet => self.verlet(all, t, dt),
-            Scheme::Rk4 => self.rk4(all, t, dt),
-        }
+        };
+        self.forces(all, t, part != Part::Undamped).into_iter().map(of_part).collect()
     }
 
-    /// Velocity Verlet, with damping implicit in the second half kick. Damping acts only on the motion relative to the
-    /// rigid motion.
-    fn verlet(&self, all: &[Particles], t: f64, dt: f64) -> Vec<Particles> {
-        let mut next = all.to_vec();
-        for (body, forces) in next.iter_mut().zip(self.forces(all, t, true)) {
-            add(&mut body.v, 0.5 * dt, &forces.outer);
-            add(&mut body.v, 0.5 * dt, &forces.inner);
-            for (r, &v) in body.r.iter_mut().zip(&body.v) {
-                *r += dt * v;
-            }
-        }
-        let forces = self.forces(&next, t + dt, false);
-        for (body, forces) in next.iter_mut().zip(forces) {
-            add(&mut body.v, 0.5 * dt, &forces.outer);
-            add(&mut body.v, 0.5 * dt, &forces.inner);
-        }
-        let frames = self.frames(&next, t + dt);
-        for ((particles, frame), member) in next.iter_mut().zip(frames).zip(self.members) {
+    fn kick(&self, all: &mut Vec<Particles>, forces: &Vec<Vec<DVec3>>, dt: f64) {
+        all.iter_mut().zip(forces).for_each(|(body, forces)| add(&mut body.v, dt, forces));
+    }
+
+    fn drift(&self, all: &mut Vec<Particles>, velocities: &Vec<Particles>, dt: f64) {
+        all.iter_mut().zip(velocities).for_each(|(body, of)| add(&mut body.r, dt, &of.v));
+    }
+
+    fn move_on(&self, all: &mut Vec<Particles>, dt: f64) {
+        all.iter_mut().for_each(|Particles { r, v }| add(r, dt, v));
+    }
+
+    /// Damping acts only on the motion relative to the rigid motion.
+    fn damp(&self, all: &mut Vec<Particles>, dt: f64) {
+        let frames = self.frames(all, self.span.end);
+        for ((particles, frame), member) in all.iter_mut().zip(frames).zip(self.members) {
             let slowed = 1.0 / (1.0 + member.body.oscillator.damping * dt);
             for (&r, v) in particles.r.iter().zip(&mut particles.v) {
                 let rigid = match member.body.is_free() {
@@ -246,37 +230,6 @@ impl Step<'_> {
                 *v = rigid + slowed * (*v - rigid);
             }
         }
-        next
-    }
-
-    fn rk4(&self, all: &[Particles], t: f64, dt: f64) -> Vec<Particles> {
-        let slope = |at: &[Particles], t: f64| -> Vec<Particles> {
-            let sum = |(body, mut forces): (&Particles, Forces)| {
-                add(&mut forces.outer, 1.0, &forces.inner);
-                Particles { r: body.v.clone(), v: forces.outer }
-            };
-            at.iter().zip(self.forces(at, t, true)).map(sum).collect()
-        };
-        let moved = |k: &[Particles], dt: f64| -> Vec<Particles> {
-            let mut moved = all.to_vec();
-            for (body, k) in moved.iter_mut().zip(k) {
-                add(&mut body.r, dt, &k.r);
-                add(&mut body.v, dt, &k.v);
-            }
-            moved
-        };
-        let k1 = slope(all, t);
-        let k2 = slope(&moved(&k1, 0.5 * dt), t + 0.5 * dt);
-        let k3 = slope(&moved(&k2, 0.5 * dt), t + 0.5 * dt);
-        let k4 = slope(&moved(&k3, dt), t + dt);
-        let mut next = all.to_vec();
-        for (i, body) in next.iter_mut().enumerate() {
-            for (k, weight) in [(&k1, 1.0), (&k2, 2.0), (&k3, 2.0), (&k4, 1.0)] {
-                add(&mut body.r, weight * dt / 6.0, &k[i].r);
-                add(&mut body.v, weight * dt / 6.0, &k[i].v);
-            }
-        }
-        next
     }
 }
 
@@ -343,17 +296,16 @@ pub(super) fn step(
         let mut particles = Particles::of(&member.body);
         // fixed steps do not resolve events within a step: velocity jumps of a path act at its start
         let knots = scene.bodies[index].path().map_or(&[][..], Path::knots);
-        let first = knots.partition_point(|&t| t < span.start);
-        let kicks = knots[first..].iter().take_while(|&&t| t < span.end).map(|&t| kick(scene, index as u32, t));
-        let kick: DVec3 = kicks.sum();
+        let knots = span.among(knots).iter().filter(|&&t| t < span.end);
+        let kick: DVec3 = knots.map(|&t| kick(scene, index as u32, t)).sum();
         if kick != DVec3::ZERO {
             particles.v.iter_mut().for_each(|v| *v += kick);
         }
         particles
     };
     let before: Vec<Particles> = members.par_iter().enumerate().map(particles).collect();
-    let step = Step { scene, members: &*members, near: &*near };
-    let after = step.advance(scheme, &before, span.start, span.length());
+    let step = Step { scene, members: &*members, near: &*near, span };
+    let after = scheme.advance(&step, &before, span.length());
     let frames = step.frames(&after, span.end);
     let mut diverged = None;
     for (i, ((member, particles), frame)) in members.iter_mut().zip(&after).zip(&frames).enumerate() {
@@ -379,7 +331,7 @@ fn enter_phases(members: &[Member], near: &mut Near, time: f64, report: &mut Ste
             let q = apart.length() / radii;
             let rate = apart.normalize_or_zero().dot(a.velocity - b.velocity) / radii;
             for _ in 0..2 {
-                let pair = *near.pair(neighbour.pair);
+                let pair = *near.get(neighbour.pair);
                 let passed = pair.law.thresholds.transitions(pair.phase);
                 let mut passed = passed.filter(|way| if way.falling { q < way.level } else { q > way.level });
                 let Some(way) = passed.next() else { break };

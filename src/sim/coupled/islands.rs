@@ -212,18 +212,14 @@ impl Job {
         let influence = &scene.influence;
         (field.weight, field.scaling) = (influence.weight, influence.scaling);
         field.breaks.clear();
+        span.jumps_of(scene, self.all.iter().copied(), &mut field.breaks);
+        field.breaks.sort_by(f64::total_cmp);
         field.first_point = first_point;
         copies.resize_with(self.all.len(), || source(&members[self.all[0] as usize].body));
         for (index, (&body, copy)) in self.all.iter().zip(&mut *copies).enumerate() {
-            if let Some(path) = scene.source_path(body as usize) {
-                let knots = path.knots();
-                let first = knots.partition_point(|&knot| knot < span.start);
-                field.breaks.extend(knots[first..].iter().take_while(|&&knot| knot <= span.end));
-            }
             if let Some(point) = (body as usize).checked_sub(scene.bodies.len()) {
                 let point = &scene.points[point];
                 *copy = source_at(scene, point, span.start);
-                field.breaks.extend([point.start, point.end()]);
                 continue;
             }
             let member = &members[body as usize];
@@ -238,9 +234,8 @@ impl Job {
             copy.copy_from(&member.body);
             copy.fill_states();
         }
-        field.breaks.sort_by(f64::total_cmp);
         let local_pair = |&(pair, _): &(u32, bool)| {
-            let pair = near.pair(pair);
+            let pair = near.get(pair);
             free::Pair { a: local(pair.a), b: local(pair.b), ..*pair }
         };
         between.clear();

@@ -5,7 +5,6 @@ use std::{collections::HashMap, sync::Arc};
 use glam::{DMat3, DVec3};
 use rustc_hash::FxBuildHasher;
 
-use super::neighbours::{FatBounds, Neighbour};
 use crate::{
     geometry::{Mesh, Vectors},
     model::{
@@ -16,6 +15,8 @@ use crate::{
     sim::{
         checksum,
         free::{Body, Driven, Push, Shape, Way},
+        memory::spilled,
+        neighbours::{FatBounds, Neighbours},
         span::Span,
         terms::carry,
     },
@@ -63,7 +64,7 @@ pub(in crate::sim) struct Member {
     /// The fat bounds for which its neighbours were found.
     pub fat: FatBounds,
     /// Nearby bodies, ascending.
-    pub neighbours: Vec<Neighbour>,
+    pub neighbours: Neighbours,
     /// A bound on the distance of its vertices from the centre [scene unit].
     pub extent: f64,
     /// A bound on the speed of its vertices relative to the frame [scene unit/s].
@@ -170,7 +171,7 @@ impl Member {
             is_awake: false,
             bounds: StepBounds::default(),
             fat: FatBounds::default(),
-            neighbours: Vec::new(),
+            neighbours: Neighbours::new(),
             extent,
             speed,
             sleeping_hash: 0,
@@ -392,8 +393,7 @@ impl Member {
 
     /// Memory allocated for it [bytes].
     pub fn memory(&self) -> usize {
-        (self.body.x.capacity() + self.body.u.capacity()) * size_of::<DVec3>()
-            + self.neighbours.capacity() * size_of::<Neighbour>()
+        (self.body.x.capacity() + self.body.u.capacity()) * size_of::<DVec3>() + spilled(&self.neighbours)
     }
 }
 

@@ -4,7 +4,7 @@
 //! | --- | --- |
 //! | the step | here |
 //! | a body, bounds of its motion in a step, when it rests | [`member`] |
-//! | broad phase, pairs and their phases | [`near`], [`neighbours`] |
+//! | near pairs and their phases | [`near`] |
 //! | islands of bodies that act on each other in a step, and advancing them | [`islands`] |
 //! | the schemes with fixed steps | [`explicit`] |
 //!
@@ -36,7 +36,6 @@ mod explicit;
 mod islands;
 pub(super) mod member;
 mod near;
-mod neighbours;
 
 use std::{mem::take, sync::Mutex};
 
@@ -47,13 +46,13 @@ use self::{
     explicit::Scheme,
     islands::{Conditions, Forest, Group, Job, source_at},
     member::{FixedSteps, MAX_SLOW_TOLERANCE, Member, Shapes, driven},
-    near::Near,
-    neighbours::Neighbour,
+    near::{Among, Near},
 };
 use super::{
     body::{BodyView, Solved},
     events::Event,
     free::{self, Field, Ledger, Pair, Parts, Scratch, Snapshot, Window},
+    neighbours::Neighbour,
     report::{Failure, Fallback, Overworked, Shortfall, Stage, StepReport, Stopwatch, Strain, Toil},
     solver::{Setting, Step, Takeover},
     span::Span,
@@ -163,9 +162,8 @@ impl Coupled {
         for (member, body) in coupled.members.iter_mut().zip(&scene.bodies) {
             member.bound_motion(body, scene.gravity, first);
         }
-        if !coupled.near.start(scene, &mut coupled.members, max_pairs, &Tally::new(work, None)) {
-            return None;
-        }
+        let among = Among { scene, members: &mut coupled.members, time: 0.0 };
+        coupled.near = Near::of_all(among, max_pairs, work)?;
         for body in 0..coupled.members.len() as u32 {
             coupled.members[body as usize].is_awake = true;
             coupled.awake.push(body);
@@ -204,11 +202,10 @@ impl Coupled {
             }
             member.bound_motion(&scene.bodies[index], scene.gravity, span);
         }
-        let tally = Tally::unlimited();
-        self.near = Near::new(scene);
-        if !self.near.start(scene, &mut self.members, takeover.max_pairs, &tally) {
-            return false;
-        }
+        // what was not apart before is listed below
+        let among = Among { scene, members: &mut self.members, time: 0.0 };
+        let Some(near) = Near::of_all(among, takeover.max_pairs, &Work::limited(u64::MAX, None)) else { return false };
+        self.near = near;
         let now_at = takeover.now_at(before.members.len());
         // pairs that were not listed were apart
         let unknown: Vec<(usize, u32, u32)> = (0..self.members.len())
@@ -220,7 +217,9 @@ impl Coupled {
         }
         for pair in before.pairs().filter(|pair| pair.phase != Phase::Apart) {
             if let (Some(a), Some(b)) = (now_at[pair.a as usize], now_at[pair.b as usize]) {
-                self.near.restore(scene, &mut self.members, a, b, pair.phase);
+                let mut among = Among { scene, members: &mut self.members, time };
+                let index = self.near.list(&mut among, a as u32, b as u32);
+                self.near.enter(index, pair.phase);
             }
         }
         self.awake = (0..self.members.len() as u32).filter(|&body| self.members[body as usize].is_awake).collect();
@@ -261,7 +260,7 @@ impl Coupled {
         member.is_awake = true;
         member.bound_motion(&scene.bodies[last], scene.gravity, Span { start: time, end: time + scene.dt });
         self.members.push(member);
-        if !self.near.add_last(scene, &mut self.members, time, max_pairs) {
+        if !self.near.add_last(&mut Among { scene, members: &mut self.members, time }, max_pairs) {
             self.members.pop();
             self.shapes.forget_unused();
             return false;
@@ -287,8 +286,8 @@ impl Coupled {
     fn energy_of(&self, scene: &Scene, time: f64, body: usize) -> f64 {
         let Member { body: own, neighbours, .. } = &self.members[body];
         let field = self.field(scene, time);
-        let pairs = neighbours.iter().map(|&Neighbour { other, pair }| {
-            let free::Pair { law, phase, .. } = self.near.pair(pair);
+        let pairs = neighbours.iter().map(|&Neighbour { other, pair, .. }| {
+            let free::Pair { law, phase, .. } = self.near.get(pair);
             let other = &self.members[other as usize].body;
             let q = own.centre.distance(other.centre) / (own.radius + other.radius);
             free::influence_energy(own, other, &field, law.strength(*phase, q))
@@ -335,7 +334,7 @@ impl Coupled {
     fn enter_phases(&mut self, scene: &Scene, time: f64, pairs: &[u32], report: &mut StepReport) {
         let field = self.field(scene, time);
         for &index in pairs {
-            let free::Pair { a, b, law, phase, .. } = *self.near.pair(index);
+            let free::Pair { a, b, law, phase, .. } = *self.near.get(index);
             let [first, second] = [a, b].map(|body| &self.members[body as usize].body);
             let (apart, radii) = (second.centre - first.centre, first.radius + second.radius);
             let q = apart.length() / radii;
@@ -485,8 +484,9 @@ impl Coupled {
             member.bound_motion(&scene.bodies[body as usize], scene.gravity, span);
         }
         let tally = Tally::new(step.work, None);
+        let mut among = Among { scene, members: &mut self.members, time: span.start };
         for &body in &self.awake {
-            self.near.update(scene, &mut self.members, body as usize, span.start, &tally);
+            self.near.update(&mut among, body, &tally);
         }
     }
 
@@ -501,9 +501,9 @@ impl Coupled {
         while next < self.awake.len() {
             let body = self.awake[next];
             next += 1;
-            self.near.update(scene, &mut self.members, body as usize, span.start, &tally);
+            self.near.update(&mut Among { scene, members: &mut self.members, time: span.start }, body, &tally);
             for index in 0..self.members[body as usize].neighbours.len() {
-                let Neighbour { other, pair } = self.members[body as usize].neighbours[index];
+                let Neighbour { other, pair, .. } = self.members[body as usize].neighbours[index];
                 let is_awake = self.members[other as usize].is_awake;
                 if (is_awake && other < body) || !self.near.is_coupled(pair, &self.members) {
                     continue;
@@ -517,7 +517,7 @@ impl Coupled {
         }
         self.awake.sort_unstable();
         for &body in &self.awake {
-            for &Neighbour { other, pair } in &self.members[body as usize].neighbours {
+            for &Neighbour { other, pair, .. } in &self.members[body as usize].neighbours {
                 if other > body && self.members[other as usize].is_awake && self.near.is_coupled(pair, &self.members) {
                     self.forest.coupled.push(pair);
                     if self.is_free(body) || self.is_free(other) {
@@ -551,7 +551,7 @@ impl Coupled {
         }
         for index in 0..self.forest.coupled.len() {
             let pair = self.forest.coupled[index];
-            let free::Pair { a, b, .. } = *self.near.pair(pair);
+            let free::Pair { a, b, .. } = *self.near.get(pair);
             let [of_a, of_b] = [a, b].map(|body| self.job_of[self.forest.root(body) as usize] as usize);
             groups[of_a].pairs.push((pair, true));
             if of_a != of_b {
@@ -796,7 +796,7 @@ impl Coupled {
         for change in &job.report.changes {
             let (pair, is_own) = job.group.pairs[change.pair];
             let free::Change { time, q, rate, from, to, energy, .. } = *change;
-            let free::Pair { a, b, .. } = *self.near.pair(pair);
+            let free::Pair { a, b, .. } = *self.near.get(pair);
             if is_own {
                 report.events.push(Event { time, step: report.step, a, b, q, rate, from, to, energy });
                 self.near.enter(pair, to);
@@ -1019,13 +1019,13 @@ impl Coupled {
     pub fn pairs(&self) -> impl Iterator<Item = &free::Pair> + '_ {
         (0..).zip(&self.members).flat_map(|(index, member)| {
             let later = member.neighbours.iter().filter(move |neighbour| neighbour.other > index);
-            later.map(|neighbour| self.near.pair(neighbour.pair))
+            later.map(|neighbour| self.near.get(neighbour.pair))
         })
     }
 
     /// The pairs of a body, with the other body's index.
     pub fn pairs_of(&self, index: usize) -> impl Iterator<Item = (u32, &free::Pair)> + '_ {
-        self.members[index].neighbours.iter().map(|neighbour| (neighbour.other, self.near.pair(neighbour.pair)))
+        self.members[index].neighbours.iter().map(|neighbour| (neighbour.other, self.near.get(neighbour.pair)))
     }
 
     /// Calls `write` with the states of some bodies at `time` [s] within the last step, which began at `start` [s], on

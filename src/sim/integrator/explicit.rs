@@ -1,4 +1,5 @@
-//! The explicit schemes: the thesis's, the one it builds on, and common alternatives.
+//! The explicit schemes: the thesis's, the one it builds on, and common alternatives. They are written once, for a vertex
+//! of a body on a path, which depends on no other one, and for all vertices of a coupled scene.
 
 use glam::DVec3;
 
@@ -12,16 +13,67 @@ use crate::{
 /// The explicit schemes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scheme {
-    /// The thesis's scheme as printed, [`thesis`].
+    /// (3.6)–(3.10) exactly as printed.
+    ///
+    /// The scheme advances the position twice per step, in (3.7) and (3.10), but the velocity once. So it is not
+    /// consistent with (3.2): as Δt → 0 it converges to x″ = −2ω²x − 2κx′, an oscillator √2 times too fast. It is kept
+    /// as the baseline.
     Thesis,
-    /// The consistent scheme that the thesis builds on, [`mps`].
+    /// The prediction and correction of the MPS method, which (3.6)–(3.10) build on: (3.10) starts from r, not from r*.
     Mps,
-    /// Semi-implicit Euler, [`euler`].
+    /// Semi-implicit (symplectic) Euler: the new velocity moves the position.
     Euler,
-    /// Velocity Verlet, [`verlet`].
+    /// Velocity Verlet, with damping implicit in the second half kick.
     Verlet,
-    /// Classical Runge–Kutta, [`rk4`].
+    /// The classical Runge–Kutta scheme.
     Rk4,
+}
+
+/// An instant of a step at which forces are evaluated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Instant {
+    /// Its start.
+    Start,
+    /// Its middle.
+    Middle,
+    /// Its end.
+    End,
+}
+
+/// Which accelerations count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// F: all except those of springs and damping.
+    Outer,
+    /// T of (3.8), of springs and damping.
+    Inner,
+    /// x″ = F + T.
+    All,
+    /// x″ without damping.
+    Undamped,
+}
+
+/// Positions and velocities, and what accelerates them.
+pub trait System {
+    /// Positions and velocities.
+    type State: Clone;
+    /// Accelerations.
+    type Forces;
+
+    /// The accelerations of a state at an instant.
+    fn forces(&self, at: Instant, state: &Self::State, part: Part) -> Self::Forces;
+
+    /// Changes the velocities by the accelerations over `dt` [s].
+    fn kick(&self, state: &mut Self::State, forces: &Self::Forces, dt: f64);
+
+    /// Moves the positions by the velocities of a state over `dt` [s].
+    fn drift(&self, state: &mut Self::State, velocities: &Self::State, dt: f64);
+
+    /// Moves the positions by their own velocities over `dt` [s].
+    fn move_on(&self, state: &mut Self::State, dt: f64);
+
+    /// Divides the velocities that are damped by 1 + κ `dt`, `dt` [s]: damping over half a step of Verlet, implicit.
+    fn damp(&self, state: &mut Self::State, dt: f64);
 }
 
 impl Scheme {
@@ -44,6 +96,56 @@ impl Scheme {
             Scheme::Verlet => (false, true),
             Scheme::Rk4 => (true, true),
         }
+    }
+
+    /// The state after a step of `dt` [s].
+    #[inline]
+    pub fn advance<S: System>(self, system: &S, start: &S::State, dt: f64) -> S::State {
+        let mut next = start.clone();
+        match self {
+            Scheme::Thesis | Scheme::Mps => {
+                system.kick(&mut next, &system.forces(Instant::Start, start, Part::Outer), dt); // (3.6)
+                let mut predicted = next.clone();
+                system.move_on(&mut predicted, dt); // (3.7)
+                let inner = system.forces(Instant::Start, &predicted, Part::Inner); // (3.8)
+                if self == Scheme::Thesis {
+                    next = predicted;
+                }
+                system.kick(&mut next, &inner, dt); // (3.9)
+                system.move_on(&mut next, dt); // (3.10)
+            }
+            Scheme::Euler => {
+                system.kick(&mut next, &system.forces(Instant::Start, start, Part::All), dt);
+                system.move_on(&mut next, dt);
+            }
+            // u⁺ = u½ + Δt/2 (F⁺ − ω²x⁺ − 2κu⁺)  ⇒  u⁺ = (u½ + Δt/2 (F⁺ − ω²x⁺)) / (1 + κΔt)
+            Scheme::Verlet => {
+                system.kick(&mut next, &system.forces(Instant::Start, start, Part::All), 0.5 * dt);
+                system.move_on(&mut next, dt);
+                let forces = system.forces(Instant::End, &next, Part::Undamped);
+                system.kick(&mut next, &forces, 0.5 * dt);
+                system.damp(&mut next, dt);
+            }
+            Scheme::Rk4 => {
+                let mut at = start.clone();
+                let stages = [
+                    (Instant::Start, 0.5, 1.0 / 6.0),
+                    (Instant::Middle, 0.5, 1.0 / 3.0),
+                    (Instant::Middle, 1.0, 1.0 / 3.0),
+                    (Instant::End, 0.0, 1.0 / 6.0),
+                ];
+                for (instant, to, weight) in stages {
+                    let forces = system.forces(instant, &at, Part::All);
+                    system.drift(&mut next, &at, weight * dt);
+                    system.kick(&mut next, &forces, weight * dt);
+                    let mut stage = start.clone();
+                    system.drift(&mut stage, &at, to * dt);
+                    system.kick(&mut stage, &forces, to * dt);
+                    at = stage;
+                }
+            }
+        }
+        next
     }
 }
 
@@ -72,7 +174,7 @@ impl Interval {
     }
 }
 
-/// A vertex in its interval, with the accelerations that the schemes need.
+/// A vertex of a body on a path, in its interval.
 #[derive(Clone, Copy, Debug)]
 pub struct Vertex<'a> {
     interval: &'a Interval,
@@ -80,48 +182,53 @@ pub struct Vertex<'a> {
     facing: DVec3,
 }
 
-impl Vertex<'_> {
-    /// F: all accelerations except the vertex's own oscillator, at one of the interval's instants, for displacement `x`
-    /// [scene unit/s²].
+impl System for Vertex<'_> {
+    type State = State;
+    type Forces = DVec3;
+
     #[inline]
-    fn force(&self, surroundings: &Surroundings, x: DVec3) -> DVec3 {
-        surroundings.acceleration(self.interval.weight, self.rest, self.facing, x)
+    fn forces(&self, at: Instant, &State { x, u }: &State, part: Part) -> DVec3 {
+        let Interval { oscillator: Oscillator { omega, damping }, weight, start, middle, end, .. } = self.interval;
+        let surroundings = match at {
+            Instant::Start => start,
+            Instant::Middle => middle,
+            Instant::End => end,
+        };
+        let outer = || surroundings.acceleration(*weight, self.rest, self.facing, x);
+        // T of (3.8) in body coordinates, where l − r = −x
+        let spring = omega * omega * -x;
+        match part {
+            Part::Outer => outer(),
+            Part::Inner => spring - 2.0 * damping * u,
+            Part::All => outer() + (spring - 2.0 * damping * u),
+            Part::Undamped => outer() + spring,
+        }
     }
 
-    /// x″ of the equation of motion: F − ω²x − 2κu [scene unit/s²].
     #[inline]
-    fn acceleration(&self, surroundings: &Surroundings, state: State) -> DVec3 {
-        self.force(surroundings, state.x) + self.restoring(state)
+    fn kick(&self, state: &mut State, force: &DVec3, dt: f64) {
+        state.u += *force * dt;
     }
 
-    /// T of (3.8) in body coordinates, where l − r = −x: −ω²x − 2κu [scene unit/s²].
     #[inline]
-    fn restoring(&self, State { x, u }: State) -> DVec3 {
-        let Oscillator { omega, damping } = self.interval.oscillator;
-        omega * omega * -x - 2.0 * damping * u
+    fn drift(&self, state: &mut State, velocities: &State, dt: f64) {
+        state.x += velocities.u * dt;
+    }
+
+    #[inline]
+    fn move_on(&self, state: &mut State, dt: f64) {
+        state.x += state.u * dt;
+    }
+
+    #[inline]
+    fn damp(&self, state: &mut State, dt: f64) {
+        state.u /= 1.0 + self.interval.oscillator.damping * dt;
     }
 }
 
 /// Advances all vertices of a body, all of which are in the active set, in place over the interval, until the budget of
 /// `work` is exhausted.
 pub fn advance(scheme: Scheme, interval: &Interval, rest: Rest<'_>, active_set: &mut ActiveSet, work: &Tally<'_>) {
-    match scheme {
-        Scheme::Thesis => each(interval, rest, active_set, work, thesis),
-        Scheme::Mps => each(interval, rest, active_set, work, mps),
-        Scheme::Euler => each(interval, rest, active_set, work, euler),
-        Scheme::Verlet => each(interval, rest, active_set, work, verlet),
-        Scheme::Rk4 => each(interval, rest, active_set, work, rk4),
-    }
-}
-
-/// The loop over vertices, compiled once per scheme.
-fn each(
-    interval: &Interval,
-    rest: Rest<'_>,
-    active_set: &mut ActiveSet,
-    work: &Tally<'_>,
-    scheme: impl Fn(&Vertex<'_>, State) -> State,
-) {
     let acts = |surroundings: &Surroundings| 1 + surroundings.sources.len() + surroundings.weighted.len();
     let each = [&interval.start, &interval.middle, &interval.end].map(acts).iter().sum::<usize>() as u64;
     for i in 0..rest.len() {
@@ -129,65 +236,6 @@ fn each(
             return;
         }
         let vertex = Vertex { interval, rest: rest.position(i), facing: rest.direction(i) };
-        active_set.set_state(i, scheme(&vertex, active_set.state(i)));
-    }
-}
-
-/// (3.6)–(3.10) exactly as printed.
-///
-/// The scheme advances the position twice per step, in (3.7) and (3.10), but the velocity once. So it is not consistent
-/// with (3.2): as Δt → 0 it converges to x″ = −2ω²x − 2κx′, an oscillator √2 times too fast. It is kept as the
-/// baseline.
-pub fn thesis(vertex: &Vertex<'_>, State { x, u }: State) -> State {
-    let dt = vertex.interval.h;
-    let force = vertex.force(&vertex.interval.start, x);
-    let u_star = u + force * dt; // (3.6)
-    let x_star = x + u_star * dt; // (3.7)
-    let restoring = vertex.restoring(State { x: x_star, u: u_star }); // (3.8)
-    let u_next = u_star + restoring * dt; // (3.9)
-    let x_next = x_star + u_next * dt; // (3.10)
-    State { x: x_next, u: u_next }
-}
-
-/// The prediction and correction of the MPS method, which (3.6)–(3.10) build on: (3.10) starts from r, not from r*.
-pub fn mps(vertex: &Vertex<'_>, State { x, u }: State) -> State {
-    let dt = vertex.interval.h;
-    let u_star = u + vertex.force(&vertex.interval.start, x) * dt;
-    let x_star = x + u_star * dt;
-    let u_next = u_star + vertex.restoring(State { x: x_star, u: u_star }) * dt;
-    State { x: x + u_next * dt, u: u_next }
-}
-
-/// Semi-implicit (symplectic) Euler: the new velocity moves the position.
-pub fn euler(vertex: &Vertex<'_>, State { x, u }: State) -> State {
-    let dt = vertex.interval.h;
-    let u_next = u + vertex.acceleration(&vertex.interval.start, State { x, u }) * dt;
-    State { x: x + u_next * dt, u: u_next }
-}
-
-/// Velocity Verlet. Damping makes the second half kick implicit in u, which for −2κu is a division:
-/// u⁺ = u½ + Δt/2 (F⁺ − ω²x⁺ − 2κu⁺)  ⇒  u⁺ = (u½ + Δt/2 (F⁺ − ω²x⁺)) / (1 + κΔt).
-pub fn verlet(vertex: &Vertex<'_>, State { x, u }: State) -> State {
-    let (dt, damping) = (vertex.interval.h, vertex.interval.oscillator.damping);
-    let u_half = u + vertex.acceleration(&vertex.interval.start, State { x, u }) * (0.5 * dt);
-    let x_next = x + u_half * dt;
-    let undamped = State { x: x_next, u: DVec3::ZERO };
-    let kick = vertex.acceleration(&vertex.interval.end, undamped) * (0.5 * dt);
-    State { x: x_next, u: (u_half + kick) / (1.0 + damping * dt) }
-}
-
-/// The classical Runge–Kutta scheme.
-pub fn rk4(vertex: &Vertex<'_>, state: State) -> State {
-    let interval = vertex.interval;
-    let dt = interval.h;
-    let slope = |surroundings, state: State| State { x: state.u, u: vertex.acceleration(surroundings, state) };
-    let moved = |k: State, dt: f64| State { x: state.x + k.x * dt, u: state.u + k.u * dt };
-    let k1 = slope(&interval.start, state);
-    let k2 = slope(&interval.middle, moved(k1, 0.5 * dt));
-    let k3 = slope(&interval.middle, moved(k2, 0.5 * dt));
-    let k4 = slope(&interval.end, moved(k3, dt));
-    State {
-        x: state.x + (k1.x + 2.0 * (k2.x + k3.x) + k4.x) * (dt / 6.0),
-        u: state.u + (k1.u + 2.0 * (k2.u + k3.u) + k4.u) * (dt / 6.0),
+        active_set.set_state(i, scheme.advance(&vertex, &active_set.state(i), interval.h));
     }
 }

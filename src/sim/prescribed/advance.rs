@@ -8,7 +8,6 @@ use pulp::{Simd, WithSimd};
 use super::{
     body::{Active, Body, Reference, StateBounds},
     deformation::{self, ActiveSet, REST},
-    neighbours::Neighbour,
     pairs::Pairs,
     tracks::Tracks,
 };
@@ -20,6 +19,7 @@ use crate::{
             explicit::{self, Interval, Scheme},
             exponential::{self, StepControl, StepStatistics, course::Course},
         },
+        neighbours::Neighbour,
         numerics::arrays::{Block, LANES},
         solver::Setting,
         span::Span,
@@ -275,9 +275,7 @@ impl<'a> Context<'a> {
     /// The sum of the jumps of a body's velocity within `span`, including its start, as they act on the vertices
     /// [scene unit/s].
     fn kicks(&self, body: u32, span: Span) -> DVec3 {
-        let breaks = self.tracks.breaks(body);
-        let first = breaks.partition_point(|&t| t < span.start);
-        let inside = breaks[first..].iter().take_while(|&&t| t < span.end);
+        let inside = span.among(self.tracks.breaks(body)).iter().filter(|&&t| t < span.end);
         inside.map(|&t| self.kick(body, t)).sum()
     }
 
@@ -407,9 +405,7 @@ impl<'a> Context<'a> {
         breaks.clear();
         breaks.push(span.start);
         let mut knots = |body: u32| {
-            let knots = self.tracks.breaks(body);
-            let first = knots.partition_point(|&knot| knot <= span.start);
-            breaks.extend(knots[first..].iter().take_while(|&&t| span.holds(t)));
+            breaks.extend(span.among(self.tracks.breaks(body)).iter().filter(|&&t| span.holds(t)));
         };
         knots(index);
         reachable.iter().for_each(|source| knots(source.other));

@@ -4,11 +4,10 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use pulp::Arch;
-use smallvec::{Array, SmallVec};
+use smallvec::SmallVec;
 
 use super::{
     deformation::{Deformation, Now, REST, Scratch},
-    neighbours::{FatBounds, Neighbour, Neighbours},
     pairs::Pairs,
     tracks::Tracks,
 };
@@ -18,6 +17,8 @@ use crate::{
     scene::{Material, Push, Scene},
     sim::{
         integrator::exponential::{StepStatistics, together::Largest},
+        memory::spilled,
+        neighbours::{FatBounds, Neighbour, Neighbours},
         numerics::larger,
         state::State,
         terms::{On, points},
@@ -43,6 +44,8 @@ pub(in crate::sim) struct Body {
     pub neighbours: Neighbours,
     /// The bounds for which its neighbours were found.
     pub fat_bounds: FatBounds,
+    /// Until this time, its centre stays within them [s].
+    pub known_until: f64,
     /// No pair of the body changes its phase before this time, if the body moves [s].
     pub unchanged_until: f64,
 }
@@ -58,7 +61,8 @@ impl Body {
             points: points::neighbours(scene, index),
             active: None,
             neighbours: Neighbours::new(),
-            fat_bounds: FatBounds::NONE,
+            fat_bounds: FatBounds::default(),
+            known_until: f64::NEG_INFINITY,
             unchanged_until: f64::NEG_INFINITY,
         }
     }
@@ -280,11 +284,6 @@ impl Active {
         let (x, m) = (alike.displacement + displacement, alike.momentum + momentum);
         !x.is_finite() || !m.is_finite() || m > MARGIN * self.state.bound
     }
-}
-
-/// Memory allocated for a list beyond what it holds in place [bytes].
-fn spilled<A: Array>(list: &SmallVec<A>) -> usize {
-    if list.spilled() { list.capacity() * size_of::<A::Item>() } else { 0 }
 }
 
 /// Bounds over the vertices of a body, from which bounds on their motion in a step follow.

@@ -5,7 +5,7 @@
 //! | --- | --- |
 //! | the stages of a step | here |
 //! | the motion of all centres during a step | [`tracks`] |
-//! | pairs: which bodies are near each other, and when they change phase | [`pairs`], [`neighbours`] |
+//! | pairs of bodies that are near each other, and when they change phase | [`pairs`] |
 //! | the state of a body; the bodies that are not at rest | [`body`], [`active_set`] |
 //! | how a body is advanced, and which of its vertices | [`advance`], [`deformation`] |
 //! | the last step, recomputed for debugging and for states within it | [`within`] |
@@ -14,7 +14,6 @@ pub(super) mod active_set;
 pub(super) mod advance;
 pub(super) mod body;
 pub(super) mod deformation;
-pub(super) mod neighbours;
 pub(super) mod pairs;
 pub(super) mod tracks;
 pub(crate) mod within;
@@ -96,7 +95,7 @@ impl Prescribed {
             bodies: bodies.collect(),
             actives: ActiveSet::default(),
             tracks: Tracks::new(scene),
-            pairs: Pairs::default(),
+            pairs: Pairs::new(scene),
             starts: terms::starts(scene),
             started: 0,
             woken: Vec::new(),
@@ -141,7 +140,7 @@ impl Prescribed {
         if !pairs.start(scene, bodies, tracks, takeover.time, takeover.max_pairs, &work) {
             return false;
         }
-        let surrounded = Surrounded { scene, bodies, tracks, work: Tally::unlimited() };
+        let surrounded = Surrounded { scene, bodies, tracks, time: takeover.time };
         pairs.resume(surrounded, phases, takeover, report);
         self.wake_neighbours(scene, step);
         true
@@ -289,9 +288,9 @@ impl Prescribed {
                 }
                 let Prescribed { bodies, tracks, pairs, .. } = self;
                 let radius = scene.bodies[body as usize].radius;
-                let mut surrounded = Surrounded { scene, bodies, tracks, work: Tally::new(step.work, None) };
-                pairs.anchor(&mut surrounded, body as usize, radius + ROOM * (max_reach - radius), span.start);
-                drop(surrounded);
+                let mut surrounded = Surrounded { scene, bodies, tracks, time: span.start };
+                let vertices = radius + ROOM * (max_reach - radius);
+                pairs.anchor(&mut surrounded, body as usize, vertices, &Tally::new(step.work, None));
                 step.work.check().map_err(|stop| too_many_neighbours(step, stop, body, &self.pairs))?;
                 let (context, actives) = self.context(step.setting, step.work);
                 context.find_reachable(&mut actives[slot], span);

@@ -1,43 +1,25 @@
 //! Near pairs of bodies, their phases, and when these change.
-//!
-//! A body's fat bounds contain everything that it can touch and every point at which it can be touched, until its
-//! centre or its vertices have moved by more than their margin. All pairs with overlapping fat bounds are listed, and
-//! all pairs that are not apart. (In molecular dynamics: Verlet lists with a skin.)
 
-use std::{
-    ops::Range,
-    sync::atomic::{AtomicU64, Ordering},
-};
+use std::ops::Range;
 
-use rayon::prelude::*;
-
-use super::{
-    body::Body,
-    neighbours::{FatBounds, Neighbour},
-    tracks::Tracks,
-};
+use super::{body::Body, tracks::Tracks};
 use crate::{
     model::phase::Phase,
     scene::{Path, Scene},
     sim::{
-        events::{Event, PairPaths, Search},
-        reach::{Ball, Grid},
+        events::{Event, Search},
+        neighbours::{Bodies, FatBounds, Listed, NearPairs, Neighbours, SKIN},
         report::StepReport,
         solver::Takeover,
         span::Span,
-        terms::spheres,
-        work::{DISTANCE, EVENT, NEAR_ENOUGH, NEW_PAIR, Stop, Tally, Work},
+        work::{DISTANCE, EVENT, Stop, Tally, Work},
     },
 };
 
-/// How far a body may move before its neighbours are searched for again [radii].
-const SKIN: f64 = 0.25;
 /// The next phase change of a pair is searched for up to a multiple of this number of frames.
 const AHEAD: f64 = 16.0;
 /// Largest number of steps for which fat bounds are valid.
 const MAX_STAY: f64 = 256.0;
-/// Up to this many pairs are listed without counting them first.
-const FEW_PAIRS: u64 = 1 << 16;
 
 /// Two bodies that are near each other.
 #[derive(Clone, Debug)]
@@ -63,7 +45,8 @@ pub(in crate::sim) struct Surrounded<'a> {
     pub scene: &'a Scene,
     pub bodies: &'a mut [Body],
     pub tracks: &'a Tracks,
-    pub work: Tally<'a>,
+    /// The time at which it is searched [s].
+    pub time: f64,
 }
 
 /// The bodies of a step, and its work limit.
@@ -74,27 +57,59 @@ pub(in crate::sim) struct Moving<'a> {
     pub work: &'a Work,
 }
 
-/// All pairs of bodies that are near each other.
-#[derive(Clone, Default)]
+/// All pairs of bodies that are near each other, and their phase changes in the current step.
+#[derive(Clone)]
 pub(in crate::sim) struct Pairs {
-    pairs: Vec<Pair>,
-    /// Unused indices of `pairs`.
-    free: Vec<u32>,
-    grid: Grid,
+    near: NearPairs<Pair>,
     /// Phase changes of the current step, grouped by pair.
     changes: Vec<(f64, Phase)>,
     /// Pairs with phase changes in the current step.
     changed: Vec<u32>,
-    /// The largest q at which a pair can merge [–].
-    max_merge_at: f64,
-    /// Buffers, reused.
-    found: Vec<u32>,
-    kept: Vec<Neighbour>,
+}
+
+impl Listed for Pair {
+    fn bodies(&self) -> [u32; 2] {
+        [self.a, self.b]
+    }
+
+    fn phase(&self) -> Phase {
+        self.phase
+    }
+}
+
+impl Bodies for Surrounded<'_> {
+    type Pair = Pair;
+
+    fn scene(&self) -> &Scene {
+        self.scene
+    }
+
+    fn fat_bounds(&self, body: u32) -> FatBounds {
+        self.bodies[body as usize].fat_bounds
+    }
+
+    fn neighbours(&mut self, body: u32) -> &mut Neighbours {
+        &mut self.bodies[body as usize].neighbours
+    }
+
+    fn meet(&mut self, a: u32, b: u32) -> Pair {
+        let law = self.scene.law_index(a as usize, b as usize);
+        let initial = || self.scene.law_at(law).thresholds.initial(self.tracks.pair(a, b).q(0.0));
+        let phase = if self.time == 0.0 { initial() } else { Phase::Apart };
+        for body in [a, b] {
+            self.bodies[body as usize].unchanged_until = f64::NEG_INFINITY;
+        }
+        Pair { a, b, law, phase, upcoming: None, known_until: self.time, changes: 0..0 }
+    }
 }
 
 impl Pairs {
-    /// Finds all pairs that are near each other at `time` [s]; false if there are more than `max`. Pairs are counted
-    /// before they are stored. When interrupted, keeps those found until then.
+    /// No pairs yet.
+    pub fn new(scene: &Scene) -> Pairs {
+        Pairs { near: NearPairs::new(scene), changes: Vec::new(), changed: Vec::new() }
+    }
+
+    /// Finds all pairs that are near each other at `time` [s]; false if there are more than `max`.
     pub fn start(
         &mut self,
         scene: &Scene,
@@ -104,20 +119,11 @@ impl Pairs {
         max: u64,
         work: &Work,
     ) -> bool {
-        let mut of = Surrounded { scene, bodies, tracks, work: Tally::new(work, None) };
-        self.max_merge_at = scene.laws().map(|law| law.thresholds.merge_at).fold(0.0, f64::max);
+        let mut of = Surrounded { scene, bodies, tracks, time };
         for i in 0..of.bodies.len() {
-            let radius = scene.bodies[i].radius;
-            self.place(&mut of, i, radius, time);
+            self.place(&mut of, i, scene.bodies[i].radius);
         }
-        let Some(count) = self.count_near(scene, of.bodies, max, work) else { return work.is_interrupted() };
-        self.pairs.reserve_exact(count as usize);
-        for i in 0..of.bodies.len() {
-            self.find_neighbours(&mut of, i, time);
-        }
-        self.pairs.shrink_to_fit();
-        of.bodies.iter_mut().for_each(|body| body.neighbours.shrink_to_fit());
-        true
+        self.near.start(&mut of, max, work, &Tally::new(work, None))
     }
 
     /// Takes over the `phases` of all pairs of bodies of another scene that are not apart. Then enters the phases of pairs
@@ -131,15 +137,15 @@ impl Pairs {
     ) {
         let (t, scene, tracks) = (takeover.time, of.scene, of.tracks);
         let is_kept = |body: u32| takeover.kept[body as usize].is_some();
-        for pair in &mut self.pairs {
+        for pair in self.near.all_mut() {
             let initial = || scene.law_at(pair.law).thresholds.initial(tracks.pair(pair.a, pair.b).q(t));
             pair.phase = if is_kept(pair.a) && is_kept(pair.b) { Phase::Apart } else { initial() };
         }
         for (a, b, phase) in phases {
-            let index = self.list(&mut of, a as u32, b as u32, t);
-            self.pairs[index as usize].phase = phase;
+            let index = self.near.list(&mut of, a as u32, b as u32);
+            self.near.get_mut(index).phase = phase;
         }
-        for Pair { a, b, law, phase, .. } in &mut self.pairs {
+        for Pair { a, b, law, phase, .. } in self.near.all_mut() {
             let (a, b, paths) = (*a, *b, tracks.pair(*a, *b));
             let (q, rate) = (paths.q(t), paths.rate(t));
             while let Some(to) = scene.law_at(*law).thresholds.next(*phase, q) {
@@ -150,142 +156,37 @@ impl Pairs {
         }
     }
 
-    /// The index of a pair, which is listed at any distance.
-    fn list(&mut self, of: &mut Surrounded<'_>, a: u32, b: u32, t: f64) -> u32 {
-        let known = of.bodies[a as usize].neighbours.binary_search_by_key(&b, |neighbour| neighbour.other);
-        if let Ok(index) = known {
-            return of.bodies[a as usize].neighbours[index].pair;
-        }
-        let pair = self.add(of.tracks.pair(a, b), [a, b], of.scene, t);
-        for (body, other) in [(a, b), (b, a)] {
-            let neighbours = &mut of.bodies[body as usize].neighbours;
-            let index = neighbours.partition_point(|neighbour| neighbour.other < other);
-            neighbours.insert(index, spheres::neighbour(of.scene, body, other, pair));
-        }
-        pair
-    }
-
-    /// Number of pairs of bodies that are near each other; `None` if more than `max`.
-    fn count_near(&self, scene: &Scene, bodies: &[Body], max: u64, work: &Work) -> Option<u64> {
-        let n = bodies.len() as u64;
-        if n * n.saturating_sub(1) / 2 <= max.min(FEW_PAIRS) {
-            return Some(0); // too few to be worth counting
-        }
-        let (grid, all) = (&self.grid, AtomicU64::new(0));
-        let counted = (0..n as u32).into_par_iter().try_for_each(|i| {
-            let mut near = 0;
-            grid.each_touching(i, |j| near += u64::from(j > i && are_near(scene, bodies, grid, i, j)));
-            let sum = all.fetch_add(near, Ordering::Relaxed) + near;
-            (sum <= max && !work.is_interrupted()).then_some(())
-        });
-        counted.map(|()| all.into_inner())
-    }
-
     /// Finds the neighbours of bodies that leave their fat bounds before the end of `span`.
     ///
     /// # Errors
     /// If there are too many: the body at which the search stopped.
     pub fn update(&mut self, among: Moving<'_>, span: Span) -> Result<(), (Stop, u32)> {
         let Moving { scene, bodies, tracks, work } = among;
-        tracks.watch(|track| bodies[track.body as usize].fat_bounds.until < span.end);
-        let mut of = Surrounded { scene, bodies, tracks, work: Tally::new(work, None) };
+        tracks.watch(|track| bodies[track.body as usize].known_until < span.end);
+        let mut of = Surrounded { scene, bodies, tracks, time: span.start };
+        let tally = Tally::new(work, None);
         for body in of.tracks.watched() {
             let vertices = of.bodies[body as usize].fat_bounds.vertices;
-            self.anchor(&mut of, body as usize, vertices, span.start);
-            if of.work.is_over() {
+            self.anchor(&mut of, body as usize, vertices, &tally);
+            if tally.is_over() {
                 return work.check().map_err(|stop| (stop, body));
             }
         }
         Ok(())
     }
 
-    /// Gives a body fat bounds from time `t` on, for vertices up to `vertices` from its centre, and finds its
-    /// neighbours.
-    pub fn anchor(&mut self, of: &mut Surrounded<'_>, i: usize, vertices: f64, t: f64) {
-        self.place(of, i, vertices, t);
-        self.find_neighbours(of, i, t);
+    /// Gives a body fat bounds for vertices up to `vertices` from its centre, and finds its neighbours.
+    pub fn anchor(&mut self, of: &mut Surrounded<'_>, i: usize, vertices: f64, work: &Tally<'_>) {
+        self.place(of, i, vertices);
+        self.near.search(of, i as u32, work);
     }
 
-    fn place(&mut self, of: &mut Surrounded<'_>, i: usize, vertices: f64, t: f64) {
-        let scene = of.scene;
-        let (this, path) = (&scene.bodies[i], of.tracks.path(i));
-        let (skin, until) = stay(path, SKIN * this.radius, t, scene.dt);
-        let merging = self.max_merge_at * this.radius;
-        let reach = this.sphere_radius().max(vertices).max(merging) + skin;
-        let centre = path.position(t);
-        // so that a pair exactly on a threshold is not lost to rounding of the centres
-        let rounding = 16.0 * f64::EPSILON * (centre.abs().max_element() + reach);
-        of.bodies[i].fat_bounds = FatBounds { vertices, skin: skin + rounding, until };
-        self.grid.place(i as u32, Ball { centre, radius: reach + rounding });
-    }
-
-    fn find_neighbours(&mut self, of: &mut Surrounded<'_>, i: usize, t: f64) {
-        self.found.clear();
-        self.grid.touching(i as u32, &mut self.found);
-        let grid = &self.grid;
-        if of.work.spend(NEAR_ENOUGH * self.found.len() as u64) {
-            self.found.retain(|&j| are_near(of.scene, of.bodies, grid, i as u32, j));
-            self.replace_neighbours(of, i, t);
-        }
-    }
-
-    /// Makes `found` the neighbours of body `i`. A known pair keeps its phase; a pair that is not apart stays listed at
-    /// any distance.
-    fn replace_neighbours(&mut self, of: &mut Surrounded<'_>, i: usize, t: f64) {
-        let Surrounded { scene, bodies, tracks, work } = of;
-        let found = std::mem::take(&mut self.found);
-        let mut kept = std::mem::take(&mut self.kept);
-        kept.clear();
-        kept.extend(bodies[i].neighbours.drain(..));
-        let mut known = kept.drain(..).peekable();
-        let leave = |pairs: &mut Pairs, bodies: &mut [Body], neighbour: Neighbour| {
-            if pairs.pairs[neighbour.pair as usize].phase != Phase::Apart {
-                bodies[i].neighbours.push(neighbour);
-                return;
-            }
-            let others = &mut bodies[neighbour.other as usize].neighbours;
-            if let Ok(index) = others.binary_search_by_key(&(i as u32), |other| other.other) {
-                others.remove(index);
-            }
-            pairs.free.push(neighbour.pair);
-        };
-        for &other in &found {
-            while let Some(gone) = known.next_if(|neighbour| neighbour.other < other) {
-                leave(self, bodies, gone);
-            }
-            let neighbour = known.next_if(|neighbour| neighbour.other == other).unwrap_or_else(|| {
-                work.spend(NEW_PAIR);
-                let pair = self.add(tracks.pair(i as u32, other), [i as u32, other], scene, t);
-                let others = &mut bodies[other as usize].neighbours;
-                let index = others.partition_point(|neighbour| neighbour.other < i as u32);
-                others.insert(index, spheres::neighbour(scene, other, i as u32, pair));
-                for body in [i, other as usize] {
-                    bodies[body].unchanged_until = f64::NEG_INFINITY;
-                }
-                spheres::neighbour(scene, i as u32, other, pair)
-            });
-            bodies[i].neighbours.push(neighbour);
-            if work.is_over() {
-                break;
-            }
-        }
-        for gone in known {
-            leave(self, bodies, gone);
-        }
-        (self.found, self.kept) = (found, kept);
-    }
-
-    fn add(&mut self, paths: PairPaths<'_>, [i, j]: [u32; 2], scene: &Scene, t: f64) -> u32 {
-        let (a, b) = (i.min(j), i.max(j));
-        let law = scene.law_index(a as usize, b as usize);
-        let phase = if t == 0.0 { scene.law_at(law).thresholds.initial(paths.q(0.0)) } else { Phase::Apart };
-        let pair = Pair { a, b, law, phase, upcoming: None, known_until: t, changes: 0..0 };
-        if let Some(index) = self.free.pop() {
-            self.pairs[index as usize] = pair;
-            return index;
-        }
-        self.pairs.push(pair);
-        self.pairs.len() as u32 - 1
+    fn place(&mut self, of: &mut Surrounded<'_>, i: usize, vertices: f64) {
+        let (scene, path, t) = (of.scene, of.tracks.path(i), of.time);
+        let (skin, until) = stay(path, SKIN * scene.bodies[i].radius, t, scene.dt);
+        let bounds = FatBounds { vertices, skin };
+        (of.bodies[i].fat_bounds, of.bodies[i].known_until) = (bounds, until);
+        self.near.place(scene, i as u32, path.position(t), bounds);
     }
 
     /// Finds the exact times at which pairs change phase during `span`, in step `step`: adds them to `events`, in order.
@@ -309,14 +210,14 @@ impl Pairs {
         for body in tracks.watched() {
             let mut unchanged_until = f64::INFINITY;
             for neighbour in &bodies[body as usize].neighbours {
-                let index = neighbour.pair as usize;
+                let index = neighbour.pair;
                 // of two bodies that move, the first has found the changes for both
-                if !self.pairs[index].may_change(span) {
-                    unchanged_until = self.pairs[index].unchanged_until().min(unchanged_until);
+                if !self.near.get(index).may_change(span) {
+                    unchanged_until = self.near.get(index).unchanged_until().min(unchanged_until);
                     continue;
                 }
                 let first = self.changes.len();
-                let pair = &mut self.pairs[index];
+                let pair = self.near.get_mut(index);
                 let both = tracks.pair(pair.a, pair.b);
                 let rests = || [both.a, both.b].into_iter().all(|path| path.is_still(span.start, f64::INFINITY));
                 let horizon = if rests() { f64::INFINITY } else { ahead };
@@ -334,10 +235,10 @@ impl Pairs {
                     return work.check().map_err(|stop| (stop, busiest.1));
                 }
                 if self.changes.len() > first {
-                    self.pairs[index].changes = first as u32..self.changes.len() as u32;
+                    self.near.get_mut(index).changes = first as u32..self.changes.len() as u32;
                     self.changed.push(neighbour.pair);
                 }
-                unchanged_until = self.pairs[index].unchanged_until().min(unchanged_until);
+                unchanged_until = self.near.get(index).unchanged_until().min(unchanged_until);
             }
             bodies[body as usize].unchanged_until = unchanged_until;
         }
@@ -349,7 +250,7 @@ impl Pairs {
     pub fn enter_phases(&mut self) {
         for &index in &self.changed {
             let last = self.changes(index).last().map(|&(_, last)| last);
-            let pair = &mut self.pairs[index as usize];
+            let pair = self.near.get_mut(index);
             pair.phase = last.unwrap_or(pair.phase);
             pair.changes = 0..0;
         }
@@ -357,22 +258,22 @@ impl Pairs {
 
     /// Number of pairs.
     pub fn count(&self) -> usize {
-        self.pairs.len() - self.free.len()
+        self.near.count()
     }
 
     /// Memory allocated for the pairs [bytes].
     pub fn memory(&self) -> usize {
-        self.pairs.capacity() * size_of::<Pair>() + self.free.capacity() * size_of::<u32>() + self.grid.memory()
+        self.near.memory()
     }
 
     /// The sum of the hashes of all pairs that are not apart.
     pub fn hash(&self) -> u64 {
-        self.pairs.iter().map(Pair::hash).fold(0, u64::wrapping_add)
+        self.near.hash()
     }
 
     /// The pair with an index.
     pub fn get(&self, index: u32) -> &Pair {
-        &self.pairs[index as usize]
+        self.near.get(index)
     }
 
     /// The phase changes of a pair in the current step, in order: time and new phase.
@@ -440,17 +341,6 @@ impl Pair {
             }
         }
     }
-}
-
-/// Whether, within their fat bounds, one of two bodies can have vertices inside the other's sphere, or the two can
-/// merge. (Stricter than overlap of the fat bounds: a sphere does not act on another sphere.)
-fn are_near(scene: &Scene, bodies: &[Body], grid: &Grid, i: u32, j: u32) -> bool {
-    let [a, b] = [i, j].map(|k| &bodies[k as usize].fat_bounds);
-    let [one, other] = [i, j].map(|k| &scene.bodies[k as usize]);
-    let touching = f64::max(one.sphere_radius() + b.vertices, other.sphere_radius() + a.vertices);
-    let merge_at = scene.law(i as usize, j as usize).thresholds.merge_at;
-    let near = touching.max(merge_at * (one.radius + other.radius)) + a.skin + b.skin;
-    !(grid.ball(i).centre.distance(grid.ball(j).centre) > near)
 }
 
 /// A margin for the motion of a body's centre from time `t`, at least `skin` [scene unit], and the time until which the

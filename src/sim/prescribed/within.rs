@@ -2,13 +2,14 @@
 
 use glam::DVec3;
 
-use super::{Prescribed, body::Body, deformation::Deformation, neighbours::Neighbour};
+use super::{Prescribed, body::Body, deformation::Deformation};
 use crate::{
     model::{oscillator::Oscillator, phase::Phase},
     scene::Path,
     sim::{
         States, World,
         integrator::exponential::{self, StepControl, course::Course},
+        neighbours::Neighbour,
         numerics::arrays::{LANES, Vectors},
         span::Span,
         state::State,
@@ -80,9 +81,8 @@ impl<'a> Recomputed<'a> {
     pub fn breaks(&self) -> Vec<f64> {
         let scene = self.world.scene();
         let span = Span { start: self.before.time, end: self.world.time() };
-        let sources = scene.bodies.len() + scene.points.len();
-        let knots = (0..sources).flat_map(|source| self.path(source).knots().iter().copied());
-        let mut breaks: Vec<f64> = knots.filter(|&t| span.holds(t)).chain([span.start, span.end]).collect();
+        let mut breaks = vec![span.start, span.end];
+        span.jumps_of(scene, 0..(scene.bodies.len() + scene.points.len()) as u32, &mut breaks);
         for index in 0..self.world.body_count() {
             let Body { neighbours, points, .. } = self.body(index);
             self.on(index).jumps(neighbours, span, &mut breaks);

@@ -15,10 +15,7 @@ pub(super) mod spheres;
 
 use glam::DVec3;
 
-use super::{
-    prescribed::{neighbours::Neighbour, tracks::Tracks},
-    span::Span,
-};
+use super::{neighbours::Neighbour, prescribed::tracks::Tracks, span::Span};
 use crate::{
     model::{
         influence::{self, Weight},

@@ -3,7 +3,7 @@
 use super::{Acting, Moment, On, Origin, Phases, Source, Sphere, Surroundings, Term};
 use crate::{
     scene::{Point, Scene, path::Kinematics},
-    sim::{prescribed::neighbours::Neighbour, span::Span},
+    sim::{neighbours::Neighbour, span::Span},
 };
 
 pub struct Points;

@@ -7,10 +7,7 @@ use super::{Cause, Moment, On, Phases, Surroundings, Term};
 use crate::{
     geometry::Rest,
     scene::{Push, Scene, path::Kinematics},
-    sim::{
-        integrator::exponential::course::Local, numerics::arrays::Vectors, prescribed::neighbours::Neighbour,
-        span::Span,
-    },
+    sim::{integrator::exponential::course::Local, neighbours::Neighbour, numerics::arrays::Vectors, span::Span},
 };
 
 /// An acceleration that acts on each vertex in proportion to how squarely the vertex faces it.

@@ -9,7 +9,7 @@ use crate::{
     geometry::Rest,
     model::{PairLaw, energy, influence::Weight, phase::Phase},
     scene::{Body, Members, Scene, path::Kinematics},
-    sim::{numerics::arrays::Vectors, prescribed::neighbours::Neighbour, span::Span},
+    sim::{neighbours::Neighbour, numerics::arrays::Vectors, span::Span},
 };
 
 /// An influence sphere that can reach a body in a part of a step.

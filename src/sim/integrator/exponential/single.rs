@@ -246,7 +246,8 @@ impl Single<'_> {
         let mut found = vertex.local;
         for (j, sphere) in course.spheres.iter().enumerate().filter(|&(j, _)| is_inside(inside, j)) {
             let to_centre = aside.centres[j] - position;
-            found += (sphere.strength * (1.0 - to_centre.length() * sphere.inverse_radius)) * to_centre; // (3.3)
+            let weight = course.weight().inside(to_centre.length() * sphere.inverse_radius);
+            found += (sphere.strength * weight) * to_centre;
         }
         let Weights { polynomial_aside: [w0, w1, w2, w3], bend_aside, .. } = step.weights;
         let cubic = (w0 * forces[0] + w1 * forces[1]) + (w2 * forces[2] + w3 * forces[3]);
