@@ -27,13 +27,17 @@ const FEW_PAIRS: u64 = 1 << 16;
 /// memory, and each list of its own is another place.
 pub(super) type Neighbours = SmallVec<[Neighbour; 3]>;
 
+/// A pair in the list of near pairs; force points have none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct PairId(u32);
+
 /// A nearby body, or a force point.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Neighbour {
     /// Index of the other body; force points follow the bodies.
     pub other: u32,
-    /// Index of the pair, or [`Neighbour::POINT`].
-    pub pair: u32,
+    /// The pair of the two; [`Neighbour::POINT`] for a force point.
+    pub pair: PairId,
     /// Index of the pair's law in the scene.
     pub law: u32,
     /// A bound on the acceleration of any vertex of this body by the other's sphere, in any phase [scene unit/s²].
@@ -43,8 +47,8 @@ pub(super) struct Neighbour {
 }
 
 impl Neighbour {
-    /// In place of the index of a pair, for a force point.
-    pub const POINT: u32 = u32::MAX;
+    /// In place of a pair, for a force point.
+    pub const POINT: PairId = PairId(u32::MAX);
 
     /// Whether it is a force point.
     pub fn is_point(&self) -> bool {
@@ -92,8 +96,8 @@ pub(super) trait Bodies {
 #[derive(Clone)]
 pub(super) struct NearPairs<P> {
     pairs: Vec<P>,
-    /// Unused indices of `pairs`.
-    unused: Vec<u32>,
+    /// Unused places in `pairs`.
+    unused: Vec<PairId>,
     grid: Grid,
     /// The largest q at which a pair can merge [–].
     max_merge_at: f64,
@@ -233,30 +237,30 @@ impl<P: Listed> NearPairs<P> {
         self.unused.push(neighbour.pair);
     }
 
-    /// Lists a pair of bodies, and returns its index.
-    fn add<B: Bodies<Pair = P>>(&mut self, bodies: &mut B, i: u32, j: u32) -> u32 {
+    /// Lists a pair of bodies.
+    fn add<B: Bodies<Pair = P>>(&mut self, bodies: &mut B, i: u32, j: u32) -> PairId {
         let pair = bodies.meet(i.min(j), i.max(j));
-        let index = match self.unused.pop() {
-            Some(index) => {
-                self.pairs[index as usize] = pair;
-                index
+        let id = match self.unused.pop() {
+            Some(id) => {
+                *self.get_mut(id) = pair;
+                id
             }
             None => {
                 self.pairs.push(pair);
-                self.pairs.len() as u32 - 1
+                PairId(self.pairs.len() as u32 - 1)
             }
         };
         for (body, other) in [(i, j), (j, i)] {
-            let neighbour = spheres::neighbour(bodies.scene(), body, other, index);
+            let neighbour = spheres::neighbour(bodies.scene(), body, other, id);
             let neighbours = bodies.neighbours(body);
             let at = neighbours.partition_point(|neighbour| neighbour.other < other);
             neighbours.insert(at, neighbour);
         }
-        index
+        id
     }
 
-    /// The index of a pair, which is listed at any distance.
-    pub fn list<B: Bodies<Pair = P>>(&mut self, bodies: &mut B, a: u32, b: u32) -> u32 {
+    /// A pair, which is listed at any distance.
+    pub fn list<B: Bodies<Pair = P>>(&mut self, bodies: &mut B, a: u32, b: u32) -> PairId {
         let neighbours = bodies.neighbours(a);
         match neighbours.binary_search_by_key(&b, |neighbour| neighbour.other) {
             Ok(index) => neighbours[index].pair,
@@ -264,14 +268,14 @@ impl<P: Listed> NearPairs<P> {
         }
     }
 
-    /// The pair with an index.
-    pub fn get(&self, index: u32) -> &P {
-        &self.pairs[index as usize]
+    /// A pair.
+    pub fn get(&self, id: PairId) -> &P {
+        &self.pairs[id.0 as usize]
     }
 
-    /// The pair with an index, to be changed.
-    pub fn get_mut(&mut self, index: u32) -> &mut P {
-        &mut self.pairs[index as usize]
+    /// A pair, to be changed.
+    pub fn get_mut(&mut self, id: PairId) -> &mut P {
+        &mut self.pairs[id.0 as usize]
     }
 
     /// All pairs, and such as are no longer listed, to be changed.
@@ -295,7 +299,7 @@ impl<P: Listed> NearPairs<P> {
 
     /// Memory allocated for the pairs [bytes].
     pub fn memory(&self) -> usize {
-        self.pairs.capacity() * size_of::<P>() + self.unused.capacity() * size_of::<u32>() + self.grid.memory()
+        self.pairs.capacity() * size_of::<P>() + self.unused.capacity() * size_of::<PairId>() + self.grid.memory()
     }
 }
 

@@ -16,6 +16,7 @@ use crate::{
     scene::{Point, Scene},
     sim::{
         free::{self, Body, Driven, Island, Pair, Parts, Paths, Report, Scratch, Shape, Window},
+        neighbours::PairId,
         span::Span,
         work::{Tally, Work},
     },
@@ -28,8 +29,8 @@ const PARALLEL_VERTICES: usize = 512;
 #[derive(Clone, Default)]
 pub(super) struct Forest {
     leader: Vec<u32>,
-    /// Indices of the pairs that couple their bodies.
-    pub coupled: Vec<u32>,
+    /// The pairs that couple their bodies.
+    pub coupled: Vec<PairId>,
 }
 
 impl Forest {
@@ -58,14 +59,21 @@ impl Forest {
     }
 }
 
-/// Indices of the bodies and pairs of an island, ascending.
+/// The bodies and pairs of an island, ascending.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Group {
     pub bodies: Vec<u32>,
     /// Bodies on paths that act on the island but are advanced elsewhere.
     pub sources: Vec<u32>,
-    /// Each pair, and whether this island reports its phase changes.
-    pub pairs: Vec<(u32, bool)>,
+    pub pairs: Vec<PairIn>,
+}
+
+/// A pair in an island. A pair between a body on a path and a free one may be in two.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct PairIn {
+    pub pair: PairId,
+    /// Whether this island reports its phase changes.
+    pub is_own: bool,
 }
 
 impl Group {
@@ -234,8 +242,8 @@ impl Job {
             copy.copy_from(&member.body);
             copy.fill_states();
         }
-        let local_pair = |&(pair, _): &(u32, bool)| {
-            let pair = near.get(pair);
+        let local_pair = |of: &PairIn| {
+            let pair = near.get(of.pair);
             free::Pair { a: local(pair.a), b: local(pair.b), ..*pair }
         };
         between.clear();

@@ -7,7 +7,7 @@ use crate::{
     scene::Scene,
     sim::{
         free::Pair,
-        neighbours::{Bodies, FatBounds, Listed, NearPairs, Neighbours, SKIN},
+        neighbours::{Bodies, FatBounds, Listed, NearPairs, Neighbours, PairId, SKIN},
         work::{Tally, Work},
     },
 };
@@ -96,14 +96,14 @@ impl Near {
     }
 
     /// Sets the phase of a pair.
-    pub fn enter(&mut self, index: u32, phase: Phase) {
-        self.get_mut(index).phase = phase;
+    pub fn enter(&mut self, id: PairId, phase: Phase) {
+        self.get_mut(id).phase = phase;
     }
 
     /// Whether, within the step, one body of a pair can have vertices inside the other's sphere, or the pair can change
     /// phase.
-    pub fn is_coupled(&self, index: u32, members: &[Member]) -> bool {
-        let pair = self.get(index);
+    pub fn is_coupled(&self, id: PairId, members: &[Member]) -> bool {
+        let pair = self.get(id);
         let (a, b) = (&members[pair.a as usize], &members[pair.b as usize]);
         if pair.phase != Phase::Apart {
             return true;

@@ -4,8 +4,8 @@
 //! | --- | --- |
 //! | a body: vertices with masses around a rest shape that follows them | [`body`] |
 //! | external influences: pairs, planes, pushes, gravity | [`field`] |
-//! | the solver: adaptive steps that end where a pair changes phase | [`island`] |
-//! | one step: exponential collocation of vertices, centres and frames together; its error | `step`, `force` |
+//! | the solver: adaptive steps that end where a pair changes phase | [`island`], `phases` |
+//! | one step: exponential collocation of vertices, centres and frames together; its error | `solve`, `step`, `force` |
 //! | vertices on which a contact begins or ends within a step | `split` |
 //! | loops over vertices, in SIMD lanes | `kernels` |
 //! | vertices that nothing reaches in a step | `passive` |
@@ -48,6 +48,8 @@ mod kernels;
 pub mod ledger;
 pub mod observed;
 mod passive;
+mod phases;
+mod solve;
 mod split;
 mod step;
 mod verlet;

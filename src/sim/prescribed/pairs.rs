@@ -8,7 +8,7 @@ use crate::{
     scene::{Path, Scene},
     sim::{
         events::{Event, Search},
-        neighbours::{Bodies, FatBounds, Listed, NearPairs, Neighbours, SKIN},
+        neighbours::{Bodies, FatBounds, Listed, NearPairs, Neighbours, PairId, SKIN},
         report::StepReport,
         solver::Takeover,
         span::Span,
@@ -64,7 +64,7 @@ pub(in crate::sim) struct Pairs {
     /// Phase changes of the current step, grouped by pair.
     changes: Vec<(f64, Phase)>,
     /// Pairs with phase changes in the current step.
-    changed: Vec<u32>,
+    changed: Vec<PairId>,
 }
 
 impl Listed for Pair {
@@ -271,22 +271,22 @@ impl Pairs {
         self.near.hash()
     }
 
-    /// The pair with an index.
-    pub fn get(&self, index: u32) -> &Pair {
-        self.near.get(index)
+    /// A pair.
+    pub fn get(&self, id: PairId) -> &Pair {
+        self.near.get(id)
     }
 
     /// The phase changes of a pair in the current step, in order: time and new phase.
-    pub fn changes(&self, index: u32) -> &[(f64, Phase)] {
-        let pair = self.get(index);
+    pub fn changes(&self, id: PairId) -> &[(f64, Phase)] {
+        let pair = self.get(id);
         &self.changes[pair.changes.start as usize..pair.changes.end as usize]
     }
 
     /// The phase of a pair from `t` on, within the current step.
-    pub fn phase_at(&self, index: u32, t: f64) -> Phase {
-        let changes = self.changes(index);
+    pub fn phase_at(&self, id: PairId, t: f64) -> Phase {
+        let changes = self.changes(id);
         let passed = changes.partition_point(|&(time, _)| time <= t);
-        changes[..passed].last().map_or(self.get(index).phase, |&(_, phase)| phase)
+        changes[..passed].last().map_or(self.get(id).phase, |&(_, phase)| phase)
     }
 }
 

@@ -57,7 +57,7 @@ pub(in crate::sim) fn neighbours(scene: &Scene, body: usize) -> Box<[Neighbour]>
     let max_pull = scene.influence.weight.max_pull();
     let neighbour = |(other, point): (u32, &Point)| {
         let pull = scene.point_strength(point, body).abs() * scene.influence.sphere_radius(point.radius) * max_pull;
-        Neighbour { other, pair: Neighbour::POINT, law: Neighbour::POINT, pull, always_acts: true }
+        Neighbour { other, pair: Neighbour::POINT, law: u32::MAX, pull, always_acts: true }
     };
     scene.points_on(body).map(neighbour).collect()
 }

@@ -9,7 +9,11 @@ use crate::{
     geometry::Rest,
     model::{PairLaw, energy, influence::Weight, phase::Phase},
     scene::{Body, Members, Scene, path::Kinematics},
-    sim::{neighbours::Neighbour, numerics::arrays::Vectors, span::Span},
+    sim::{
+        neighbours::{Neighbour, PairId},
+        numerics::arrays::Vectors,
+        span::Span,
+    },
 };
 
 /// An influence sphere that can reach a body in a part of a step.
@@ -142,7 +146,7 @@ impl<P> On<'_, P> {
 }
 
 /// The neighbour entry for body `other`, in pair `pair`, as seen from `this`.
-pub(in crate::sim) fn neighbour(scene: &Scene, this: u32, other: u32, pair: u32) -> Neighbour {
+pub(in crate::sim) fn neighbour(scene: &Scene, this: u32, other: u32, pair: PairId) -> Neighbour {
     let law = scene.law_index(this as usize, other as usize);
     let strengths = strengths(scene, &scene.law_at(law), this, other);
     // a bound on the acceleration of any vertex, in any phase

@@ -1,0 +1,194 @@
+//! Changes between steps: the state of another scene, new bodies, pushes.
+
+use super::{
+    Coupled,
+    member::Member,
+    near::{Among, Near},
+};
+use crate::{
+    model::phase::Phase,
+    scene::{self, Scene},
+    sim::{
+        events::Event,
+        free::{self, Field, Pair, Snapshot, Window},
+        neighbours::{Neighbour, PairId},
+        report::StepReport,
+        solver::Takeover,
+        span::Span,
+        work::Work,
+    },
+};
+
+impl Coupled {
+    /// Takes over the state of another scene, and adds the phase changes and the energy that this brings to the report.
+    /// False if there are too many pairs.
+    pub fn resume(
+        &mut self,
+        scene: &Scene,
+        before: &Coupled,
+        takeover: &Takeover<'_>,
+        report: &mut StepReport,
+    ) -> bool {
+        let &Takeover { kept, wake_all, time, .. } = takeover;
+        let span = Span { start: time, end: time + scene.dt };
+        (self.ledger, self.first_energy) = (before.ledger, before.first_energy);
+        self.has_fixed = before.has_fixed;
+        self.move_points(scene, time);
+        for (index, (member, kept)) in self.members.iter_mut().zip(kept).enumerate() {
+            member.neighbours.clear();
+            match kept {
+                Some(old) => member.resume(&before.members[*old]),
+                None => {
+                    if let Some(path) = scene.bodies[index].path() {
+                        let motion = path.at(time);
+                        (member.body.centre, member.body.velocity) = (motion.position, motion.velocity);
+                    }
+                }
+            }
+            if wake_all && !member.is_awake {
+                (member.is_awake, member.slow_steps) = (true, 0);
+            }
+            member.bound_motion(&scene.bodies[index], scene.gravity, span);
+        }
+        // what was not apart before is listed below
+        let among = Among { scene, members: &mut self.members, time: 0.0 };
+        let Some(near) = Near::of_all(among, takeover.max_pairs, &Work::limited(u64::MAX, None)) else { return false };
+        self.near = near;
+        let now_at = takeover.now_at(before.members.len());
+        // pairs that were not listed were apart
+        let unknown: Vec<(usize, u32, PairId)> = (0..self.members.len())
+            .flat_map(|a| self.members[a].neighbours.iter().map(move |neighbour| (a, neighbour.other, neighbour.pair)))
+            .filter(|&(a, other, _)| kept[a].is_some() && kept[other as usize].is_some())
+            .collect();
+        for (_, _, pair) in unknown {
+            self.near.enter(pair, Phase::Apart);
+        }
+        for pair in before.pairs().filter(|pair| pair.phase != Phase::Apart) {
+            if let (Some(a), Some(b)) = (now_at[pair.a as usize], now_at[pair.b as usize]) {
+                let mut among = Among { scene, members: &mut self.members, time };
+                let index = self.near.list(&mut among, a as u32, b as u32);
+                self.near.enter(index, pair.phase);
+            }
+        }
+        self.awake = (0..self.members.len() as u32).filter(|&body| self.members[body as usize].is_awake).collect();
+        self.sleeping_hash = 0;
+        for (body, member) in (0..).zip(&mut self.members).filter(|(_, member)| !member.is_awake) {
+            member.sleeping_hash = member.hash(body);
+            self.sleeping_hash = self.sleeping_hash.wrapping_add(member.sleeping_hash);
+        }
+        self.started = self.starts.partition_point(|start| start.0 < time);
+        for start in 0..self.started {
+            let body = self.starts[start].1;
+            let member = &self.members[body as usize];
+            if !member.is_awake && member.pushes.iter().any(|push| push.start < time && time < push.end) {
+                self.wake(body);
+            }
+        }
+        self.awake.sort_unstable();
+        let brought = self.energy(scene, time) - before.energy(takeover.scene, time);
+        self.ledger.edits += brought;
+        report.ledger.edits += brought;
+        let known = (0..).zip(&self.members).flat_map(|(a, member)| {
+            let later = member.neighbours.iter().filter(move |neighbour| neighbour.other > a);
+            later.map(|neighbour| neighbour.pair)
+        });
+        self.enter_phases(scene, time, &known.collect::<Vec<PairId>>(), report);
+        true
+    }
+
+    /// Adds the last body of the scene at `time` [s], with the phase changes and the energy that this brings. False, and
+    /// nothing has changed, if there would be more than `max_pairs` pairs.
+    pub fn add_last(&mut self, scene: &Scene, time: f64, max_pairs: u64, report: &mut StepReport) -> bool {
+        let last = self.members.len();
+        let mut member = Member::new(scene, last, &mut self.shapes);
+        if let Some(path) = scene.bodies[last].path() {
+            let motion = path.at(time);
+            (member.body.centre, member.body.velocity) = (motion.position, motion.velocity);
+        }
+        member.is_awake = true;
+        member.bound_motion(&scene.bodies[last], scene.gravity, Span { start: time, end: time + scene.dt });
+        self.members.push(member);
+        if !self.near.add_last(&mut Among { scene, members: &mut self.members, time }, max_pairs) {
+            self.members.pop();
+            self.shapes.forget_unused();
+            return false;
+        }
+        self.awake.push(last as u32);
+        self.job_of.push(0);
+        // results of islands name force points by numbers that follow those of the bodies
+        self.before.clear();
+        self.jobs.clear();
+        let brought = self.energy_of(scene, time, last);
+        if time == 0.0 {
+            self.first_energy += brought;
+            return true;
+        }
+        self.ledger.edits += brought;
+        report.ledger.edits += brought;
+        let pairs: Vec<PairId> = self.members[last].neighbours.iter().map(|neighbour| neighbour.pair).collect();
+        self.enter_phases(scene, time, &pairs, report);
+        true
+    }
+
+    /// Energy of a body at `time` [s], and of its pairs.
+    pub(super) fn energy_of(&self, scene: &Scene, time: f64, body: usize) -> f64 {
+        let Member { body: own, neighbours, .. } = &self.members[body];
+        let field = self.field(scene, time);
+        let pairs = neighbours.iter().map(|&Neighbour { other, pair, .. }| {
+            let free::Pair { law, phase, .. } = self.near.get(pair);
+            let other = &self.members[other as usize].body;
+            let q = own.centre.distance(other.centre) / (own.radius + other.radius);
+            free::influence_energy(own, other, &field, law.strength(*phase, q))
+        });
+        let pairs: f64 = pairs.sum();
+        let alone = Field { pushes: Vec::new(), forces: Vec::new(), first_point: 1, ..field };
+        let here = Span { start: time, end: time };
+        let with_points = self.points_near(scene, here, body).map(|(source, point)| {
+            let window = Window { start: point.start, end: point.end() };
+            Pair::with_point(0, 1 + source - scene.bodies.len() as u32, point.strength, window, time)
+        });
+        let bodies = std::iter::once(own).chain(&self.points).collect();
+        pairs + Snapshot::new(bodies, with_points.collect(), alone, time).conserved().energy()
+    }
+
+    /// Adds a push, which the scene has already.
+    pub fn push(&mut self, push: &scene::Push, time: f64) {
+        let member = &mut self.members[push.body];
+        member.add_push(push);
+        let index = self.starts.partition_point(|start| start.0 <= push.start);
+        self.starts.insert(index, (push.start, push.body as u32));
+        if push.start < time {
+            self.started += 1;
+            if time < push.end() {
+                self.wake_up(push.body);
+            }
+        }
+    }
+
+    /// The energy of the free bodies at `time` [s].
+    pub(super) fn energy(&self, scene: &Scene, time: f64) -> f64 {
+        self.snapshot(scene, time).conserved().energy()
+    }
+
+    /// Changes the phases of pairs that a threshold has passed.
+    pub(super) fn enter_phases(&mut self, scene: &Scene, time: f64, pairs: &[PairId], report: &mut StepReport) {
+        let field = self.field(scene, time);
+        for &index in pairs {
+            let free::Pair { a, b, law, phase, .. } = *self.near.get(index);
+            let [first, second] = [a, b].map(|body| &self.members[body as usize].body);
+            let (apart, radii) = (second.centre - first.centre, first.radius + second.radius);
+            let q = apart.length() / radii;
+            let rate = (second.velocity - first.velocity).dot(apart.normalize_or_zero()) / radii;
+            let mut from = phase;
+            while let Some(to) = law.thresholds.next(from, q) {
+                let jump = law.strength(to, q) - law.strength(from, q);
+                let energy = free::influence_energy(first, second, &field, jump);
+                report.ledger.events += energy;
+                self.ledger.events += energy;
+                report.events.push(Event { time, step: report.step, a, b, q, rate, from, to, energy });
+                from = to;
+            }
+            self.near.enter(index, from);
+        }
+    }
+}
