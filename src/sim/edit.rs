@@ -45,7 +45,7 @@ impl World {
 
     /// Adds the last body of the scene to the solver.
     fn add_last(&mut self) -> Result<(), EditError> {
-        let budget = memory::check(&self.scene)?;
+        let budget = memory::check_grown(&self.scene)?;
         let max_pairs = budget.max_pairs(&self.scene);
         let time = self.time();
         let World { scene, solver, report, .. } = self;

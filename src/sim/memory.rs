@@ -128,7 +128,7 @@ pub fn available() -> u64 {
     system.available_memory().min(limit)
 }
 
-/// Scenes that need less than this are checked against a cached value of the available memory [bytes].
+/// New scenes that need less than this are checked against a cached value of the available memory [bytes].
 const SMALL: u64 = 16 << 20;
 /// Lifetime of the cached value. Asking the system costs as much as tens of steps of a small scene, and sweeps build
 /// thousands of those.
@@ -148,7 +148,16 @@ fn recently_available() -> u64 {
 /// Rejects a scene that needs more than nine tenths of the available memory. Pairs are not known yet and not counted.
 pub fn check(scene: &Scene) -> Result<Budget, TooLarge> {
     let needed = needed(scene);
-    let available = if needed < SMALL { recently_available() } else { available() };
+    within(scene, needed, if needed < SMALL { recently_available() } else { available() })
+}
+
+/// Rejects a scene that has grown, as [`check`] does. What it has allocated since the cached value was read is part of
+/// what it needs, so that this is not too lenient.
+pub fn check_grown(scene: &Scene) -> Result<Budget, TooLarge> {
+    within(scene, needed(scene), recently_available())
+}
+
+fn within(scene: &Scene, needed: u64, available: u64) -> Result<Budget, TooLarge> {
     let budget = Budget { needed, available };
     if fits(needed, available) { Ok(budget) } else { Err(budget.exceeded(scene, None)) }
 }
