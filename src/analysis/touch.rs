@@ -57,6 +57,8 @@ pub struct Touches {
     local: Vectors,
     placed: BTreeMap<usize, Vec<DVec3>>,
     interrupt: Option<&'static AtomicBool>,
+    /// Whether the simulation has events of its own with the names of those that are found here: these are left out.
+    has_own: bool,
 }
 
 /// The last known state of a pair.
@@ -83,6 +85,7 @@ impl Touches {
             inside: Frame::default(),
             local: Vectors::default(),
             placed: BTreeMap::new(),
+            has_own: schema.event_words().iter().any(|word| Finding::KINDS.iter().any(|(known, _)| known == word)),
             schema,
         };
         let mut now = Frame::default();
@@ -195,6 +198,9 @@ impl Touches {
             let what = Finding::Phase { name: change.name, is_touching, touched, measures };
             let PairEvent { time, step, a, b, q, .. } = *change;
             found.push(SurfaceEvent { what, time, step, a, b, q });
+        }
+        if self.has_own {
+            found.retain(|event| !event.is_contact());
         }
         found.sort_by(|x, y| x.time.total_cmp(&y.time));
         self.pairs = pairs;

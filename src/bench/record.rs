@@ -230,7 +230,7 @@ impl Bench<'_> {
             pipeline.observe(world, None)?;
         }
         let mut recorded = pipeline.finish()?;
-        recorded.finish(world).map_or(Ok(()), Err)?;
+        recorded.finish(world, None).map_or(Ok(()), Err)?;
         recorded.sinks.flush().map_err(|error| error.to_string())?;
         Ok(recorded.sinks)
     }

@@ -15,6 +15,7 @@ pub struct Instant {
 
 /// A phase change of a pair, at its exact time.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct PairEvent {
     /// Kind of event: `merge`, `split`, …
     pub name: &'static str,
@@ -40,6 +41,7 @@ pub struct PairEvent {
 
 /// An event of a single body at a position, for example a tear.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct BodyEvent {
     /// Kind of event: `cut cell`, `split node`, …
     pub name: &'static str,
@@ -54,6 +56,12 @@ pub struct BodyEvent {
 }
 
 impl PairEvent {
+    /// An event of the bodies `a` < `b` at `at.time`, which affects the state of step `at.step`: q [–], and the phases
+    /// before and after it. Its rate is 0 and its energy unknown.
+    pub fn new(name: &'static str, at: Instant, [a, b]: [usize; 2], q: f64, [from, to]: [usize; 2]) -> PairEvent {
+        PairEvent { name, time: at.time, step: at.step, a, b, q, rate: 0.0, from, to, energy: None }
+    }
+
     /// Whether the event is of the kind of a [word](Schema::event_words).
     pub fn is(&self, word: &str) -> bool {
         self.name.split(' ').next() == Some(word)
@@ -61,6 +69,11 @@ impl PairEvent {
 }
 
 impl BodyEvent {
+    /// An event of a body at `at.time`, which affects the state of step `at.step`, and its place [scene unit].
+    pub fn new(name: &'static str, at: Instant, body: usize, place: DVec3) -> BodyEvent {
+        BodyEvent { name, time: at.time, step: at.step, body, place }
+    }
+
     /// Describes the event in words.
     pub fn describe(&self, schema: &Schema) -> String {
         let BodyEvent { name, time, step, body, place: DVec3 { x, y, z } } = *self;

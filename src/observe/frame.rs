@@ -13,7 +13,7 @@ use crate::geometry::{Mesh, Rest, Vectors};
 pub struct Want {
     /// Whether forces by term, vertex labels and springs are included.
     pub forces: bool,
-    /// Whether the scalars of the state are included.
+    /// Whether the scalars of the state are included, and those of bodies and pairs.
     pub scalars: bool,
 }
 
@@ -24,6 +24,7 @@ impl Want {
 
 /// The state at an instant. Frames are reused from one instant to the next.
 #[derive(Clone, Debug, Default)]
+#[non_exhaustive]
 pub struct Frame {
     /// The instant of the state.
     pub at: Instant,
@@ -33,15 +34,23 @@ pub struct Frame {
     pub pairs: Vec<PairFrame>,
     /// Scalars in the order of the schema; entries of scalars that do not describe the state are ignored.
     pub scalars: Vec<f64>,
+    /// The scalars of each body, body by body, `[bodies × body_scalars]`: NaN where a body has no such number.
+    pub body_scalars: Vec<f64>,
+    /// The scalars of each of `pairs`, pair by pair, `[pairs × pair_scalars]`: NaN where a pair has no such number.
+    pub pair_scalars: Vec<f64>,
 }
 
 /// A body at an instant. Reused from one frame to the next.
 #[derive(Clone, Debug, Default)]
+#[non_exhaustive]
 pub struct BodyFrame {
     /// Position of its centre [scene unit].
     pub centre: DVec3,
     /// Rotation Q of its rest shape: a vertex at rest is at centre + Q l. The identity for a body that does not rotate.
     pub rotation: DQuat,
+    /// Whether it is not there, yet or any more ([`BodySchema::can_be_absent`]). It is then at rest, and in no pair; its
+    /// centre is of no importance. All its vertices count as being at its centre.
+    pub is_absent: bool,
     /// Whether every displacement and velocity is exactly zero; if so, the vectors are empty.
     pub is_at_rest: bool,
     /// The mesh of a body that has torn ([`BodySchema::can_tear`]); `None` for the schema's mesh. Tearing only adds
@@ -59,10 +68,13 @@ pub struct BodyFrame {
     pub lengths: Vec<f64>,
     /// The largest |x| [scene unit].
     pub max_displacement: f64,
-    /// Whether `terms` has any force on the body.
+    /// Whether `terms` or `point_forces` has any force on the body.
     pub has_forces: bool,
     /// Accelerations of the vertices, one entry per force term of the schema.
     pub terms: Vec<TermFrame>,
+    /// Forces at points that are no vertices, such as contacts, in any order: as many as there are, each with a source of
+    /// its own.
+    pub point_forces: Vec<PointForce>,
     /// A label for each vertex, as an index into the schema's labels, `[vertex_count]`; empty if no force acts.
     pub labels: Vec<u8>,
     /// The springs of a body that is made of them ([`BodySchema::has_springs`]), in any order; broken ones are left out.
@@ -75,6 +87,7 @@ pub struct BodyFrame {
 
 /// A spring of a body.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct SpringFrame {
     /// Positions of its ends relative to the centre of the body [scene unit].
     pub ends: [DVec3; 2],
@@ -82,8 +95,23 @@ pub struct SpringFrame {
     pub strain: f64,
 }
 
+/// A force of a term at a point of a body.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct PointForce {
+    /// Index into the schema's terms.
+    pub term: usize,
+    /// The point, relative to the centre of the body and in world axes [scene unit].
+    pub place: DVec3,
+    /// The acceleration that it gives the body [scene unit/s²].
+    pub acceleration: DVec3,
+    /// Index of the body that causes it, if it is one.
+    pub source: Option<u32>,
+}
+
 /// Rigid motion of a free body.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub struct MotionFrame {
     /// Velocity of its centre [scene unit/s].
     pub velocity: DVec3,
@@ -93,6 +121,7 @@ pub struct MotionFrame {
 
 /// Net force and torque on a free body.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub struct NetForce {
     /// Force at its centre [mass · scene unit/s²].
     pub force: DVec3,
@@ -102,6 +131,7 @@ pub struct NetForce {
 
 /// The contribution of one force term to a body.
 #[derive(Clone, Debug, Default)]
+#[non_exhaustive]
 pub struct TermFrame {
     /// Accelerations [scene unit/s²], `[vertex_count]`; empty if all are zero.
     pub accelerations: Vectors,
@@ -111,6 +141,7 @@ pub struct TermFrame {
 
 /// A pair of bodies at an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct PairFrame {
     /// Index of the first body.
     pub a: usize,
@@ -120,6 +151,49 @@ pub struct PairFrame {
     pub q: f64,
     /// Index into the schema's phases.
     pub phase: usize,
+}
+
+impl SpringFrame {
+    /// A spring between two positions relative to the centre of the body [scene unit], and its strain [–].
+    pub fn new(ends: [DVec3; 2], strain: f64) -> SpringFrame {
+        SpringFrame { ends, strain }
+    }
+}
+
+impl PointForce {
+    /// A force of a term at a point relative to the centre of the body [scene unit]: the acceleration that it gives the
+    /// body [scene unit/s²], and the body that causes it, if it is one.
+    pub fn new(term: usize, place: DVec3, acceleration: DVec3, source: Option<u32>) -> PointForce {
+        PointForce { term, place, acceleration, source }
+    }
+}
+
+impl MotionFrame {
+    /// A velocity [scene unit/s] and an angular velocity [rad/s].
+    pub fn new(velocity: DVec3, spin: DVec3) -> MotionFrame {
+        MotionFrame { velocity, spin }
+    }
+}
+
+impl NetForce {
+    /// A force [mass · scene unit/s²] and a torque [mass · scene unit²/s²].
+    pub fn new(force: DVec3, torque: DVec3) -> NetForce {
+        NetForce { force, torque }
+    }
+}
+
+impl TermFrame {
+    /// Accelerations of the vertices [scene unit/s²], by one body if `source` is given.
+    pub fn new(accelerations: Vectors, source: Option<u32>) -> TermFrame {
+        TermFrame { accelerations, source }
+    }
+}
+
+impl PairFrame {
+    /// The pair of bodies `a` < `b` with this q [–], in a phase of the schema.
+    pub fn new(a: usize, b: usize, q: f64, phase: usize) -> PairFrame {
+        PairFrame { a, b, q, phase }
+    }
 }
 
 impl BodyFrame {
@@ -159,6 +233,7 @@ impl BodyFrame {
     pub fn clear_forces(&mut self) {
         self.has_forces = false;
         self.terms.iter_mut().for_each(|term| term.accelerations.clear());
+        self.point_forces.clear();
         self.labels.clear();
         self.springs.clear();
         self.net_force = None;
@@ -166,7 +241,9 @@ impl BodyFrame {
 
     /// Writes the vertex positions relative to the centre [scene unit] to `positions` (reused), whether at rest or not.
     pub fn local_positions(&self, rest: Rest<'_>, positions: &mut Vectors) {
-        if self.is_at_rest {
+        if self.is_absent {
+            positions.reset(rest.len());
+        } else if self.is_at_rest {
             rest_positions(rest, self.rotation, positions);
         } else {
             positions.copy_from(&self.positions);
@@ -176,7 +253,7 @@ impl BodyFrame {
     /// Writes the vertex positions in body axes, l + Q⁻¹ x [scene unit], to `positions` (reused). For an undeformed
     /// body, they are exactly those of its rest shape at any rotation.
     pub fn body_positions(&self, rest: Rest<'_>, positions: &mut Vectors) {
-        if self.rotation == DQuat::IDENTITY {
+        if self.is_absent || self.rotation == DQuat::IDENTITY {
             return self.local_positions(rest, positions);
         }
         rest_positions(rest, DQuat::IDENTITY, positions);
@@ -200,6 +277,7 @@ impl BodyFrame {
             + vectors.iter().sum::<usize>()
             + self.lengths.capacity() * size_of::<f64>()
             + self.labels.capacity()
+            + self.point_forces.capacity() * size_of::<PointForce>()
             + self.springs.capacity() * size_of::<SpringFrame>()
             + terms
     }
@@ -224,6 +302,7 @@ impl Frame {
     pub fn memory(&self) -> usize {
         self.bodies.iter().map(BodyFrame::memory).sum::<usize>()
             + self.pairs.capacity() * size_of::<PairFrame>()
-            + self.scalars.capacity() * size_of::<f64>()
+            + [&self.scalars, &self.body_scalars, &self.pair_scalars].map(Vec::capacity).iter().sum::<usize>()
+                * size_of::<f64>()
     }
 }

@@ -18,6 +18,7 @@
 
 pub mod event;
 pub mod frame;
+mod name;
 pub mod parameter;
 pub mod row;
 pub mod run;
@@ -27,7 +28,8 @@ pub mod surface;
 pub(crate) mod verify;
 
 pub use event::{BodyEvent, Instant, PairEvent};
-pub use frame::{BodyFrame, Frame, MotionFrame, NetForce, PairFrame, SpringFrame, Want};
+pub use frame::{BodyFrame, Frame, MotionFrame, NetForce, PairFrame, PointForce, SpringFrame, Want};
+pub use name::name;
 pub use parameter::{Branch, InvalidVariation, Parameter, Poke, Variation};
 pub use row::EventRow;
 pub use run::Run;

@@ -49,6 +49,12 @@ impl Run {
         self.failure.as_ref().is_none_or(StepFailure::is_whole_step)
     }
 
+    /// Why the run failed, in words; an interrupt is no failure.
+    pub fn cause(&self) -> Option<String> {
+        let is_cause = |failure: &&StepFailure| !matches!(failure, StepFailure::Interrupted(_));
+        self.failure.as_ref().filter(is_cause).map(ToString::to_string)
+    }
+
     /// Takes a step as [`step`](Run::step) does, for those who need valid states only. Returns whether there is a new one.
     ///
     /// # Errors

@@ -45,7 +45,7 @@ pub struct Schema {
     pub points: Vec<PointSchema>,
     /// Later influence spheres and planes, in order of time; none if they do not change.
     pub changes: Vec<SchemaChange>,
-    /// Force terms that accelerate vertices. The last one is the sum of all others.
+    /// Force terms that accelerate vertices, in any order.
     pub terms: Vec<TermSchema>,
     /// Texts of [`BodyFrame::labels`](super::BodyFrame::labels). The first one is for vertices on which no force acts.
     pub labels: Vec<&'static str>,
@@ -63,6 +63,11 @@ pub struct Schema {
     pub surfaces: OwnSurfaces,
     /// Scalars plotted over time.
     pub scalars: Vec<ScalarSchema>,
+    /// Scalars of the state that each body has: see [`Frame::body_scalars`](super::Frame::body_scalars).
+    pub body_scalars: Vec<ScalarSchema>,
+    /// Scalars of the state that each pair of [`Frame::pairs`](super::Frame::pairs) has: see
+    /// [`Frame::pair_scalars`](super::Frame::pair_scalars).
+    pub pair_scalars: Vec<ScalarSchema>,
     /// Stages of a step whose duration is measured, in order.
     pub stages: Vec<&'static str>,
     /// Warnings about the scene, one sentence each.
@@ -136,6 +141,8 @@ pub struct BodySchema {
     pub color: Option<Rgb>,
     /// Whether its mesh may differ from `mesh` in some frames; see [`BodyFrame::mesh`](super::BodyFrame::mesh).
     pub can_tear: bool,
+    /// Whether it comes or goes during the run; see [`BodyFrame::is_absent`](super::BodyFrame::is_absent).
+    pub can_be_absent: bool,
     /// Whether frames with forces have its springs; see [`BodyFrame::springs`](super::BodyFrame::springs).
     pub has_springs: bool,
 }
@@ -166,6 +173,8 @@ pub struct TermSchema {
     pub can_act: bool,
     /// Whether its arrows are visible when the recording is opened.
     pub is_shown: bool,
+    /// Whether it is the sum of all others, which at most one is. Without one, the net force of a vertex is that sum.
+    pub is_sum: bool,
     /// Whether it accelerates all vertices of a body equally: one arrow at the centre represents them all.
     pub is_uniform: bool,
     /// Length of its arrows per acceleration [scene unit per scene unit/s²], if it is usually much stronger or weaker
@@ -321,6 +330,8 @@ impl Default for Schema {
             own_levels: OwnLevels::default(),
             surfaces: OwnSurfaces::default(),
             scalars: Vec::new(),
+            body_scalars: Vec::new(),
+            pair_scalars: Vec::new(),
             stages: Vec::new(),
             warnings: Vec::new(),
         }
@@ -342,6 +353,7 @@ impl BodySchema {
             mass: 1.0,
             color: None,
             can_tear: false,
+            can_be_absent: false,
             has_springs: false,
         }
     }
@@ -376,6 +388,7 @@ impl TermSchema {
             has_source: false,
             can_act: true,
             is_shown: true,
+            is_sum: false,
             is_uniform: false,
             arrow_scale: None,
         }

@@ -107,7 +107,8 @@ pub trait Simulation {
 
     /// Touch and part events of pairs in the last step, in order of time, if the simulation detects them itself
     /// ([`Finding::Touch`](super::surface::Finding::Touch) and `Part` only). If `None`, they are searched for in
-    /// the states that [`within`](Simulation::within) returns.
+    /// the states that [`within`](Simulation::within) returns; if [`Schema::events`] has a kind `touch` or `part`, those of
+    /// the simulation take their place.
     fn contacts(&self) -> Option<&[SurfaceEvent]> {
         None
     }
@@ -176,6 +177,7 @@ pub fn between(schema: &Schema, ends: [&Frame; 2], time: f64, bodies: &[usize], 
 
 /// A pair that can interact, and how its centres move.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct NearPair {
     /// Index of the first body.
     pub a: usize,
@@ -187,6 +189,14 @@ pub struct NearPair {
     pub apart: DVec3,
     /// Its rate of change [scene unit/s].
     pub rate: DVec3,
+}
+
+impl NearPair {
+    /// The bodies `a` < `b` in a phase of the schema, with the centre of the second as seen from that of the first
+    /// [scene unit], and its rate of change [scene unit/s].
+    pub fn new([a, b]: [usize; 2], phase: usize, apart: DVec3, rate: DVec3) -> NearPair {
+        NearPair { a, b, phase, apart, rate }
+    }
 }
 
 /// A scene, from which a simulation can be started any number of times.
@@ -230,6 +240,9 @@ pub trait Experiment: Debug + Send + Sync {
 /// Recreates an experiment from the contents of a recording, see [`Experiment::read`].
 pub type ReadExperiment<'a> = dyn Fn(&str, &str, &toml::Table) -> Result<Arc<dyn Experiment>, Refusal> + 'a;
 
+/// Finds an experiment by its name; the error says which there are.
+pub type FindExperiment<'a> = dyn Fn(&str) -> Result<Arc<dyn Experiment>, String> + 'a;
+
 /// Why an experiment cannot be recreated. The text is the reason.
 #[derive(Clone, Debug)]
 pub enum Refusal {
@@ -241,6 +254,7 @@ pub enum Refusal {
 
 /// Summary of a step. Reused from one step to the next.
 #[derive(Clone, Debug, Default)]
+#[non_exhaustive]
 pub struct StepSummary {
     /// Step number, and simulated time at the end of the step.
     pub at: Instant,
@@ -260,6 +274,7 @@ pub struct StepSummary {
 
 /// A body whose estimated error exceeds the tolerance.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Shortfall {
     /// Index of the body with the largest ratio of `error` to `allowed`.
     pub body: usize,
@@ -270,6 +285,11 @@ pub struct Shortfall {
 }
 
 impl Shortfall {
+    /// An error of a body and the error that is allowed [radii of the body].
+    pub fn new(body: usize, error: f64, allowed: f64) -> Shortfall {
+        Shortfall { body, error, allowed }
+    }
+
     /// Ratio of the error to the allowed error [–].
     pub fn ratio(&self) -> f64 {
         self.error / self.allowed
@@ -308,9 +328,17 @@ impl StepFailure {
 
 /// The state at a stage inside a step.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct StageFrame {
     /// Name of the operation just completed.
     pub name: String,
     /// State and forces at that point.
     pub frame: Frame,
+}
+
+impl StageFrame {
+    /// The state after an operation of this name.
+    pub fn new(name: impl Into<String>, frame: Frame) -> StageFrame {
+        StageFrame { name: name.into(), frame }
+    }
 }

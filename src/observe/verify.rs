@@ -7,8 +7,8 @@ use glam::DVec3;
 
 use super::{
     event::{BodyEvent, Instant, PairEvent},
-    frame::{BodyFrame, Frame, PairFrame, TermFrame, Want},
-    schema::{BodySchema, Schema},
+    frame::{BodyFrame, Frame, PairFrame, PointForce, TermFrame, Want},
+    schema::{BodySchema, ScalarOf, Schema},
     simulation::{Experiment, Simulation, StepSummary},
 };
 use crate::geometry::{Vectors, union::Topology};
@@ -135,9 +135,18 @@ impl Mistakes {
         self.names("bodies", bodies.iter().map(|body| body.name.as_str()), true);
         self.names("phases", phases.iter().map(|phase| phase.name), true);
         self.names("terms", terms.iter().map(|term| term.name), true);
+        let sums = terms.iter().filter(|term| term.is_sum).count();
+        self.ensure(sums <= 1, || format!("schema.terms has {sums} terms with is_sum, expected at most one"));
         self.names("events", schema.events.iter().map(|event| event.name), false);
         self.names("thresholds", schema.thresholds.iter().map(|threshold| threshold.name), true);
         self.names("scalars", schema.scalars.iter().map(|scalar| scalar.name), true);
+        for (list, scalars) in [("body_scalars", &schema.body_scalars), ("pair_scalars", &schema.pair_scalars)] {
+            self.names(list, scalars.iter().map(|scalar| scalar.name), true);
+            let other = scalars.iter().position(|scalar| scalar.of != ScalarOf::State);
+            self.ensure(other.is_none(), || {
+                format!("schema.{list}[{}].of: expected ScalarOf::State", other.unwrap_or_default())
+            });
+        }
         self.names("stages", schema.stages.iter().copied(), true);
         let mut closed = HashSet::new();
         for (index, body) in bodies.iter().enumerate() {
@@ -257,6 +266,8 @@ impl Mistakes {
             self.ensure(a < b && b < count, || {
                 format!("{}: the pair is ({a}, {b}), expected a < b < {count}", field("a, b"))
             });
+            let absent = [a, b].into_iter().find(|&body| frame.bodies.get(body).is_some_and(|now| now.is_absent));
+            self.ensure(absent.is_none(), || format!("{}: body {absent:?} is absent", field("a, b")));
             self.ensure(phase < phases, || format!("{} is {phase}, but there are {phases} phases", field("phase")));
             self.ensure(q.is_finite(), || format!("{} is {q:?}, expected a finite number", field("q")));
         }
@@ -264,6 +275,17 @@ impl Mistakes {
         self.ensure(frame.scalars.len() == scalars, || {
             format!("frame.scalars in step {step} has {} entries, expected {scalars}", frame.scalars.len())
         });
+        if want.scalars {
+            let [of_bodies, of_pairs] = [schema.body_scalars.len(), schema.pair_scalars.len()];
+            for (list, values, expected) in [
+                ("body_scalars", &frame.body_scalars, count * of_bodies),
+                ("pair_scalars", &frame.pair_scalars, frame.pairs.len() * of_pairs),
+            ] {
+                self.ensure(values.len() == expected, || {
+                    format!("frame.{list} in step {step} has {} entries, expected {expected}", values.len())
+                });
+            }
+        }
     }
 
     fn body(
@@ -275,6 +297,12 @@ impl Mistakes {
         deeply: bool,
         field: impl Fn(&str) -> String,
     ) {
+        self.ensure(!now.is_absent || body.can_be_absent, || {
+            format!("{} is set, but not `can_be_absent` of the body in the schema", field("is_absent"))
+        });
+        self.ensure(!now.is_absent || now.is_at_rest && !now.has_forces, || {
+            format!("{} is set for a body that is not at rest or has forces", field("is_absent"))
+        });
         let vertices = now.mesh_of(body).vertex_count();
         let expected = if now.is_at_rest { 0 } else { vertices };
         self.ensure(now.centre.is_finite(), || {
@@ -304,6 +332,9 @@ impl Mistakes {
                 .all(|spring| spring.strain.is_finite() && spring.ends.iter().all(|end| end.is_finite()));
             self.ensure(is_number, || format!("{} has a number that is not finite", field("springs")));
         }
+        self.ensure(now.has_forces || now.point_forces.is_empty(), || {
+            format!("{} has forces, but has_forces is not set", field("point_forces"))
+        });
         if !want.forces || !now.has_forces {
             return;
         }
@@ -320,19 +351,21 @@ impl Mistakes {
                     field(&format!("terms[{index}].accelerations"))
                 )
             });
-            let exists = source.is_none_or(|source| (source as usize) < schema.bodies.len() + schema.points.len());
-            self.ensure(exists, || {
-                format!(
-                    "{} is {source:?}, but there are {} bodies",
-                    field(&format!("terms[{index}].source")),
-                    schema.bodies.len()
-                )
-            });
+            self.source(schema, *source, || field(&format!("terms[{index}].source")));
             if deeply {
                 self.ensure(is_finite(accelerations), || {
                     format!("{} has a number that is not finite", field(&format!("terms[{index}].accelerations")))
                 });
             }
+        }
+        for (index, force) in now.point_forces.iter().enumerate() {
+            let field = |part: &str| field(&format!("point_forces[{index}].{part}"));
+            let &PointForce { term, place, acceleration, source } = force;
+            self.ensure(term < terms, || format!("{} is {term}, but there are {terms} terms", field("term")));
+            self.ensure(place.is_finite() && acceleration.is_finite(), || {
+                format!("{} is not finite", field("place or acceleration"))
+            });
+            self.source(schema, source, || field("source"));
         }
         let labels = now.labels.len();
         self.ensure(labels == 0 || labels == vertices, || {
@@ -341,6 +374,15 @@ impl Mistakes {
         let wrong = now.labels.iter().find(|&&label| usize::from(label) >= schema.labels.len());
         self.ensure(wrong.is_none(), || {
             format!("{} has the label {wrong:?}, but schema.labels has {}", field("labels"), schema.labels.len())
+        });
+    }
+}
+
+impl Mistakes {
+    fn source(&mut self, schema: &Schema, source: Option<u32>, field: impl Fn() -> String) {
+        let count = schema.bodies.len();
+        self.ensure(source.is_none_or(|source| (source as usize) < count), || {
+            format!("{} is {source:?}, but there are {count} bodies", field())
         });
     }
 }

@@ -61,16 +61,29 @@ impl Contents {
     /// # Errors
     /// There is no such recording, the file holds several and none is named, or it is not a valid recording.
     pub fn only(self, name: Option<&str>, read: &ReadExperiment<'_>) -> Result<Recorded, ReadError> {
+        self.recorded(self.index(name)?, read)
+    }
+
+    /// The place of the recording of this name or id among the [names](Contents::names); without one, that of the only
+    /// recording.
+    ///
+    /// # Errors
+    /// There is no such recording, or the file holds several and none is named.
+    pub fn index(&self, name: Option<&str>) -> Result<usize, ReadError> {
         let names = self.names();
-        let index = match name {
-            None if names.len() == 1 => 0,
-            None => return Err(self.several("it holds")),
+        match name {
+            None if names.len() == 1 => Ok(0),
+            None => Err(self.several("it holds")),
             Some(name) => {
                 let index = names.iter().zip(&self.found).position(|(known, of)| *known == name || of.id == name);
-                index.ok_or_else(|| self.several(&format!("there is no {name:?} among its")))?
+                index.ok_or_else(|| self.several(&format!("there is no {name:?} among its")))
             }
-        };
-        self.recorded(index, read)
+        }
+    }
+
+    /// The name of the scene of a recording; several may have the same.
+    pub fn scene(&self, index: usize) -> &str {
+        self.found[index].name()
     }
 
     /// Recreates a recording; `index` is its place among the [names](Contents::names).

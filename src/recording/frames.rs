@@ -412,6 +412,15 @@ impl FrameReader {
                 let rotations = quaternions(&InstancePoses3D::descriptor_quaternions());
                 let bodies = self.resting.get(&entity).map(Vec::as_slice).unwrap_or_default();
                 bodies.iter().zip(rotations).for_each(|(&body, rotation)| self.rotations[body] = rotation);
+                // an absent body has no extent
+                for (&body, scale) in bodies.iter().zip(vectors(&InstancePoses3D::descriptor_scales())) {
+                    let Some(surface) = &mut self.surfaces[body] else { continue };
+                    let was_absent = surface.positions.iter().all(|position| *position == Vec3::ZERO);
+                    if was_absent != (scale == Vec3::ZERO) {
+                        let rest = mesh.at(if was_absent { self.schema.bodies[body].radius } else { 0.0 });
+                        surface.positions = (0..rest.len()).map(|i| rest.position(i).as_vec3()).collect();
+                    }
+                }
             } else if raw(chunk, &VERTEX_BODY.descriptor(), row).is_some() {
                 let resting = bodies()?;
                 let surface = |body: usize| {

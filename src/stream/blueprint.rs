@@ -8,10 +8,10 @@ use glam::DVec3;
 use super::{
     chunks::{Chunks, blueprint_time},
     contract::{
-        ABOUT, ALONG, BODY, BODY_SURFACE, DEFORMING, DIAGNOSTIC, DIFFERENCE, DRAWN, EVENTS, Entity, FORCE, GROUP_LINE,
-        INFLUENCE, LAG, LEGEND, MAP, MARKS_AT_Q, MARKS_ON_AXIS, MEASURE, MERGED, MERGED_SURFACE, PAIR_CONTACT,
-        PAIR_DISTANCE, PAIR_GAP, PAIR_LEVEL, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE, PLANE, RESTING, SIM_TIME, SLICE,
-        SPEED, STACKED, STAGE, STAGES, STEP, TRAILS, WORLD,
+        ABOUT, ALONG, BODY, BODY_SCALAR, BODY_SURFACE, DEFORMING, DIAGNOSTIC, DIFFERENCE, DRAWN, EVENTS, Entity, FORCE,
+        GROUP_LINE, INFLUENCE, LAG, LEGEND, MAP, MARKS_AT_Q, MARKS_ON_AXIS, MEASURE, MERGED, MERGED_SURFACE,
+        PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_LEVEL, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR, PLANE,
+        RESTING, SIM_TIME, SLICE, SPEED, STACKED, STAGE, STAGES, STEP, TRAILS, WORLD,
     },
     focus::Focus,
     light, palette,
@@ -120,7 +120,11 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             layout.log(&format!("{plot}/ScalarAxis"), &axis);
         }
     }
+    let owned = || subject.schema.body_scalars.iter().chain(&subject.schema.pair_scalars);
     for (plot, name) in std::mem::take(&mut layout.scalars) {
+        if owned().any(|scalar| scalar.plot == name) {
+            continue; // their ranges are not known
+        }
         let scalars = subject.schema.scalars.iter().zip(&measured.scalars).filter(|(scalar, _)| scalar.plot == name);
         let (mut plotted, mut least) = ([0.0, 0.0], 0.0); // events are marked at 0
         for (scalar, range) in scalars {
@@ -595,11 +599,15 @@ impl Layout {
     /// Plots of the schema's scalars.
     fn diagnostics(&mut self, schema: &Schema) -> Vec<Part> {
         let mut plots: Vec<(&'static str, Vec<String>)> = Vec::new();
-        for scalar in &schema.scalars {
-            let line = including(&DIAGNOSTIC.of(&[scalar.name]));
-            match plots.iter_mut().find(|(plot, _)| *plot == scalar.plot) {
+        let lines = schema.scalars.iter().map(|scalar| (scalar.plot, including(&DIAGNOSTIC.of(&[scalar.name]))));
+        let owned = [(&BODY_SCALAR, &schema.body_scalars), (&PAIR_SCALAR, &schema.pair_scalars)];
+        let owned = owned.into_iter().flat_map(|(of, scalars)| {
+            scalars.iter().map(|scalar| (scalar.plot, format!("+ {}/{}/**", of.family(), scalar.name)))
+        });
+        for (name, line) in lines.chain(owned) {
+            match plots.iter_mut().find(|(plot, _)| *plot == name) {
                 Some((_, lines)) => lines.push(line),
-                None => plots.push((scalar.plot, vec![line])),
+                None => plots.push((name, vec![line])),
             }
         }
         let mut plot = |(name, lines): (&'static str, Vec<String>)| {

@@ -112,7 +112,7 @@ entities! {
     FORCES = "/world/forces" ["AnnotationContext"]
         "Names of the pairs of bodies between which forces act, as classes of arrows.";
     FORCE = "/world/forces/CAUSE" ["Arrows3D"]
-        "Accelerations of vertices by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre.";
+        "Accelerations of vertices and of points of contact by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre.";
     POINTS = "/world/points" ["Ellipsoids3D"]
         "The influence spheres of force points, while they act.";
     SPRINGS = "/world/springs/NAME" ["LineStrips3D"]
@@ -137,6 +137,10 @@ entities! {
         "Radius of the seam [radii of the smaller body].";
     PAIR_CONTACT = "/pairs/A~B/contact" ["StateChange, StateConfiguration"]
         "Whether the bodies are joined by their phase, and whether their surfaces touch.";
+    PAIR_SCALAR = "/between/SCALAR/A~B" ["Scalars"]
+        "A scalar of a pair that the simulation names, for the same pairs.";
+    BODY_SCALAR = "/bodies/SCALAR/NAME" ["Scalars"]
+        "A scalar of a body that the simulation names, for the first 64 bodies.";
     GROUP = "/groups/A" ["bodies"]
         "The names of the bodies of the group whose first body is A.";
     GROUP_LINE = "/groups/A/QUANTITY" ["Scalars"]

@@ -116,12 +116,13 @@ impl Arrows {
         }
     }
 
-    /// Appends one arrow at `origin` [scene unit] for an acceleration that all vertices of a body share.
-    pub fn append_one(&mut self, origin: DVec3, acceleration: DVec3, scale: f64) {
+    /// Appends one arrow at `origin` [scene unit], of this class if it has one.
+    pub fn append_one(&mut self, origin: DVec3, acceleration: DVec3, class: Option<u16>, scale: f64) {
         let vector = (scale * acceleration).as_vec3().to_array();
         if vector != [0.0; 3] {
             self.origins.push(origin.as_vec3().to_array());
             self.vectors.push(vector);
+            self.classes.extend(class);
         }
     }
 

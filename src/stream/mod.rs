@@ -45,7 +45,7 @@
 //! | `/world/recent` | LineStrips3D | Pairs that had an event in the last 24 frames, labelled with the event and q. |
 //! | `/world/names` | Points3D | The names of up to 8 bodies. |
 //! | `/world/forces` | AnnotationContext | Names of the pairs of bodies between which forces act, as classes of arrows. |
-//! | `/world/forces/CAUSE` | Arrows3D | Accelerations of vertices by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre. |
+//! | `/world/forces/CAUSE` | Arrows3D | Accelerations of vertices and of points of contact by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre. |
 //! | `/world/points` | Ellipsoids3D | The influence spheres of force points, while they act. |
 //! | `/world/springs/NAME` | LineStrips3D | The springs of a body, blue where they are shorter than at rest, red where longer; with forces, and of at most 64 cells. |
 //! | `/world/trails` | LineStrips3D | The path of the centre of each free body, one segment per frame; not with more than 64 bodies. |
@@ -58,6 +58,8 @@
 //! | `/pairs/A~B/overlap` | Scalars | Volume of the intersection [its radius³]. |
 //! | `/pairs/A~B/neck` | Scalars | Radius of the seam [radii of the smaller body]. |
 //! | `/pairs/A~B/contact` | StateChange, StateConfiguration | Whether the bodies are joined by their phase, and whether their surfaces touch. |
+//! | `/between/SCALAR/A~B` | Scalars | A scalar of a pair that the simulation names, for the same pairs. |
+//! | `/bodies/SCALAR/NAME` | Scalars | A scalar of a body that the simulation names, for the first 64 bodies. |
 //! | `/groups/A` | bodies | The names of the bodies of the group whose first body is A. |
 //! | `/groups/A/QUANTITY` | Scalars | Volume, area, genus, components, Euler characteristic and number of bodies of the group, of its sharp union. |
 //! | `/events` | TextLog, bodies, phases, time, q, rate, energy | One line per change of a phase; a thin recording has all events here. |

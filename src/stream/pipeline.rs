@@ -17,6 +17,7 @@ use std::{
 use super::{
     Recorder, Settings,
     chunks::Audience,
+    contract::FAILURE,
     sinks::{SinkError, Sinks},
     step::{StepRecord, StepWatch},
 };
@@ -73,8 +74,12 @@ pub struct PipelineEnd {
 }
 
 impl PipelineEnd {
-    /// Ends the recording and sends the remaining messages. Returns the reason if that fails.
-    pub fn finish(&mut self, simulation: &dyn Simulation) -> Option<String> {
+    /// Ends the recording of a run, with the [cause](crate::observe::Run::cause) if it failed, and sends the remaining messages. Returns the reason if
+    /// that fails.
+    pub fn finish(&mut self, simulation: &dyn Simulation, cause: Option<&str>) -> Option<String> {
+        if let Some(cause) = cause {
+            self.recorder.log_property(FAILURE, cause);
+        }
         self.recorder.finish(simulation);
         let [is_live, is_recorded] = self.sinks.are_live_and_recorded();
         if !(is_live && is_recorded) {

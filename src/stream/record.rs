@@ -23,7 +23,7 @@ pub enum RecordError {
 }
 
 /// Runs an experiment and records it on a separate thread. Ends after [`Settings::steps`], or with the step at which
-/// the simulation fails. Returns the number of frames.
+/// the simulation fails, whose cause is then in the recording. Returns the number of frames.
 ///
 /// # Errors
 /// The experiment does not start, a destination cannot be opened, or recording fails.
@@ -78,7 +78,8 @@ fn record_to(
         refused = pipeline.observe(&*run.simulation, None).err();
     }
     let mut end = pipeline.finish().map_err(RecordError::Recording)?;
-    if let Some(failure) = refused.or_else(|| end.failure.take()).or_else(|| end.finish(&*run.simulation)) {
+    let unsent = end.finish(&*run.simulation, run.cause().as_deref());
+    if let Some(failure) = refused.or(end.failure).or(unsent) {
         return Err(RecordError::Recording(failure));
     }
     for message in end.recorder.measured_layout(&*run.simulation, Tab::Scene) {

@@ -5,6 +5,7 @@ use super::{
     instant::Instant,
     palette::{Rgb, color},
 };
+use crate::observe::schema::ScalarSchema;
 use crate::sdk::{Scalars, SeriesLines, components::InterpolationMode};
 
 /// Interpolation between the values of a line.
@@ -67,6 +68,29 @@ impl Series {
         let track = chunks.track(entity, [Scalars::descriptor_scalars()]);
         self.lines.push(Line { track, shape, last: None });
         LineId(self.lines.len() - 1)
+    }
+
+    /// Creates the line of a scalar of `owner`, a body or a pair, without points.
+    pub fn scalar(
+        &mut self,
+        chunks: &mut Chunks,
+        entity: &str,
+        scalar: &ScalarSchema,
+        owner: &str,
+        rgb: Rgb,
+    ) -> LineId {
+        let shape = if scalar.is_smooth { Interpolation::Linear } else { Interpolation::Step };
+        Series::style(chunks, entity, &format!("{} {owner}", scalar.label), rgb, 1.5, shape);
+        self.line(chunks, entity, shape)
+    }
+
+    /// Adds a point to a line if there is a value and it has changed; without one, ends the line until the next.
+    pub fn log_or_interrupt(&mut self, chunks: &mut Chunks, line: LineId, value: f64, now: Instant) {
+        if value.is_nan() {
+            self.interrupt(chunks, line, now);
+        } else {
+            self.log(chunks, line, value, now);
+        }
     }
 
     /// Adds a point to a line if the value has changed.

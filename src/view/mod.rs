@@ -328,6 +328,7 @@ pub fn schema(scene: &Scene) -> Schema {
         is_free: body.path().is_none(),
         mass: body.mass,
         color: body.color,
+        can_be_absent: false,
         can_tear: false,
         has_springs: false,
     });
@@ -387,6 +388,7 @@ pub fn schema(scene: &Scene) -> Schema {
             .collect(),
         stages: Stage::ALL.map(Stage::name).into(),
         warnings: scene.warnings(),
+        ..Schema::default()
     }
 }
 

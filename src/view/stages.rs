@@ -158,7 +158,7 @@ fn frame_of(
         pair_frame(PairView { a, b, q, phase: recomputed.phase(a, b, phases_at) })
     });
     let at = Instant { step: world.steps_taken(), time: t };
-    Frame { at, pairs: pairs.collect(), bodies, scalars: Vec::new() }
+    Frame { at, pairs: pairs.collect(), bodies, ..Frame::default() }
 }
 
 /// Writes the state of some bodies at a time within the step that led from `before` to the current state of the world,

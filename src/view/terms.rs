@@ -69,7 +69,8 @@ pub fn term(scene: &Scene, cause: Cause) -> TermSchema {
     let has_source = matches!(cause, Cause::Attraction | Cause::Repulsion | Cause::Core);
     let is_uniform = matches!(cause, Cause::Gravity | Cause::Reaction);
     let arrow_scale = matches!(cause, Cause::Plane).then(|| plane_scale(scene)).flatten();
-    TermSchema { name: cause.name(), label, color, has_source, can_act, is_shown, is_uniform, arrow_scale }
+    let (name, is_sum) = (cause.name(), cause == Cause::Net);
+    TermSchema { name, label, color, has_source, can_act, is_shown, is_sum, is_uniform, arrow_scale }
 }
 
 /// The interaction between bodies in words.

@@ -7,7 +7,14 @@ use meldscope::{
     Scene, World,
     geometry::Vectors,
     model::phase::Phase,
-    observe::{self, Experiment, Frame, Refusal, Schema, Simulation, StepSummary, Want},
+    observe::{
+        self, Experiment, Frame, PointForce, Refusal, Schema, Simulation, StepFailure, StepSummary, Want,
+        schema::ScalarOf,
+    },
+    recording::{
+        Recorded,
+        replay::{self, Verdict},
+    },
     scene::{Body, Force, FreeMotion, Motion, Path, Push, Response},
     sim::{EditError, WorldError},
     stream::{self, Settings, sinks::Destinations},
@@ -290,7 +297,10 @@ fn mistakes_of_an_implementer_are_named() {
     assert_eq!(observe::verify(&Octahedra::two(3.0), 100), Ok(()));
     assert_eq!(observe::verify(&Scene::builtin("three").expect("built in"), 100), Ok(()));
     assert_eq!(observe::verify(&balls(), 60), Ok(()));
-    let schemas: [Mistake<Schema>; 11] = [
+    let schemas: [Mistake<Schema>; 14] = [
+        ("schema.terms has 3 terms with is_sum", |schema| schema.terms.iter_mut().for_each(|term| term.is_sum = true)),
+        ("schema.pair_scalars[0].name is \"a/b\"", |schema| schema.pair_scalars[0].name = "a/b"),
+        ("schema.body_scalars[0].of", |schema| schema.body_scalars[0].of = ScalarOf::SumOfSteps),
         ("schema.phases is empty", |schema| schema.phases.clear()),
         ("schema.bodies is empty", |schema| schema.bodies.clear()),
         ("schema.bodies[1].name is \"a\"", |schema| schema.bodies[1].name = "a".to_owned()),
@@ -310,7 +320,16 @@ fn mistakes_of_an_implementer_are_named() {
             schema.bodies[0].mesh = Arc::new(meldscope::geometry::Mesh::new(mesh.positions().clone(), open));
         }),
     ];
-    let frames: [Mistake<Frame>; 13] = [
+    let frames: [Mistake<Frame>; 20] = [
+        ("frame.bodies[0].is_absent in step 0 is set, but not", |frame| frame.bodies[0].is_absent = true),
+        ("frame.bodies[1].point_forces[0].term", |frame| frame.bodies[1].point_forces = vec![point(7, DVec3::X, 0)]),
+        ("frame.bodies[1].point_forces[0].place", |frame| frame.bodies[1].point_forces = vec![point(0, DVec3::NAN, 0)]),
+        ("frame.bodies[1].point_forces[0].source", |frame| frame.bodies[1].point_forces = vec![point(0, DVec3::X, 2)]),
+        ("but has_forces is not set", |frame| {
+            (frame.bodies[1].point_forces, frame.bodies[1].has_forces) = (vec![point(0, DVec3::X, 0)], false);
+        }),
+        ("frame.body_scalars in step 0 has 1 entries, expected 2", |frame| frame.body_scalars.truncate(1)),
+        ("frame.pair_scalars in step 0 has 0 entries, expected 1", |frame| frame.pair_scalars.clear()),
         ("frame.bodies in step 0 has 1 entries, expected 2", |frame| frame.bodies.truncate(1)),
         ("frame.bodies[1].displacements in step 0 has 3", |frame| frame.bodies[1].displacements = some(3)),
         ("frame.bodies[1].velocities in step 0 has 3", |frame| frame.bodies[1].velocities = some(3)),
@@ -351,6 +370,32 @@ fn mistakes_of_an_implementer_are_named() {
         let refused = stream::record(&broken, Settings::of(&broken), &destinations).expect_err(text).to_string();
         assert!(refused.contains(text), "expected {text:?}: {refused}");
     }
+}
+
+/// A run that fails is recorded up to there, with the cause.
+#[test]
+fn why_a_run_failed_is_recorded() {
+    let diverges = Broken {
+        summary: |summary| {
+            let failure = || StepFailure::Diverged("the octahedra have burst".to_owned());
+            summary.failure = (summary.at.step == 7).then(failure);
+        },
+        ..Broken::NOWHERE
+    };
+    let (dir, settings) = (Dir::new(), Settings::of(&diverges));
+    let destinations = Destinations { save: Some(dir.file("x.rrd")), ..Destinations::default() };
+    assert_eq!(stream::record(&diverges, settings, &destinations).expect("a recording"), 8);
+    let open = |read: Broken| Recorded::open_as(&dir.file("x.rrd"), &|_, _, _| Ok(Arc::new(read)));
+    let recorded = open(diverges).expect("a recording");
+    assert_eq!((recorded.failure.as_deref(), recorded.last()), (Some("the octahedra have burst"), 7));
+    let verdict = |recorded: &Recorded| replay::verify(recorded, |_| true).expect("it runs");
+    assert_eq!(verdict(&recorded), Verdict::Identical);
+    let mended = open(Broken::NOWHERE).expect("a recording");
+    assert_eq!(verdict(&mended), Verdict::OtherEnd { replayed: None });
+}
+
+fn point(term: usize, place: DVec3, source: u32) -> PointForce {
+    PointForce::new(term, place, DVec3::Z, Some(source))
 }
 
 fn some(count: usize) -> Vectors {

@@ -23,6 +23,7 @@ mod reach;
 mod recording;
 mod reference;
 mod replay;
+mod rigid;
 mod rims;
 mod scale;
 mod scene_format;

@@ -10,7 +10,8 @@ use meldscope::{
     geometry::{Mesh, Vectors},
     hash,
     observe::{
-        BodyFrame, Experiment, Frame, Instant, PairEvent, PairFrame, Refusal, Schema, Simulation, StepSummary, Want,
+        BodyFrame, Experiment, Frame, Instant, InvalidVariation, PairEvent, PairFrame, Parameter, Refusal, Schema,
+        Simulation, StepSummary, Variation, Want,
         frame::TermFrame,
         schema::{BodySchema, ScalarOf, ScalarSchema, TermSchema},
     },
@@ -59,6 +60,10 @@ impl Projected {
         if body == 1 { DQuat::from_rotation_z(1.3 * self.time()) } else { DQuat::IDENTITY }
     }
 
+    fn at(&self) -> Instant {
+        Instant { step: self.step, time: self.time() }
+    }
+
     fn forces(&self, body: usize, i: usize) -> [DVec3; 2] {
         let grip = if self.phase == 1 && body < 2 { self.pull } else { 0.0 };
         [-50.0 * self.moved[body].get(i), grip * (self.centre(usize::from(body == 0)) - self.centre(body))]
@@ -83,24 +88,23 @@ impl Simulation for Projected {
             self.moved[body].set(i, x + dt * u);
         }
         self.step += 1;
-        let (from, q, time, step) = (self.phase, self.centre(1).length() / 2.0, self.time(), self.step);
+        let (from, q, at) = (self.phase, self.centre(1).length() / 2.0, self.at());
         self.phase = usize::from(q < if from == 1 { SLIP } else { GRIP });
         let name = ["slip", "grip"][self.phase];
-        let event = PairEvent { name, time, step, a: 0, b: 1, q, rate: 0.0, from, to: self.phase, energy: None };
+        let event = PairEvent::new(name, at, [0, 1], q, [from, self.phase]);
         self.events = if from == self.phase { Vec::new() } else { vec![event] };
     }
     fn summary(&self, summary: &mut StepSummary) {
-        let (at, timings) = (Instant { step: self.step, time: self.time() }, vec![Duration::ZERO]);
-        let (events, scalars) = (self.events.clone(), vec![0.0, 12.0]);
-        *summary = StepSummary { at, events, timings, scalars, shortfall: None, warning: None, failure: None };
+        (summary.at, summary.events) = (self.at(), self.events.clone());
+        (summary.timings, summary.scalars) = (vec![Duration::ZERO], vec![0.0, 12.0]);
     }
     fn checksum(&self) -> u64 {
         let numbers = self.moved.iter().chain(&self.velocity).flat_map(Vectors::iter).flat_map(|v| v.to_array());
         hash::sequence(numbers.map(f64::to_bits).chain([self.phase as u64]))
     }
     fn observe(&self, want: Want, frame: &mut Frame) {
-        frame.at = Instant { step: self.step, time: self.time() };
-        frame.pairs = vec![PairFrame { a: 0, b: 1, q: self.centre(1).length() / 2.0, phase: self.phase }];
+        frame.at = self.at();
+        frame.pairs = vec![PairFrame::new(0, 1, self.centre(1).length() / 2.0, self.phase)];
         frame.bodies.resize_with(self.moved.len(), BodyFrame::default);
         for (body, now) in frame.bodies.iter_mut().enumerate() {
             (now.centre, now.rotation) = (self.centre(body), self.rotation(body));
@@ -112,11 +116,14 @@ impl Simulation for Projected {
                 let grip = (forces.iter().map(|[_, grip]| *grip).collect(), Some(u32::from(body == 0)));
                 let net = (forces.iter().map(|[spring, grip]| *spring + *grip).collect(), None);
                 now.terms =
-                    [spring, grip, net].map(|(accelerations, source)| TermFrame { accelerations, source }).into();
+                    [spring, grip, net].map(|(accelerations, source)| TermFrame::new(accelerations, source)).into();
                 (now.has_forces, now.labels) = (true, vec![self.phase as u8; AXES.len()]);
             }
         }
         frame.scalars = vec![self.moved[0].iter().map(DVec3::length).sum(), 0.0];
+        let fastest = |corners: &Vectors| corners.iter().map(DVec3::length).fold(0.0, f64::max);
+        frame.body_scalars = self.velocity.iter().map(fastest).collect();
+        frame.pair_scalars = vec![if self.phase == 1 { self.forces(0, 0)[1].length() } else { f64::NAN }];
     }
 }
 
@@ -129,8 +136,8 @@ impl Experiment for Octahedra {
             BodySchema { is_free: index == 1, ..body }
         };
         let grip = TermSchema { has_source: true, ..TermSchema::new("grip", "Grip", colors::ORANGE) };
-        let terms =
-            [TermSchema::new("spring", "Spring", colors::GREEN), grip, TermSchema::new("net", "Net", colors::WHITE)];
+        let net = TermSchema { is_sum: true, ..TermSchema::new("net", "Net", colors::WHITE) };
+        let terms = [TermSchema::new("spring", "Spring", colors::GREEN), grip, net];
         Schema {
             name: "octahedra".to_owned(),
             source: format!("{:?} {}", self.pull, self.bodies),
@@ -146,6 +153,8 @@ impl Experiment for Octahedra {
                 ScalarSchema::new("stretch", "stretch [unit]", ScalarOf::State),
                 ScalarSchema::new("projections", "projections", ScalarOf::SumOfSteps),
             ],
+            body_scalars: vec![ScalarSchema::new("corner_speed", "fastest corner [unit/s]", ScalarOf::State)],
+            pair_scalars: vec![ScalarSchema::new("hold", "pull of the grip [unit/s²]", ScalarOf::State)],
             stages: vec!["project"],
             ..Schema::default()
         }
@@ -161,5 +170,26 @@ impl Experiment for Octahedra {
             Some(Octahedra { pull: pull.parse().ok()?, bodies: bodies.parse().ok()? })
         };
         octahedra().map(|octahedra| Arc::new(octahedra) as _).ok_or(Refusal::Source("it has no pull".to_owned()))
+    }
+    fn parameters(&self) -> Vec<Parameter> {
+        vec![Parameter {
+            key: "pull".to_owned(),
+            group: "Grip".to_owned(),
+            label: "pull".to_owned(),
+            unit: "1/s²".to_owned(),
+            about: "Strength of the grip.".to_owned(),
+            value: self.pull,
+            range: [0.0, 10.0],
+            can_branch: false,
+        }]
+    }
+    fn varied(&self, variation: &Variation) -> Result<Arc<dyn Experiment>, InvalidVariation> {
+        let pull = variation.values.get("pull").copied().unwrap_or(self.pull);
+        match pull >= 0.0 {
+            true => Ok(Arc::new(Octahedra { pull, ..self.clone() })),
+            false => {
+                Err(InvalidVariation { key: Some("pull".to_owned()), text: "pull: expected 0 or more".to_owned() })
+            }
+        }
     }
 }

@@ -52,6 +52,8 @@ fn any_simulation_is_recorded_replayed_compared_and_checked() {
     let entities = Recording::open(&dir.file("other")).entities();
     for entity in
         ["world/forces/grip", "pairs/a~b/slip_at", "pairs/a~b/phase", "timings/project", "diagnostics/stretch"]
+            .into_iter()
+            .chain(["bodies/corner_speed/a", "bodies/corner_speed/b", "between/hold/a~b"])
     {
         assert!(entities.contains(&entity.into()), "{entity}");
     }

@@ -12,12 +12,11 @@ use crate::{
         interrupt::{HAS_STEPPED, STOP},
         sink_failure,
     },
-    observe::{Run, Schema, Simulation, StepFailure, row::rows},
+    observe::{Run, Schema, Simulation, row::rows},
     scene::Scene,
     stream::{
         Pipeline, Recorder,
         chunks::Audience,
-        contract,
         pipeline::{PipelineEnd, send},
         settings::Settings,
         sinks::{Finished, Serving, Sinks},
@@ -138,13 +137,9 @@ pub fn simulate(
     console.progress.stage("finishing the recording");
     let mut end = pipeline.finish().map_err(Failure::Run)?;
     let seconds = [simulating, start.elapsed()].map(|time| time.as_secs_f64());
-    let Run { simulation, failure: failed, .. } = run;
-    let failed = failed.filter(|failure| !matches!(failure, StepFailure::Interrupted(_)));
-    let failed = failed.map(|failure| failure.to_string());
-    if let Some(failed) = &failed {
-        end.recorder.log_property(contract::FAILURE, failed);
-    }
-    let unsent = end.finish(&*simulation);
+    let failed = run.cause();
+    let unsent = end.finish(&*run.simulation, failed.as_deref());
+    let simulation = run.simulation;
     let PipelineEnd { recorder, mut sinks, mut notes, failure: recording } = end;
     let failure = failed.or(failure).or(recording).or(unsent);
     let layout = recorder.measured_layout(&*simulation, arguments.tab);

@@ -425,7 +425,8 @@ const SCALARS: usize = 3;
 /// The schema of a scene's metaballs.
 pub fn schema(scene: &Scene) -> Schema {
     let oscillators = view::schema(scene);
-    let net = TermSchema { can_act: false, is_shown: false, ..TermSchema::new("net", "Net", colors::WHITE) };
+    let net =
+        TermSchema { can_act: false, is_shown: false, is_sum: true, ..TermSchema::new("net", "Net", colors::WHITE) };
     let mut warnings = oscillators.warnings;
     warnings.extend(idle(scene));
     Schema {

@@ -28,8 +28,8 @@ use crate::{
 /// Displacement above which a body counts as deformed [radii]; below it, the body is drawn as an instance of its shape.
 pub const DEFORMED: f64 = 1e-6;
 
-/// An undeformed body: its index, centre and rotation.
-type Instance = (usize, Float3, [f32; 4]);
+/// An undeformed body: its index, radius (0 if it is absent), centre and rotation.
+type Instance = (usize, f32, Float3, [f32; 4]);
 
 /// All bodies in shared entities, with the last logged values.
 pub struct BatchedBodies {
@@ -129,7 +129,9 @@ impl BatchedBodies {
             chunks.push(self.track, view.at, &cells);
         }
         self.has_rotated |= resting.iter().any(|&i| now[i].rotation != DQuat::IDENTITY);
-        let instance = |i: usize| (i, now[i].centre.as_vec3().to_array(), now[i].rotation.as_quat().to_array());
+        let radius = |i: usize| if now[i].is_absent { 0.0 } else { bodies[i].radius as f32 };
+        let instance =
+            |i: usize| (i, radius(i), now[i].centre.as_vec3().to_array(), now[i].rotation.as_quat().to_array());
         let resting = resting.into_iter().map(instance).collect();
         if self.resting.as_ref() != Some(&resting) {
             self.log_resting(view, &resting, chunks);
@@ -181,8 +183,8 @@ impl BatchedBodies {
             }
             let bodies = || instances.iter().map(|&(i, ..)| &view.schema.bodies[i]);
             let mut poses = InstancePoses3D::update_fields()
-                .with_translations(instances.iter().map(|&(_, centre, _)| centre))
-                .with_scales(bodies().map(|body| [body.radius as f32; 3]));
+                .with_translations(instances.iter().map(|&(_, _, centre, _)| centre))
+                .with_scales(instances.iter().map(|&(_, radius, ..)| [radius; 3]));
             if self.has_rotated {
                 poses = poses.with_quaternions(instances.iter().map(|&(.., rotation)| Quaternion::from_xyzw(rotation)));
             }

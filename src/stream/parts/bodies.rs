@@ -39,6 +39,7 @@ struct Logged {
     last: Surface,
     /// Whether `last` is the shape at rest.
     is_at_rest: bool,
+    is_absent: bool,
     /// Whether the body's own mesh is drawn; `None` if not logged yet.
     is_drawn: Option<bool>,
     /// The mesh last logged, for a body that can tear.
@@ -139,6 +140,7 @@ impl SeparateBodies {
                 entity: surface,
                 last: Surface::default(),
                 is_at_rest: false,
+                is_absent: false,
                 is_drawn: None,
                 mesh: None,
                 vertices,
@@ -182,8 +184,9 @@ impl SeparateBodies {
             }
             track.transform.log(view, now, chunks);
             let was_at_rest = std::mem::replace(&mut track.is_at_rest, now.is_at_rest);
+            let was_absent = std::mem::replace(&mut track.is_absent, now.is_absent);
             let mut has_changed = false;
-            if !(was_at_rest && now.is_at_rest) {
+            if !(was_at_rest && now.is_at_rest) || was_absent != now.is_absent {
                 self.next.clear();
                 self.next.append_in_body(body, now, extractor);
                 has_changed = self.next != track.last;

@@ -91,11 +91,17 @@ impl Forces {
                 let class = acts.then(|| self.sources.class_of(index, term.source));
                 if of_schema.is_uniform {
                     if !term.accelerations.is_empty() {
-                        arrows.next.append_one(now.centre, term.accelerations.get(0), scale);
+                        arrows.next.append_one(now.centre, term.accelerations.get(0), class, scale);
                     }
                     continue;
                 }
                 arrows.next.append(&self.origins, class, &term.accelerations, scale);
+            }
+            for force in &now.point_forces {
+                let (of_schema, arrows) = (&schema.terms[force.term], &mut self.terms[force.term]);
+                let class = of_schema.has_source.then(|| self.sources.class_of(index, force.source));
+                let scale = schema.arrow_scale_of(of_schema);
+                arrows.next.append_one(now.centre + force.place, force.acceleration, class, scale);
             }
         }
     }

@@ -55,6 +55,8 @@ struct Names {
     track: TrackId,
     last: Vec<Float3>,
     next: Vec<Float3>,
+    /// The bodies that were named last.
+    named: Vec<usize>,
 }
 
 /// The pairs that had an event in the last frames.
@@ -150,22 +152,28 @@ impl Lines {
 
 impl Names {
     fn new(schema: &Schema, chunks: &mut Chunks) -> Names {
-        let style = Points3D::update_fields()
-            .with_radii([sdk::Radius::new_ui_points(0.5)])
-            .with_labels(schema.bodies.iter().map(|body| body.name.as_str()))
-            .with_colors((0..schema.bodies.len()).map(|index| color(palette::of_body(schema, index))))
-            .with_show_labels(true);
+        let mut style = Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.5)]).with_show_labels(true);
+        let named: Vec<usize> = (0..schema.bodies.len()).collect();
+        if !schema.bodies.iter().any(|body| body.can_be_absent) {
+            style = labelled(style, schema, &named); // what is static could not change later
+        }
         chunks.log_static(NAMES.path, &style);
         Names {
             track: chunks.track(NAMES.path, [Points3D::descriptor_positions()]),
             last: Vec::new(),
             next: Vec::new(),
+            named: if schema.bodies.iter().any(|body| body.can_be_absent) { Vec::new() } else { named },
         }
     }
 
     fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
         self.next.clear();
-        for (index, (body, now)) in view.bodies().enumerate() {
+        let named: Vec<usize> = (0..view.frame.bodies.len()).filter(|&i| !view.frame.bodies[i].is_absent).collect();
+        if named != self.named {
+            chunks.log(NAMES.path, view.at, &labelled(Points3D::update_fields(), view.schema, &named));
+            self.named = named;
+        }
+        for (index, (body, now)) in view.bodies().enumerate().filter(|(_, (_, now))| !now.is_absent) {
             let met = view.frame.pairs.iter().filter_map(|pair| match (pair.a == index, pair.b == index) {
                 (true, _) => Some(view.frame.bodies[pair.b].centre),
                 (_, true) => Some(view.frame.bodies[pair.a].centre),
@@ -183,6 +191,13 @@ impl Names {
             chunks.push(self.track, view.at, &[&self.last]);
         }
     }
+}
+
+/// Points with the names and colours of these bodies.
+fn labelled(points: Points3D, schema: &Schema, bodies: &[usize]) -> Points3D {
+    points
+        .with_labels(bodies.iter().map(|&body| schema.bodies[body].name.as_str()))
+        .with_colors(bodies.iter().map(|&body| color(palette::of_body(schema, body))))
 }
 
 impl Recent {

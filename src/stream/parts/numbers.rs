@@ -8,10 +8,11 @@ use crate::{
     sdk::Scalars,
     stream::{
         chunks::{Chunks, TrackId},
-        contract::{DIAGNOSTIC, LAG, SPEED, STACKED, TIMING},
+        contract::{BODY_SCALAR, DIAGNOSTIC, LAG, SPEED, STACKED, TIMING},
         instant::Instant,
         palette,
         series::{Interpolation, LineId, Series},
+        settings::MAX_BODY_ENTITIES,
         step::StepRecord,
     },
 };
@@ -43,6 +44,8 @@ pub fn described(stage: &str) -> &str {
 /// Scalars aggregated between frames.
 pub struct FrameNumbers {
     scalars: Vec<ScalarLine>,
+    /// Lines of the scalars of bodies, body by body.
+    of_bodies: Vec<LineId>,
     timings: Vec<Timing>,
     /// Steps since messages were last sent.
     steps_since_sent: u32,
@@ -115,9 +118,17 @@ impl FrameNumbers {
             }
         });
         let scalars = scalars.collect();
+        let of_bodies = schema.bodies.iter().take(MAX_BODY_ENTITIES).enumerate().flat_map(|(index, body)| {
+            let rgb = palette::of_body(schema, index);
+            schema.body_scalars.iter().map(move |scalar| (scalar, &body.name, rgb))
+        });
+        let of_bodies = of_bodies
+            .map(|(scalar, name, rgb)| series.scalar(chunks, &BODY_SCALAR.of(&[scalar.name, name]), scalar, name, rgb));
+        let of_bodies = of_bodies.collect();
         let speed = run_line(SPEED.path, "steps per second", 0, chunks);
         FrameNumbers {
             scalars,
+            of_bodies,
             timings,
             steps_since_sent: 0,
             sending: Duration::ZERO,
@@ -179,6 +190,9 @@ impl FrameNumbers {
             series.log(chunks, line.id, value, view.at);
             let [low, high] = line.plotted.unwrap_or([value; 2]);
             line.plotted = Some([low.min(value), high.max(value)]);
+        }
+        for (&line, &value) in self.of_bodies.iter().zip(&view.frame.body_scalars) {
+            series.log_or_interrupt(chunks, line, value, view.at);
         }
     }
 

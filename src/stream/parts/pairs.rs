@@ -17,7 +17,7 @@ use crate::{
         chunks::Chunks,
         contract::{
             ACCURACY, BODIES, BODY_EVENTS, ENERGY, EVENTS, Entity, PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_LEVEL,
-            PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE, PHASES, Q, RATE, SURFACE_EVENTS, TIME,
+            PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR, PHASES, Q, RATE, SURFACE_EVENTS, TIME,
         },
         instant::Instant,
         palette::{self, color},
@@ -66,6 +66,8 @@ struct PairPlot {
     thresholds: Vec<(LineId, usize)>,
     /// Lines of gap, overlap and neck.
     measures: [LineId; 3],
+    /// Lines of the scalars of the schema.
+    scalars: Vec<LineId>,
     /// The lane that compares phase and surfaces, and the state that was last logged.
     contact: String,
     last_contact: Option<Contact>,
@@ -217,7 +219,8 @@ impl PairPlots {
         let FrameView { frame: now, at, .. } = view;
         self.next_in_reach.clear();
         let mut measures = measures.iter();
-        for pair in &now.pairs {
+        let of_pair = view.schema.pair_scalars.len();
+        for (index, pair) in now.pairs.iter().enumerate() {
             let Some(known) = self.known.get_mut(&(pair.a, pair.b)) else { continue };
             if let Some(Some(PairMeasures { gap, overlap, neck, .. })) = measures.next() {
                 let contact = Contact::of(view.schema.phases[pair.phase].is_joined, *gap <= 0.0);
@@ -227,6 +230,10 @@ impl PairPlots {
                 for (line, value) in known.measures.into_iter().zip([*gap, *overlap, *neck]) {
                     series.log(chunks, line, value, at);
                 }
+            }
+            let scalars = now.pair_scalars.get(index * of_pair..).unwrap_or_default();
+            for (&line, &value) in known.scalars.iter().zip(scalars) {
+                series.log_or_interrupt(chunks, line, value, at);
             }
             series.log(chunks, known.distance, pair.q, at);
             self.plotted = Some(extended(self.plotted, pair.q));
@@ -242,8 +249,8 @@ impl PairPlots {
             self.next_in_reach.insert((pair.a, pair.b));
         }
         for left in self.in_reach.difference(&self.next_in_reach) {
-            let PairPlot { distance, thresholds, measures, .. } = &self.known[left];
-            for line in measures.iter().chain([distance]) {
+            let PairPlot { distance, thresholds, measures, scalars, .. } = &self.known[left];
+            for line in measures.iter().chain(scalars).chain([distance]) {
                 series.interrupt(chunks, *line, at);
             }
             for &(line, _) in thresholds {
@@ -351,13 +358,18 @@ impl PairPlot {
             }
             series.line(chunks, &entity(measure), Interpolation::Linear)
         });
+        let scalars = schema
+            .pair_scalars
+            .iter()
+            .map(|scalar| series.scalar(chunks, &PAIR_SCALAR.of(&[scalar.name, &name]), scalar, &name, rgb));
+        let scalars = scalars.collect();
         let lane = StateConfiguration::new()
             .with_values(Contact::ALL.map(Contact::name))
             .with_labels(Contact::ALL.map(Contact::name))
             .with_colors(Contact::ALL.map(|contact| color(contact.color())));
         chunks.log_static(&entity(&PAIR_CONTACT), &lane);
         let (phase, contact) = (entity(&PAIR_PHASE), entity(&PAIR_CONTACT));
-        PairPlot { phase, distance, thresholds, measures, contact, last_contact: None }
+        PairPlot { phase, distance, thresholds, measures, scalars, contact, last_contact: None }
     }
 }
 

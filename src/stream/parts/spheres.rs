@@ -2,7 +2,7 @@
 
 use super::FrameView;
 use crate::{
-    observe::Schema,
+    observe::{BodyFrame, Schema},
     sdk::{self, Ellipsoids3D, components::FillMode},
     stream::{
         chunks::{Chunks, TrackId},
@@ -19,8 +19,8 @@ const LINE: f32 = 0.6;
 /// Influence spheres, with the last logged values.
 pub struct SphereEntities {
     track: TrackId,
-    /// Time of the state whose radii were logged last, of spheres that change [s].
-    last_change: Option<f64>,
+    /// The radii that were logged last, of spheres that change, as half sizes.
+    half_sizes: Vec<Float3>,
     /// In a batched scene, spheres that reach another body have a separate entity: thousands of wireframe spheres are
     /// slow to draw, and would hide them.
     reaching: Option<Reaching>,
@@ -58,12 +58,12 @@ impl SphereEntities {
             // several bodies have their names beside them instead
             .with_show_labels(schema.bodies.len() == 1);
         // what is static could not change later
-        if schema.changes.is_empty() {
-            spheres = spheres.with_half_sizes(half_sizes(schema, 0.0));
+        if !is_changing(schema) {
+            spheres = spheres.with_half_sizes((0..schema.bodies.len()).map(|body| half_size(schema, body, 0.0)));
         }
         chunks.log_static(INFLUENCE.path, &spheres);
         SphereEntities {
-            last_change: None,
+            half_sizes: Vec::new(),
             track: chunks.track(INFLUENCE.path, [Ellipsoids3D::descriptor_centers()]),
             reaching: (entities == Entities::Batch).then(|| Reaching::new(chunks)),
             idle: match entities {
@@ -80,11 +80,17 @@ impl SphereEntities {
 
     /// Logs changed values.
     pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
-        let last = self.last_change.map(|time| half_sizes(view.schema, time));
-        if !view.schema.changes.is_empty() && last.as_ref() != Some(&half_sizes(view.schema, view.at.time)) {
-            let sizes = half_sizes(view.schema, view.at.time);
-            chunks.log(INFLUENCE.path, view.at, &Ellipsoids3D::update_fields().with_half_sizes(sizes));
-            self.last_change = Some(view.at.time);
+        if is_changing(view.schema) {
+            let size = |(body, now): (usize, &BodyFrame)| match now.is_absent {
+                true => [0.0; 3],
+                false => half_size(view.schema, body, view.at.time),
+            };
+            let sizes: Vec<Float3> = view.frame.bodies.iter().enumerate().map(size).collect();
+            if self.half_sizes != sizes {
+                let spheres = Ellipsoids3D::update_fields().with_half_sizes(sizes.iter().copied());
+                chunks.log(INFLUENCE.path, view.at, &spheres);
+                self.half_sizes = sizes;
+            }
         }
         self.phases.clear();
         self.phases.resize(view.frame.bodies.len(), None);
@@ -113,9 +119,14 @@ impl SphereEntities {
     }
 }
 
-/// The radii of all spheres at a time [s], as half sizes.
-fn half_sizes(schema: &Schema, time: f64) -> Vec<Float3> {
-    (0..schema.bodies.len()).map(|body| [schema.reach(body, time) as f32; 3]).collect()
+/// Whether the radii of spheres change during the run.
+fn is_changing(schema: &Schema) -> bool {
+    !schema.changes.is_empty() || schema.bodies.iter().any(|body| body.can_be_absent)
+}
+
+/// The radius of the sphere of a body at a time [s], as a half size.
+fn half_size(schema: &Schema, body: usize, time: f64) -> Float3 {
+    [schema.reach(body, time) as f32; 3]
 }
 
 impl Reaching {

@@ -21,6 +21,7 @@ pub struct Trails {
     track: TrackId,
     bodies: Vec<usize>,
     last: Vec<Float3>,
+    were_absent: Vec<bool>,
     segments: Vec<[Float3; 2]>,
 }
 
@@ -36,18 +37,21 @@ impl Trails {
             .with_radii([sdk::Radius::new_ui_points(1.2)]);
         chunks.log_static(TRAILS.path, &style);
         let track = chunks.track(TRAILS.path, [LineStrips3D::descriptor_strips()]);
-        Some(Trails { track, bodies, last: Vec::new(), segments: Vec::new() })
+        Some(Trails { track, bodies, last: Vec::new(), were_absent: Vec::new(), segments: Vec::new() })
     }
 
     /// Adds the segments since the last frame.
     pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
         let centre = |&i: &usize| view.frame.bodies[i].centre.as_vec3().to_array();
         let now: Vec<Float3> = self.bodies.iter().map(centre).collect();
+        let are_absent: Vec<bool> = self.bodies.iter().map(|&i| view.frame.bodies[i].is_absent).collect();
         if !self.last.is_empty() && self.last != now {
             self.segments.clear();
-            self.segments.extend(self.last.iter().zip(&now).map(|(&from, &to)| [from, to]));
+            let ends = self.last.iter().zip(&now).zip(self.were_absent.iter().zip(&are_absent));
+            // a body that has just come has not moved to where it is
+            self.segments.extend(ends.map(|((&from, &to), (was, is))| [if *was || *is { to } else { from }, to]));
             chunks.push(self.track, view.at, &[&self.segments]);
         }
-        self.last = now;
+        (self.last, self.were_absent) = (now, are_absent);
     }
 }

@@ -44,8 +44,17 @@ impl VertexNumbers {
         self.displacement.extend(now.lengths.iter().map(|length| (length * inverse) as f32));
         self.displacement.resize(end, 0.0);
         self.heat.extend(self.displacement[first..].iter().map(|&displacement| heat::place(displacement)));
-        if let Some(net) = now.terms.last() {
-            self.net.extend(net.accelerations.iter().map(|force| force.length() as f32));
+        match schema.terms.iter().position(|term| term.is_sum) {
+            Some(sum) => {
+                let net = now.terms.get(sum).into_iter().flat_map(|net| net.accelerations.iter());
+                self.net.extend(net.map(|force| force.length() as f32));
+            }
+            None => {
+                let acting = || now.terms.iter().filter(|term| !term.accelerations.is_empty());
+                let count = if acting().next().is_some() { end - first } else { 0 };
+                let net = |i: usize| acting().map(|term| term.accelerations.get(i)).sum::<glam::DVec3>();
+                self.net.extend((0..count).map(|i| net(i).length() as f32));
+            }
         }
         self.net.resize(end, 0.0);
         if let Some(&nothing) = schema.labels.first() {
