@@ -38,6 +38,18 @@
 //! golden::check(&octahedra, "octahedra-golden.rrd".as_ref(), None)?;
 //! ```
 //!
+//! And a program of its own for it, with `run`, `live`, `replay`, `check`, `explain`, `diff`, `export` and `sweep`, as `meldscope` has
+//! them for scenes (`cargo run --release --example octahedra -- run octahedra --serve`):
+//!
+//! ```ignore
+//! fn main() -> std::process::ExitCode {
+//!     meldscope::cli::run(std::env::args_os(), |name| match name {
+//!         "octahedra" => Ok(std::sync::Arc::new(Octahedra::two(3.0))),
+//!         _ => Err("there is octahedra only".to_owned()),
+//!     })
+//! }
+//! ```
+//!
 //! # Modules
 //!
 //! | module | contents | imports | feature |
@@ -71,8 +83,8 @@
 //! # Features
 //!
 //! With `default-features = false`, the crate is the simulation alone, without Rerun: a few dozen small dependencies.
-//! The feature `viewer` adds `stream` and `recording`, which is all the example above needs; `cli`, the default, adds
-//! `viewer`, `bench` and the program. A program that needs only this crate's own simulation looks like this:
+//! The feature `viewer` adds `stream` and `recording`, which is all that recording, replaying and comparing needs; `cli`, the
+//! default, adds `viewer`, `bench`, the program and [`cli::run`]. A program that needs only this crate's own simulation looks like this:
 //!
 //! ```
 //! use meldscope::{Scene, World};

@@ -4,23 +4,27 @@ use std::{
     fs,
     io::{self, Write as _},
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 use rayon::prelude::*;
 
 use super::{
-    Failure, print,
+    Failure,
+    overrides::Overrides,
+    print,
+    program::{self, Program, Subject},
     progress::{Progress, Work},
     say, vector,
 };
 use crate::{
     atomic::{self, AtomicFile},
+    observe::Experiment,
     recording::{
-        ReadError, Recorded,
+        ReadError,
         existing::{Existing, Kind, REASONS, replace},
         golden::{self, Blessed, GoldenDifference, GoldenOutcome},
     },
-    scene::Scene,
     stream::{settings::application, sinks::Complete},
     text::{bytes, counted, thousands},
 };
@@ -54,15 +58,15 @@ fn parse_reason(text: &str) -> Result<String, String> {
 
 /// A scene and the path of its golden recording.
 struct Script {
-    scene: Scene,
+    experiment: Arc<dyn Experiment>,
     golden: PathBuf,
     /// The name used in reports.
     name: String,
 }
 
 /// Checks the scenes, or blesses them.
-pub fn check(arguments: Arguments) -> Result<(), Failure> {
-    let scripts = scripts(&arguments.paths)?;
+pub fn check(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> {
+    let scripts = scripts(program, &arguments.paths)?;
     match &arguments.bless {
         Some(reason) => bless(&scripts, reason),
         None => compare(&scripts, &arguments),
@@ -85,7 +89,7 @@ fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
                 let number = scripts.iter().take(i).filter(|other| other.name == script.name).count();
                 let number = if number > 0 { format!("-{}", number + 1) } else { String::new() };
                 let comparison = folder.join(format!("{}{number}.check.rrd", script.name));
-                golden::check(&script.scene, &script.golden, Some(&comparison)).map(Some)
+                golden::check(&*script.experiment, &script.golden, Some(&comparison)).map(Some)
             }
             false => Ok(None),
         })
@@ -106,7 +110,8 @@ fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
             }
             Ok(None) => {
                 print(&format!(
-                    "{name}: no golden recording; `meldscope check --bless REASON` creates {}",
+                    "{name}: no golden recording; `{} check --bless REASON` creates {}",
+                    program::name(),
                     script.golden.display()
                 ));
                 failed.push(name.as_str());
@@ -225,17 +230,20 @@ fn bless(scripts: &[Script], reason: &str) -> Result<(), Failure> {
     let results: Vec<_> = scripts
         .par_iter()
         .map(|script| {
+            let (experiment, schema) = (&*script.experiment, script.experiment.schema());
             let is_same = script.golden.exists()
-                && Recorded::open(&script.golden).is_ok_and(|golden| golden.schema.source == script.scene.source)
-                && matches!(golden::check(&script.scene, &script.golden, None), Ok(GoldenOutcome::Identical { .. }));
+                && matches!(
+                    golden::check(experiment, &script.golden, None),
+                    Ok(GoldenOutcome::Identical { is_rewritten: false, .. })
+                );
             if is_same {
                 return Ok(None);
             }
-            let new = Existing { application: application(&script.scene.name), kind: Some(Kind::Golden) };
+            let new = Existing { application: application(&schema.name), kind: Some(Kind::Golden) };
             if let Some(note) = replace(&script.golden, &new)? {
                 say(&format!("note: {note}"));
             }
-            golden::prepare(&script.scene, &script.golden, reason).map(Some)
+            golden::prepare(experiment, &script.golden, reason).map(Some)
         })
         .inspect(|_| progress.add(1))
         .collect();
@@ -310,10 +318,16 @@ fn give_reasons(made: &[Made<'_>], reason: &str) -> Result<(), String> {
 const HEAD: &str = "# Why golden recordings were made\n\nWritten by `meldscope check --bless REASON`: scenes, and the hash of \
                     all their checksums.\n\n";
 
-/// The scenes found under `paths`, sorted by name.
-fn scripts(paths: &[PathBuf]) -> Result<Vec<Script>, Failure> {
+/// The scenes found under `paths`, sorted by name; of another program, the experiments of golden recordings there.
+fn scripts(program: Program<'_>, paths: &[PathBuf]) -> Result<Vec<Script>, Failure> {
     let default = [PathBuf::from(DEFAULT)];
     let paths = if paths.is_empty() { &default } else { paths };
+    let (extension, what) = match program {
+        Program::Scenes => ("toml", "scenes (*.toml)"),
+        Program::Own(_) => ("rrd", "golden recordings (*.rrd)"),
+    };
+    let is_of_check =
+        |file: &Path| file.file_stem().is_some_and(|stem| Path::new(stem).extension() == Some("check".as_ref()));
     let mut files = Vec::new();
     for path in paths {
         let unreadable = |error: std::io::Error| Failure::Input(format!("cannot read {}: {error}", path.display()));
@@ -321,34 +335,37 @@ fn scripts(paths: &[PathBuf]) -> Result<Vec<Script>, Failure> {
             let mut found = Vec::new();
             for entry in fs::read_dir(path).map_err(unreadable)? {
                 let file = entry.map_err(unreadable)?.path();
-                if file.extension().is_some_and(|extension| extension == "toml") {
+                if file.extension().is_some_and(|found| found == extension) && !is_of_check(&file) {
                     found.push(file);
                 }
             }
             if found.is_empty() {
-                return Err(Failure::Input(format!("there are no scenes (*.toml) in {}", path.display())));
+                return Err(Failure::Input(format!("there are no {what} in {}", path.display())));
             }
             found.sort();
             files.extend(found);
         } else if path.extension().is_some_and(|extension| extension == "rrd") {
             // given the golden recording, check its scene
-            files.push(path.with_extension("toml"));
+            files.push(path.with_extension(extension));
         } else {
             files.push(path.clone());
         }
     }
     files.dedup();
-    let missing = files.iter().find(|file| !file.exists());
-    if let Some(file) = missing {
+    let is_missing = |file: &&PathBuf| matches!(program, Program::Scenes) && !file.exists();
+    if let Some(file) = files.iter().find(is_missing) {
         let help = "give scene files, or folders of them";
         return Err(Failure::Input(format!("there is no scene {}: {help}", file.display())));
     }
     files
         .into_iter()
         .map(|file| {
-            let scene = super::load::read(&file)?;
             let name = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-            Ok(Script { scene, golden: file.with_extension("rrd"), name })
+            let subject = match program {
+                Program::Scenes => Subject::Scene(Box::new(super::load::read(&file)?)),
+                Program::Own(_) => program.subject(&name, &Overrides::default())?,
+            };
+            Ok(Script { experiment: subject.experiment(None), golden: file.with_extension("rrd"), name })
         })
         .collect()
 }

@@ -4,11 +4,11 @@ use std::path::PathBuf;
 
 use super::{
     Failure, announce, may_print, may_save, print, print_lines,
+    program::Program,
     progress::{Progress, Work},
     sink_failure,
 };
 use crate::{
-    models,
     recording::{contents::Contents, diff, existing::Existing},
     text::{bytes, counted},
 };
@@ -38,12 +38,12 @@ fn parse_radii(text: &str) -> Result<f64, String> {
 }
 
 /// Compares two recordings. The exit status is 0 if no difference exceeds the tolerance, 1 otherwise.
-pub fn diff(arguments: Arguments) -> Result<(), Failure> {
+pub fn diff(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> {
     [&arguments.first, &arguments.second].into_iter().try_for_each(|path| may_print(path))?;
     let open = |path| {
         let contents = Contents::read(path)?;
         let name = arguments.name.as_deref().filter(|_| contents.names().len() > 1);
-        contents.only(name, &models::read)
+        program.recreate(&contents, contents.index(name)?)
     };
     let (a, b) = (open(&arguments.first)?, open(&arguments.second)?);
     let tolerance = arguments.within.unwrap_or_else(|| a.schema.tolerance.max(b.schema.tolerance));

@@ -5,16 +5,16 @@ use std::{fmt::Write as _, path::Path};
 use glam::DVec3;
 
 use super::{
-    Failure, interrupt, not_of_scene, print, print_lines,
+    Failure, interrupt, not_of_scene,
+    overrides::Overrides,
+    print, print_lines,
+    program::Program,
     progress::{Progress, Work},
-    recorded, run,
 };
 use crate::{
     analysis::{Approaches, surface::Merger},
-    models::SceneRun,
-    observe::{BodyFrame, Experiment as _, Frame, PairEvent, PairFrame, Run, Schema, Simulation, Want},
+    observe::{BodyFrame, Frame, PairEvent, PairFrame, Run, Schema, Simulation, Want},
     recording::existing::Existing,
-    sim,
     text::{counted, did_you_mean, thousands},
 };
 
@@ -44,16 +44,15 @@ pub struct Arguments {
 }
 
 /// Simulates a run and explains one of its steps.
-pub fn explain(arguments: &Arguments) -> Result<(), Failure> {
+pub fn explain(program: Program<'_>, arguments: &Arguments) -> Result<(), Failure> {
     let path = Path::new(&arguments.subject);
     let (simulation, last) = if Existing::is_recording(path) {
-        let recorded = recorded(path, arguments.name.as_deref())?;
+        let recorded = program.recorded(path, arguments.name.as_deref())?;
         (recorded.start().map_err(Failure::input)?, recorded.last())
     } else {
         not_of_scene(arguments.name.as_deref())?;
-        let scene = run::scene(&arguments.subject)?;
-        let options = sim::Options { interrupt: Some(&interrupt::STOP), ..sim::Options::default() };
-        let simulation = SceneRun { scene, options }.start().map_err(Failure::Input)?;
+        let subject = program.subject(&arguments.subject, &Overrides::default())?;
+        let simulation = subject.experiment(Some(&interrupt::STOP)).start().map_err(Failure::Input)?;
         let last = simulation.schema().steps;
         (simulation, last)
     };
@@ -201,6 +200,9 @@ impl Explained<'_> {
                 let _ = write!(text, "\n  acceleration of the centre {}", vector(net.force / body.mass));
             }
         }
+        if now.is_absent {
+            return text + "\n  it is absent\n";
+        }
         match (0..now.lengths.len()).max_by(|&i, &j| now.lengths[i].total_cmp(&now.lengths[j])) {
             Some(most) if now.max_displacement > 0.0 => {
                 let share = now.max_displacement / body.radius;
@@ -214,7 +216,18 @@ impl Explained<'_> {
             Some(std::iter::once(term.label.to_owned()).chain(cells).chain([at.to_string()]).collect())
         });
         let header = ["acceleration [unit/s²]", "mean x", "y", "z", "length", "largest", "of vertex"];
-        text += &table(&header, rows.collect(), "no force acts");
+        text += &table(&header, rows.collect(), "no force acts on a vertex");
+        if !now.point_forces.is_empty() {
+            let rows = now.point_forces.iter().map(|force| {
+                let (at, by) = (now.centre + force.place, force.acceleration);
+                let source = force.source.map_or("", |source| &self.schema.bodies[source as usize].name);
+                let cells = [by.x, by.y, by.z, by.length(), at.x, at.y, at.z].map(short);
+                let label = self.schema.terms[force.term].label.to_owned();
+                std::iter::once(label).chain(cells).chain([source.to_owned()]).collect()
+            });
+            let header = ["at a point [unit/s²]", "x", "y", "z", "length", "at x", "y", "z", "from"];
+            text += &table(&header, rows.collect(), "");
+        }
         text + "\n"
     }
 

@@ -11,25 +11,24 @@ use std::{
 };
 
 use super::{
-    Failure, expense, is_marked, load, not_of_scene, one_of,
+    Failure, expense, is_marked, not_of_scene, one_of,
     overrides::Overrides,
     print,
+    program::{self, Program},
     progress::{Progress, Work},
-    recorded, say,
+    say,
 };
 use crate::{
     analysis::{surface::Merger, touch::Touches},
     atomic::{self, AtomicFile},
-    models::SceneRun,
-    observe::{Experiment as _, Frame, Run, Want, row::rows},
+    observe::{Frame, Run, Want, row::rows, verify},
     recording::{Recorded, existing::Existing},
     scene::template::Override,
-    sim::Options,
     stream::settings::file_stem,
     text::{bytes, counted},
 };
 use formats::{Format, GENERATOR};
-use tables::{Events, Forces, Pairs, Scalars, States};
+use tables::{Bodies, Events, Forces, Pairs, Scalars, States};
 
 /// Placeholder for the path of a table; its extension selects the format.
 const TABLE: &str = "F.csv|F.json|F.parquet";
@@ -55,6 +54,9 @@ pub struct Arguments {
     /// Write a table of q and phase of every pair within reach, by step.
     #[arg(long, value_name = TABLE, group = "what")]
     pairs: Option<PathBuf>,
+    /// Write a table of the centre, the largest displacement and the scalars of every body, by step.
+    #[arg(long, value_name = TABLE, group = "what")]
+    bodies: Option<PathBuf>,
     /// Write a table of energy, errors, counts and all other scalars, by step.
     #[arg(long, value_name = TABLE, group = "what")]
     scalars: Option<PathBuf>,
@@ -86,8 +88,8 @@ struct Source {
 }
 
 /// Writes the surfaces and tables of a run.
-pub fn export(arguments: Arguments) -> Result<(), Failure> {
-    let Source { mut run, last, recorded } = source(&arguments)?;
+pub fn export(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> {
+    let Source { mut run, last, recorded } = source(program, &arguments)?;
     let (from, to) = (arguments.from.unwrap_or(0), arguments.to.unwrap_or(last));
     if from > to {
         return Err(Failure::Input(format!("there are no steps from {from} to {to}: the last is {last}")));
@@ -97,23 +99,32 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
     }
     run.last = Some(to);
     let schema = run.simulation.schema();
+    verify::schema(&schema).map_err(Failure::Run)?;
     let is_wanted = |step: u64| (from..=to).contains(&step) && (step - from).is_multiple_of(arguments.every);
     let (stem, format) = (file_stem(&schema.name), arguments.format);
     let folder = arguments.mesh.as_ref().map(|path| Folder { path, stem, format });
     folder.iter().try_for_each(|folder| folder.prepare(is_wanted))?;
-    let paths = [&arguments.events, &arguments.pairs, &arguments.scalars, &arguments.states, &arguments.forces];
+    let paths = [
+        &arguments.events,
+        &arguments.pairs,
+        &arguments.bodies,
+        &arguments.scalars,
+        &arguments.states,
+        &arguments.forces,
+    ];
     let given: Vec<&PathBuf> = paths.into_iter().flatten().collect();
     let is_twice = |i: &usize| given[..*i].iter().any(|other| atomic::is_same_destination(other, given[*i]));
     if let Some(twice) = (0..given.len()).find(is_twice).map(|i| given[i]) {
         return Err(Failure::Input(format!("{} is given for two tables: give each its own file", twice.display())));
     }
     let mut events = arguments.events.as_deref().map(Events::create).transpose()?;
-    let mut pairs = arguments.pairs.as_deref().map(Pairs::create).transpose()?;
+    let mut pairs = arguments.pairs.as_deref().map(|path| Pairs::create(path, &schema)).transpose()?;
+    let mut bodies = arguments.bodies.as_deref().map(|path| Bodies::create(path, &schema)).transpose()?;
     let mut scalars = arguments.scalars.as_deref().map(|path| Scalars::create(path, &schema)).transpose()?;
     let mut states = arguments.states.as_deref().map(States::create).transpose()?;
     let mut forces = arguments.forces.as_deref().map(Forces::create).transpose()?;
-    let want = Want { scalars: scalars.is_some(), forces: forces.is_some() };
-    let needs_frames = folder.is_some() || pairs.is_some() || scalars.is_some() || states.is_some() || forces.is_some();
+    let want = Want { scalars: scalars.is_some() || pairs.is_some() || bodies.is_some(), forces: forces.is_some() };
+    let needs_frames = folder.is_some() || want != Want::default() || states.is_some();
 
     let (mut merger, mut frame) = (Merger::new(&schema, None), Frame::default());
     let (mut files, mut size, mut overlapping) = (0, 0, 0);
@@ -127,10 +138,12 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
             && recorded.checksum(step).is_some_and(|checksum| checksum != simulation.checksum())
         {
             let path = recorded.path.display();
-            return Err(Failure::Run(format!("{path} is not reproduced from step {step} on: see `meldscope replay`")));
+            let help = format!("see `{} replay`", program::name());
+            return Err(Failure::Run(format!("{path} is not reproduced from step {step} on: {help}")));
         }
         if is_wanted(step) && needs_frames {
             simulation.observe(want, &mut frame);
+            verify::frame(&schema, &frame, want).map_err(Failure::Run)?;
         }
         if let Some(folder) = folder.as_ref().filter(|_| is_wanted(step)) {
             let merged = merger.merge(&schema, &frame, &[]);
@@ -139,6 +152,9 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
             files += 1;
         }
         if let Some(table) = pairs.as_mut().filter(|_| is_wanted(step)) {
+            table.add(&schema, &frame)?;
+        }
+        if let Some(table) = bodies.as_mut().filter(|_| is_wanted(step)) {
             table.add(&schema, &frame)?;
         }
         if let Some(table) = scalars.as_mut().filter(|_| is_wanted(step)) {
@@ -179,6 +195,7 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
     let tables = [
         events.map(|events| events.0),
         pairs.map(|pairs| pairs.0),
+        bodies.map(|bodies| bodies.0),
         scalars.map(|scalars| scalars.0),
         states.map(|states| states.table),
         forces.map(|forces| forces.0),
@@ -192,22 +209,24 @@ pub fn export(arguments: Arguments) -> Result<(), Failure> {
     Ok(())
 }
 
-fn source(arguments: &Arguments) -> Result<Source, Failure> {
+fn source(program: Program<'_>, arguments: &Arguments) -> Result<Source, Failure> {
     let path = Path::new(&arguments.scene);
     if Existing::is_recording(path) {
         if !arguments.set.is_empty() {
             return Err(Failure::Input("--set is for scenes: a recording is exported as it was made".to_owned()));
         }
-        let recorded = recorded(path, arguments.name.as_deref())?;
+        let recorded = program.recorded(path, arguments.name.as_deref())?;
         let (simulation, last) = (recorded.start()?, recorded.last());
         return Ok(Source { run: Run::new(simulation, Some(last)), last, recorded: Some(recorded) });
     }
     not_of_scene(arguments.name.as_deref())?;
     let overrides = Overrides { set: arguments.set.clone(), ..Overrides::default() };
-    let scene = overrides.apply(load::scene(&arguments.scene)?, &arguments.scene)?;
-    let last = scene.steps();
-    expense::announce(&scene, None)?;
-    let simulation = SceneRun { scene, options: Options::default() }.start().map_err(Failure::Input)?;
+    let subject = program.subject(&arguments.scene, &overrides)?;
+    if let Some(scene) = subject.scene() {
+        expense::announce(scene, None)?;
+    }
+    let last = subject.schema().steps;
+    let simulation = subject.experiment(None).start().map_err(Failure::Input)?;
     Ok(Source { run: Run::new(simulation, Some(last)), last, recorded: None })
 }
 

@@ -10,12 +10,17 @@ use std::{
     time::Duration,
 };
 
-use super::{Failure, interrupt, print_always, run, say, sink_failure};
+use super::{
+    Failure, interrupt, load,
+    overrides::Overrides,
+    print_always,
+    program::{Program, Subject},
+    run, say, sink_failure,
+};
 use crate::{
     live::{self, Live, change::Problem},
-    models::SceneRun,
+    observe::Experiment,
     scene::{Scene, template::Override},
-    sim,
     stream::sinks::{Host, Serve},
 };
 
@@ -50,12 +55,15 @@ pub(super) struct Arguments {
 /// Set to interrupt the run of an outdated change.
 static OUTDATED: AtomicBool = AtomicBool::new(false);
 
-fn experiment(scene: Scene) -> Arc<SceneRun> {
-    Arc::new(SceneRun { scene, options: sim::Options { interrupt: Some(&OUTDATED), ..sim::Options::default() } })
+fn experiment(scene: Scene) -> Arc<dyn Experiment> {
+    Subject::Scene(Box::new(scene)).experiment(Some(&OUTDATED))
 }
 
-pub(super) fn live(arguments: Arguments) -> Result<(), Failure> {
+pub(super) fn live(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> {
     let path = Path::new(&arguments.scene);
+    if arguments.watch && !matches!(program, Program::Scenes) {
+        return Err(Failure::Input("--watch is for scene files".to_owned()));
+    }
     if arguments.watch && !path.is_file() {
         return Err(Failure::Input(format!("--watch needs a scene file, and there is no file {:?}", arguments.scene)));
     }
@@ -67,14 +75,20 @@ pub(super) fn live(arguments: Arguments) -> Result<(), Failure> {
             .and_then(|scene| scene.rewritten(&arguments.scene))
             .map_err(|error| Failure::Input(format!("--set: {error}")))
     };
-    let scene = overridden(run::scene(&arguments.scene)?)?;
-    let name = path.file_stem().map_or(scene.name.clone(), |stem| stem.to_string_lossy().into_owned());
+    let first = match program {
+        Program::Scenes => experiment(overridden(load::scene(&arguments.scene)?)?),
+        Program::Own(_) => {
+            let overrides = Overrides { set: arguments.set.clone(), ..Overrides::default() };
+            program.subject(&arguments.scene, &overrides)?.experiment(None)
+        }
+    };
+    let name = path.file_stem().map_or(first.schema().name, |stem| stem.to_string_lossy().into_owned());
     let save = arguments.save.unwrap_or_else(|| PathBuf::from(format!("{name}-live.rrd")));
     let serve =
         Serve { bind: arguments.bind, web_port: arguments.web_port, allow: arguments.allow_host, ..Serve::default() };
     interrupt::raise_stop()?;
     let options = live::Options { serve, save, interrupt: &OUTDATED };
-    let live = Live::start(experiment(scene), options).map_err(sink_failure)?;
+    let live = Live::start(first, options).map_err(sink_failure)?;
     print_always(&live.address);
     say("Open this address in a browser. Ctrl-C ends.");
     if !arguments.bind.is_loopback() {

@@ -13,6 +13,7 @@ mod interrupt;
 mod live;
 mod load;
 mod overrides;
+mod program;
 mod progress;
 mod reference;
 mod replay;
@@ -21,35 +22,35 @@ mod scenes;
 mod sweep;
 
 use std::{
+    ffi::OsString,
     fmt,
     fs::File,
     io::{self, Read as _, Write},
     path::Path,
     process::ExitCode,
     sync::{
-        Mutex,
+        Arc, Mutex,
         atomic::{AtomicBool, Ordering},
     },
 };
 
-use crate::recording::ReadError;
 use clap::{
-    Parser, Subcommand,
+    CommandFactory as _, FromArgMatches as _, Parser, Subcommand,
     builder::{PossibleValuesParser, TypedValueParser},
     error::ContextValue,
 };
 
 use crate::{
-    models,
+    observe::Experiment,
     recording::{
-        Recorded,
-        contents::Contents,
+        ReadError,
         existing::{self, Existing},
         read::expects_panics,
     },
     stream::sinks::SinkError,
     text::printable,
 };
+use program::Program;
 
 /// A visual debugger for soft bodies that merge and split.
 ///
@@ -57,9 +58,9 @@ use crate::{
 /// Rerun viewer or to an .rrd file.
 #[derive(Parser)]
 #[command(name = "meldscope", version)]
-struct Arguments {
+struct Arguments<C: Subcommand> {
     #[command(subcommand)]
-    command: Command,
+    command: C,
     /// Print errors and warnings only.
     #[arg(short, long, global = true)]
     quiet: bool,
@@ -68,6 +69,7 @@ struct Arguments {
     threads: Option<u16>,
 }
 
+/// The commands of any program.
 #[derive(Subcommand)]
 enum Command {
     /// Simulate a scene and record it.
@@ -86,6 +88,13 @@ enum Command {
     Export(export::Arguments),
     /// Run a scene at every point of a grid over its parameters: rows in Parquet, and a map of their outcomes.
     Sweep(sweep::Arguments),
+}
+
+/// The commands of this crate's own program.
+#[derive(Subcommand)]
+enum OwnCommand {
+    #[command(flatten)]
+    Any(Command),
     /// List the built-in scenes and sweeps, or show one.
     Scenes(scenes::Arguments),
     /// List every key of a scene or a sweep, every entity of a recording, every column of a table, every event.
@@ -127,8 +136,64 @@ impl Failure {
     }
 }
 
-/// The program's entry point.
+/// The entry point of this crate's own program.
 pub fn main() -> ExitCode {
+    start(Arguments::<OwnCommand>::command(), std::env::args_os(), |command| match command {
+        OwnCommand::Any(command) => command.run(Program::Scenes),
+        OwnCommand::Bench(arguments) => interrupt::end().and_then(|()| bench::bench(arguments)),
+        // a list is all that these commands are for
+        OwnCommand::Scenes(arguments) => unquiet(|| scenes::scenes(&arguments)),
+        OwnCommand::Reference(arguments) => unquiet(|| {
+            reference::reference(&arguments);
+            Ok(())
+        }),
+    })
+}
+
+/// The entry point of another program, with experiments of its own: `run`, `live`, `replay`, `check`, `explain`, `diff`,
+/// `export` and `sweep`, as those of `meldscope`, where the name of an experiment stands for a scene. `args` begins with the
+/// name of the program, as [`std::env::args_os`] does; `experiment` finds an experiment by its name, and says which there
+/// are if it knows no such name.
+///
+/// A recording names its experiment by [`Schema::name`](crate::observe::Schema::name): `replay` and others find that and
+/// restart it by [`Experiment::read`]. `--set KEY=VALUE` varies its [parameters](Experiment::parameters), and so do the
+/// axes of a [sweep](crate::sweep), whose rows have the events, the steps, the checksum and the scalars at the end. `check` compares
+/// golden recordings NAME.rrd, by default those in the folder `recordings`, with the experiments of these names.
+///
+/// ```no_run
+/// use std::{process::ExitCode, sync::Arc};
+///
+/// use meldscope::{Scene, cli};
+///
+/// fn main() -> ExitCode {
+///     cli::run(std::env::args_os(), |name| match Scene::builtin(name) {
+///         Some(scene) => Ok(Arc::new(scene)), // or any other experiment
+///         None => Err("there are two and three".to_owned()),
+///     })
+/// }
+/// ```
+///
+/// The exit status is 0 for success, 1 if the run failed or a check found a difference, 2 for bad input or usage, and 130
+/// for an interrupt before the end.
+pub fn run(
+    args: impl IntoIterator<Item = impl Into<OsString>>,
+    experiment: impl Fn(&str) -> Result<Arc<dyn Experiment>, String>,
+) -> ExitCode {
+    let args: Vec<OsString> = args.into_iter().map(Into::into).collect();
+    let name =
+        args.first().and_then(|path| Path::new(path).file_stem()).map(|name| name.to_string_lossy().into_owned());
+    let name = name.unwrap_or_else(|| "program".to_owned());
+    let command = program::described(Arguments::<Command>::command(), &name);
+    program::set_name(name);
+    start(command, args, |command: Command| command.run(Program::Own(&experiment)))
+}
+
+/// Parses a command line, and runs its command.
+fn start<C: Subcommand>(
+    described: clap::Command,
+    args: impl IntoIterator<Item = impl Into<OsString> + Clone>,
+    run: impl FnOnce(C) -> Result<(), Failure>,
+) -> ExitCode {
     // The decoder may panic on a damaged recording, which is reported as an ordinary error on one line.
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
@@ -136,8 +201,9 @@ pub fn main() -> ExitCode {
             usual(panic)
         }
     }));
-    let result = match Arguments::try_parse() {
-        Ok(arguments) => prepare(&arguments).and_then(|()| run(arguments.command)),
+    let parsed = described.try_get_matches_from(args);
+    let result = match parsed.and_then(|matches| Arguments::<C>::from_arg_matches(&matches)) {
+        Ok(arguments) => prepare(arguments.quiet, arguments.threads).and_then(|()| run(arguments.command)),
         // help and version are results; everything else is a usage error
         Err(error) if error.use_stderr() => {
             let text = escaped(error).render().to_string();
@@ -186,31 +252,35 @@ fn escaped(mut error: clap::Error) -> clap::Error {
 }
 
 /// Applies the options that all commands have.
-fn prepare(arguments: &Arguments) -> Result<(), Failure> {
-    // a list is all that these commands are for
-    let is_list = matches!(arguments.command, Command::Scenes(_) | Command::Reference(_));
-    QUIET.store(arguments.quiet && !is_list, Ordering::Relaxed);
-    let Some(threads) = arguments.threads else { return Ok(()) };
+fn prepare(quiet: bool, threads: Option<u16>) -> Result<(), Failure> {
+    QUIET.store(quiet, Ordering::Relaxed);
+    let Some(threads) = threads else { return Ok(()) };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads)).build_global();
     pool.map_err(|error| Failure::Run(format!("cannot start {threads} threads: {error}")))
 }
 
-fn run(command: Command) -> Result<(), Failure> {
-    match command {
-        Command::Run(arguments) => run::run(*arguments),
-        Command::Live(arguments) => live::live(arguments),
-        Command::Scenes(arguments) => scenes::scenes(&arguments),
-        Command::Reference(arguments) => {
-            reference::reference(&arguments);
-            Ok(())
+/// Runs a command whose results are printed always.
+fn unquiet(command: impl FnOnce() -> Result<(), Failure>) -> Result<(), Failure> {
+    QUIET.store(false, Ordering::Relaxed);
+    command()
+}
+
+impl Command {
+    fn run(self, program: Program<'_>) -> Result<(), Failure> {
+        // those that save what they have done so far listen for Ctrl-C themselves
+        if !matches!(self, Command::Run(_) | Command::Live(_) | Command::Sweep(_)) {
+            interrupt::end()?;
         }
-        Command::Replay(arguments) => interrupt::end().and_then(|()| replay::replay(arguments)),
-        Command::Check(arguments) => interrupt::end().and_then(|()| check::check(arguments)),
-        Command::Explain(arguments) => interrupt::end().and_then(|()| explain::explain(&arguments)),
-        Command::Diff(arguments) => interrupt::end().and_then(|()| diff::diff(arguments)),
-        Command::Export(arguments) => interrupt::end().and_then(|()| export::export(arguments)),
-        Command::Sweep(arguments) => sweep::sweep(arguments),
-        Command::Bench(arguments) => interrupt::end().and_then(|()| bench::bench(arguments)),
+        match self {
+            Command::Run(arguments) => run::run(program, *arguments),
+            Command::Live(arguments) => live::live(program, arguments),
+            Command::Replay(arguments) => replay::replay(program, arguments),
+            Command::Check(arguments) => check::check(program, arguments),
+            Command::Explain(arguments) => explain::explain(program, &arguments),
+            Command::Diff(arguments) => diff::diff(program, arguments),
+            Command::Export(arguments) => export::export(program, arguments),
+            Command::Sweep(arguments) => sweep::sweep(program, arguments),
+        }
     }
 }
 
@@ -219,7 +289,7 @@ fn record(scene: &Path, recording: &Path, steps: u64) -> Result<(), Failure> {
     let steps = steps.to_string();
     let line = ["meldscope".as_ref(), "run".as_ref(), scene.as_os_str(), "--save".as_ref(), recording.as_os_str()];
     let line = line.into_iter().chain(["--steps".as_ref(), steps.as_ref()]);
-    run(Arguments::try_parse_from(line).map_err(Failure::input)?.command)
+    Arguments::<Command>::try_parse_from(line).map_err(Failure::input)?.command.run(Program::Scenes)
 }
 
 /// Whether only errors and warnings are printed.
@@ -290,11 +360,6 @@ fn may_save(path: &Path, inputs: &[(&Path, &str)], new: &Existing) -> Result<(),
         }
     }
     existing::replace(path, new).map(drop).map_err(sink_failure)
-}
-
-/// Opens a recording: of a file that holds several, the one of this name.
-fn recorded(path: &Path, name: Option<&str>) -> Result<Recorded, Failure> {
-    Ok(Contents::read(path)?.only(name, &models::read)?)
 }
 
 /// Rejects the name of a recording where the subject is a scene.

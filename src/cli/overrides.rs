@@ -1,8 +1,12 @@
 //! Options that override keys of a scene: the same for every command that runs one.
 
+use std::sync::Arc;
+
 use super::Failure;
 use crate::{
     models,
+    observe::{Experiment, Refusal},
+    recording::Recorded,
     scene::{Integrator, Model, Scene, template::Override},
 };
 
@@ -39,5 +43,30 @@ impl Overrides {
         scene.integrator = self.integrator.unwrap_or(scene.integrator);
         scene.model = self.model.unwrap_or(scene.model);
         Ok(scene)
+    }
+
+    /// The scene of a recording with these changes.
+    pub fn rerun(&self, recorded: &Recorded) -> Result<Arc<dyn Experiment>, Failure> {
+        let (was, mut settings) = (&recorded.schema, recorded.run.clone());
+        let scene = Scene::parse(&was.source, &was.name).map_err(Failure::input)?;
+        let scene = self.apply(scene, &was.name)?;
+        let sets = |key: &str| self.set.iter().any(|one| one.key() == key);
+        if self.integrator.is_some() || sets("integrator") {
+            settings.insert("integrator".to_owned(), scene.integrator.name().into());
+        }
+        if self.model.is_some() || sets("model") {
+            settings.insert("model".to_owned(), scene.model.name().into());
+        }
+        for (key, number) in [("dt", scene.dt), ("tolerance", scene.tolerance)] {
+            if sets(key) {
+                settings.insert(key.to_owned(), number.into());
+            }
+        }
+        let set = settings.entry("set").or_insert_with(|| toml::Value::Array(Vec::new()));
+        if let toml::Value::Array(set) = set {
+            set.extend(self.set.iter().map(|one| one.to_string().into()));
+        }
+        models::read(&was.name, &was.source, &settings)
+            .map_err(|(Refusal::Source(what) | Refusal::Run(what))| Failure::Input(what))
     }
 }

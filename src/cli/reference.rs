@@ -135,6 +135,7 @@ fn tables() -> String {
     section("Thresholds (`meldscope sweep --bisect`)", &[&[first, axis(bisect::AXIS)][..], &rest].concat());
     section("Events (`meldscope export --events`)", &export::tables::EVENTS);
     section("Pairs within reach (`meldscope export --pairs`)", &export::tables::PAIRS);
+    section("Bodies (`meldscope export --bodies`)", &export::tables::BODIES);
     let mut names = HashSet::new();
     let scalars = scalars::all().filter(|scalar| names.insert(scalar.name)).map(|scalar| {
         let about = format!("{}: {}", scalar.plot, scalar.label);
@@ -144,7 +145,7 @@ fn tables() -> String {
     section("Scalars (`meldscope export --scalars`), those that the scene has", &scalars);
     section("States (`meldscope export --states`), a row for each vertex", &export::tables::STATES);
     section(
-        "Forces (`meldscope export --forces`), a row for each cause that acts on a vertex",
+        "Forces (`meldscope export --forces`), a row for each cause that acts on a vertex, and each force at another point",
         &export::tables::FORCES,
     );
     text.truncate(text.trim_end().len());

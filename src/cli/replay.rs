@@ -6,12 +6,12 @@ use super::{
     Failure, announce, may_print, may_save, one_of,
     overrides::Overrides,
     print,
+    program::Program,
     progress::{Progress, Work},
     say, sink_failure, vector,
 };
 use crate::{
-    models,
-    observe::{Frame, Refusal, Run, Schema, Simulation, Want},
+    observe::{Frame, Run, Schema, Simulation, Want},
     recording::{
         Recorded,
         contents::Contents,
@@ -19,7 +19,6 @@ use crate::{
         read::End,
         replay::{self, Verdict},
     },
-    scene::Scene,
     stream::{
         Recorder,
         blueprint::Tab,
@@ -59,26 +58,26 @@ pub struct Arguments {
 
 /// Replays and verifies a recording or all of a file, or runs a recording's scene with other settings and verifies
 /// nothing.
-pub fn replay(arguments: Arguments) -> Result<(), Failure> {
+pub fn replay(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> {
     may_print(&arguments.recording)?;
     let contents = Contents::read(&arguments.recording)?;
     let is_one_run = arguments.name.is_some() || arguments.save.is_some() || !arguments.overrides.is_empty();
     if contents.names().len() > 1 && !is_one_run {
-        return verify_all(&arguments, &contents);
+        return verify_all(program, &arguments, &contents);
     }
-    let recorded = contents.only(arguments.name.as_deref(), &models::read)?;
+    let recorded = program.recreate(&contents, contents.index(arguments.name.as_deref())?)?;
     match arguments.overrides.is_empty() {
         true => verify(&arguments, &recorded, &recorded.path.display().to_string()),
-        false => vary(&arguments, &recorded),
+        false => vary(program, &arguments, &recorded),
     }
 }
 
 /// Verifies each recording of a file. The exit status is that of the worst.
-fn verify_all(arguments: &Arguments, contents: &Contents) -> Result<(), Failure> {
+fn verify_all(program: Program<'_>, arguments: &Arguments, contents: &Contents) -> Result<(), Failure> {
     let (path, names) = (arguments.recording.display(), contents.names());
     let (mut failed, mut is_input) = (0, false);
     for (index, name) in names.iter().enumerate() {
-        let recorded = contents.recorded(index, &models::read).map_err(Failure::from);
+        let recorded = program.recreate(contents, index).map_err(Failure::from);
         if let Err(failure) = recorded.and_then(|recorded| verify(arguments, &recorded, &format!("{path}, {name}"))) {
             say(&format!("error: {name}: {failure}"));
             failed += 1;
@@ -211,33 +210,13 @@ fn check_end(recorded: &Recorded) -> Result<(), Failure> {
 
 /// Runs the scene with changed settings, to answer "does it go away?". Lists its events beside the number of recorded
 /// ones.
-fn vary(arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
-    let (was, overrides) = (&recorded.schema, &arguments.overrides);
-    let mut settings = recorded.run.clone();
-    let scene = Scene::parse(&was.source, &was.name).map_err(Failure::input)?;
-    let scene = overrides.apply(scene, &was.name)?;
-    let sets = |key: &str| overrides.set.iter().any(|one| one.key() == key);
-    if overrides.integrator.is_some() || sets("integrator") {
-        settings.insert("integrator".to_owned(), scene.integrator.name().into());
-    }
-    if overrides.model.is_some() || sets("model") {
-        settings.insert("model".to_owned(), scene.model.name().into());
-    }
-    for (key, number) in [("dt", scene.dt), ("tolerance", scene.tolerance)] {
-        if sets(key) {
-            settings.insert(key.to_owned(), number.into());
-        }
-    }
-    let set = settings.entry("set").or_insert_with(|| toml::Value::Array(Vec::new()));
-    if let toml::Value::Array(set) = set {
-        set.extend(overrides.set.iter().map(|one| one.to_string().into()));
-    }
+fn vary(program: Program<'_>, arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
+    let was = &recorded.schema;
     let named = |schema: &Schema| match schema.non_default_model() {
         None => schema.integrator.clone(),
         Some(model) => format!("{} of {model}", schema.integrator),
     };
-    let experiment = models::read(&was.name, &was.source, &settings)
-        .map_err(|(Refusal::Source(what) | Refusal::Run(what))| Failure::Input(what))?;
+    let experiment = program.varied(recorded, &arguments.overrides)?;
     let simulation = experiment.start().map_err(Failure::Input)?;
     let schema = experiment.schema();
     let steps = (recorded.last() as f64 * was.dt / schema.dt).round() as u64;

@@ -17,16 +17,14 @@ use super::{
     interrupt::{self, STOP},
     may_print, may_save, one_of,
     overrides::Overrides,
+    program::{self, Program},
     progress::{Progress, Work},
     sink_failure,
 };
 use crate::{
-    models::SceneRun,
-    observe::{Experiment as _, Schema, Simulation},
+    observe::{Experiment, Schema, Simulation},
     recording::existing::{Existing, Kind},
-    scene::Scene,
     sdk,
-    sim::Options,
     stream::{
         blueprint::Tab,
         settings::{self, Around, Detail, Entities, Frames, Settings, Trigger, application, file_stem},
@@ -38,7 +36,6 @@ use console::{Console, summarize};
 use simulate::simulate;
 use watch::watch;
 
-pub(super) use super::load::scene;
 pub(super) use watch::changed;
 
 /// The port of the page with the web viewer.
@@ -163,16 +160,18 @@ fn parse_bind(text: &str) -> Result<Bind, String> {
 }
 
 /// Simulates a scene and records it.
-pub fn run(mut arguments: Arguments) -> Result<(), Failure> {
-    check(&arguments)?;
+pub fn run(program: Program<'_>, mut arguments: Arguments) -> Result<(), Failure> {
+    check(program, &arguments)?;
     may_print(Path::new(&arguments.scene))?;
-    let scene = arguments.overrides.apply(scene(&arguments.scene)?, &arguments.scene)?;
-    let destinations = destinations(&arguments, &scene);
-    expense::announce(&scene, (!arguments.thin).then_some(arguments.detail))?;
+    let subject = program.subject(&arguments.scene, &arguments.overrides)?;
+    if let Some(scene) = subject.scene() {
+        expense::announce(scene, (!arguments.thin).then_some(arguments.detail))?;
+    }
     // Check the scene first, then the destinations; only then start any work.
-    let experiment = experiment(scene);
-    let simulation = start(&experiment)?;
+    let experiment = subject.experiment(Some(&STOP));
+    let simulation = start(&*experiment)?;
     let schema = simulation.schema();
+    let destinations = destinations(&arguments, &schema.name);
     let settings = settings(&arguments, &schema)?;
     if let (Some(from), Some(steps)) = (arguments.from, settings.steps)
         && from > steps
@@ -193,7 +192,7 @@ pub fn run(mut arguments: Arguments) -> Result<(), Failure> {
     let mut console = Console::new(&arguments);
     if destinations.save.is_some() || arguments.stdout {
         let _progress = Progress::new("estimating the size of the recording", Work::Uncounted);
-        arguments.every = console.say_size(&experiment, &settings, arguments.every);
+        arguments.every = console.say_size(&*experiment, &settings, arguments.every);
     }
     drop(experiment);
     let simulated = match arguments.watch {
@@ -224,11 +223,12 @@ pub fn run(mut arguments: Arguments) -> Result<(), Failure> {
 }
 
 /// Rejects contradictory options.
-fn check(arguments: &Arguments) -> Result<(), Failure> {
+fn check(program: Program<'_>, arguments: &Arguments) -> Result<(), Failure> {
     let is_viewed = arguments.spawn || arguments.connect.is_some() || arguments.serve;
     let has_range = arguments.from.is_some() || arguments.to.is_some();
     let reject = |what: &str| Err(Failure::Input(what.to_owned()));
     match arguments.detail {
+        _ if arguments.watch && !matches!(program, Program::Scenes) => reject("--watch is for scene files"),
         _ if arguments.watch && !is_viewed => reject("--watch is for a viewer: add --spawn, --connect or --serve"),
         _ if arguments.watch && !Path::new(&arguments.scene).is_file() => {
             reject(&format!("--watch needs a scene file, and there is no file {:?}", arguments.scene))
@@ -243,22 +243,20 @@ fn check(arguments: &Arguments) -> Result<(), Failure> {
         Detail::Surface if matches!(arguments.tab, Tab::Forces | Tab::Displacement) => {
             reject(&format!("--tab {} shows data that --detail surface omits", arguments.tab.name()))
         }
-        Detail::Stages { .. } if arguments.keep.is_some() => reject(
+        Detail::Stages { .. } if arguments.keep.is_some() => reject(&format!(
             "--detail stages records states within steps, but --keep holds only frames: omit one of them, and record the \
-             stages later (`meldscope replay F.rrd --save G.rrd --from STEP --to STEP --detail stages`)",
-        ),
+             stages later (`{} replay F.rrd --save G.rrd --from STEP --to STEP --detail stages`)",
+            program::name()
+        )),
         _ => Ok(()),
     }
 }
 
-fn experiment(scene: Scene) -> SceneRun {
-    let options = Options { interrupt: Some(&STOP), ..Options::default() };
-    SceneRun { scene, options }
-}
-
 /// Builds the bodies of a scene, with a progress message: factoring a large stiffness matrix may take long.
-fn start(experiment: &SceneRun) -> Result<Box<dyn Simulation>, Failure> {
-    let _progress = Progress::new(format!("building bodies: {}", experiment.scene.model), Work::Uncounted);
+fn start(experiment: &dyn Experiment) -> Result<Box<dyn Simulation>, Failure> {
+    let model = experiment.schema().model;
+    let of_model = if model.is_empty() { model } else { format!(": {model}") };
+    let _progress = Progress::new(format!("building bodies{of_model}"), Work::Uncounted);
     experiment.start().map_err(Failure::Input)
 }
 
@@ -302,8 +300,8 @@ fn destined_live(arguments: &Arguments) -> bool {
     arguments.spawn || arguments.connect.is_some() || arguments.serve || arguments.stdout
 }
 
-fn destinations(arguments: &Arguments, scene: &Scene) -> Destinations {
-    let fallback = || (!destined_live(arguments)).then(|| PathBuf::from(format!("{}.rrd", file_stem(&scene.name))));
+fn destinations(arguments: &Arguments, name: &str) -> Destinations {
+    let fallback = || (!destined_live(arguments)).then(|| PathBuf::from(format!("{}.rrd", file_stem(name))));
     Destinations {
         save: arguments.save.clone().or_else(fallback),
         stdout: arguments.stdout,

@@ -12,11 +12,13 @@ use super::{
     Failure,
     interrupt::{self, STOP},
     print,
+    program::Program,
     progress::{Progress, Work},
     say,
 };
 use crate::{
     models,
+    observe::simulation::FindExperiment,
     recording::{Recorded, existing::Existing},
     scene::template::Setting,
     stream::settings::application,
@@ -93,7 +95,10 @@ impl From<LevelError> for Failure {
 }
 
 /// Runs a sweep, or the part of it that the options select.
-pub fn sweep(arguments: Arguments) -> Result<(), Failure> {
+pub fn sweep(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> {
+    if let Program::Own(find) = program {
+        return sweep_own(find, &arguments);
+    }
     let sweep = match builtin::named(&arguments.sweep) {
         Some(builtin) => Sweep::parse(builtin.text, builtin.name, None),
         None if !Path::new(&arguments.sweep).exists() && !arguments.sweep.contains(['/', '\\', '.']) => {
@@ -178,6 +183,43 @@ pub fn sweep(arguments: Arguments) -> Result<(), Failure> {
     running.summarize(total, arguments.refine)?;
     running.draw()?;
     axis.map_or(Ok(()), |axis| running.bisect(axis))
+}
+
+/// Runs a sweep over parameters of an experiment, or a part of it.
+fn sweep_own(find: &FindExperiment<'_>, arguments: &Arguments) -> Result<(), Failure> {
+    let is_used = [
+        ("--refine", arguments.refine > 0),
+        ("--bisect", arguments.bisect.is_some()),
+        ("--open", arguments.open.is_some()),
+    ];
+    if let Some((option, _)) = is_used.into_iter().find(|(_, is_used)| *is_used) {
+        return Err(Failure::Input(format!("{option} is for scenes")));
+    }
+    let sweep = Sweep::load_own(Path::new(&arguments.sweep), find).map_err(Failure::input)?;
+    let store = Store::open(&arguments.out, &sweep, columns(&sweep))?;
+    interrupt::raise_stop()?;
+    let runner = Runner::of_own(&sweep, Some(&STOP));
+    let running = RunningSweep { runner, sweep: &sweep, store: &store, start: Instant::now() };
+    let mut known = Known::new(&sweep, 0);
+    let plan = level::plan(&store, &sweep, &mut known, 0)?;
+    running.level(0, &plan, arguments.shard.unwrap_or(Shard::ALL))?;
+    let (mut rows, mut steps, mut failure) = (0, 0, None);
+    store.read(0..1, None, &store.named(&["steps", "failure"]), |(row, cells)| {
+        rows += 1;
+        if let [Cell::I64(of_row), why] = &cells[..] {
+            steps += *of_row as u64;
+            if let Cell::Text(why) = why {
+                failure.get_or_insert((row, why.clone()));
+            }
+        }
+    })?;
+    print(&format!("{}: {}, {}", sweep.file, counted(rows, "run"), counted(steps, "step")));
+    if let Some((row, why)) = failure {
+        print(&format!("the first run that failed is row {row}: {why}"));
+    }
+    let seconds = duration(running.start.elapsed().as_secs_f64());
+    print(&format!("rows: {}/rows-*.parquet, after {seconds}", store.path().display()));
+    Ok(())
 }
 
 /// The axis with this key or name.

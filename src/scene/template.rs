@@ -124,6 +124,13 @@ impl fmt::Display for Override {
     }
 }
 
+impl KeyPath {
+    /// The path as text.
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+}
+
 impl Override {
     /// Parses `KEY=VALUE`. The value is TOML; what is not TOML is a string without its quotes.
     ///
@@ -146,6 +153,11 @@ impl Override {
     /// The path of the key.
     pub fn key(&self) -> &str {
         &self.key.text
+    }
+
+    /// The value, if it is a number.
+    pub fn number(&self) -> Option<f64> {
+        self.value.parse().ok()
     }
 }
 

@@ -3,6 +3,7 @@
 use std::{
     fs,
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 use super::{
@@ -10,6 +11,7 @@ use super::{
     row::Measures,
 };
 use crate::{
+    observe::{Experiment, InvalidVariation, Variation, simulation::FindExperiment},
     scene::{
         Scene, SceneError, builtin,
         keys::{ANY, Fallback, Key, Kind, Range, Section, Text, find, words},
@@ -220,6 +222,8 @@ pub struct Sweep {
     pub scene_file: String,
     /// The folder of the scene, if it is a file.
     pub folder: Option<PathBuf>,
+    /// The experiment whose parameters vary, in place of a scene.
+    pub experiment: Option<Arc<dyn Experiment>>,
     /// Values that are the same in all runs.
     pub set: Vec<(KeyPath, Setting)>,
     /// The axes and the sampling.
@@ -251,7 +255,41 @@ impl Sweep {
     /// # Errors
     /// The text is not a valid sweep, or its scene is invalid.
     pub fn parse(text: &str, file: &str, folder: Option<&Path>) -> Result<Sweep, SceneError> {
-        on_deep_stack(|| parse(text, file, folder))
+        on_deep_stack(|| parse(text, file, Home::Folder(folder)))
+    }
+
+    /// The sweep in the file at `path` over parameters of an experiment that `find` finds by its name, for which `scene`
+    /// stands.
+    ///
+    /// # Errors
+    /// The file cannot be read or is not a valid sweep, or there is no such experiment or parameter.
+    pub fn load_own(path: &Path, find: &FindExperiment<'_>) -> Result<Sweep, SceneError> {
+        let file = path.display().to_string();
+        let text = read(path, &file)?;
+        let name = on_deep_stack(|| {
+            let source = Source { text: &text, file: &file };
+            Table::root(&source, &source.document()?, &SWEEP)?.text(key!(TOP.scene))
+        })?;
+        let found = find(&name);
+        on_deep_stack(|| parse(&text, &file, Home::Own(found.clone())))
+    }
+
+    /// The experiment at a point, if this is not a sweep of a scene.
+    pub(super) fn own(&self, point: &[Setting]) -> Option<Result<Arc<dyn Experiment>, InvalidVariation>> {
+        let experiment = self.experiment.as_ref()?;
+        let mut variation = Variation::default();
+        for (key, setting) in self.settings(point) {
+            let invalid = |what: &str| {
+                let text = format!("{what} {:?}", key.text());
+                Some(Err(InvalidVariation { key: Some(key.text().to_owned()), text }))
+            };
+            let Setting::Number(number) = setting else { return invalid("expected a number for the parameter") };
+            if !experiment.parameters().iter().any(|parameter| parameter.key == key.text()) {
+                return invalid("there is no parameter");
+            }
+            variation.values.insert(key.text().to_owned(), *number);
+        }
+        Some(experiment.varied(&variation))
     }
 
     /// The scene as a template.
@@ -269,6 +307,12 @@ impl Sweep {
     }
 }
 
+/// Where a sweep finds what its key `scene` names.
+enum Home<'a> {
+    Folder(Option<&'a Path>),
+    Own(Result<Arc<dyn Experiment>, String>),
+}
+
 fn read(path: &Path, file: &str) -> Result<String, SceneError> {
     let error_of =
         |message: String| SceneError { file: file.to_owned(), place: None, key: String::new(), message, help: None };
@@ -279,7 +323,7 @@ fn read(path: &Path, file: &str) -> Result<String, SceneError> {
     fs::read_to_string(path).map_err(|error| error_of(format!("cannot read \"{file}\": {error}")))
 }
 
-fn parse(text: &str, file: &str, folder: Option<&Path>) -> Result<Sweep, SceneError> {
+fn parse(text: &str, file: &str, home: Home<'_>) -> Result<Sweep, SceneError> {
     let source = Source { text, file };
     let document = source.document()?;
     let root = Table::root(&source, &document, &SWEEP)?;
@@ -325,9 +369,20 @@ fn parse(text: &str, file: &str, folder: Option<&Path>) -> Result<Sweep, SceneEr
 
     let name = root.text(key!(TOP.scene))?;
     let scene_error = |message: String| root.error("scene", message);
-    let (scene_text, scene_file, scene_folder) = match builtin::ALL.iter().find(|builtin| builtin.name == name) {
-        Some(builtin) => (builtin.text.to_owned(), name, None),
-        None => {
+    let mut experiment = None;
+    let builtin = builtin::ALL.iter().find(|builtin| builtin.name == name);
+    let (scene_text, scene_file, scene_folder) = match (home, builtin) {
+        (Home::Own(found), _) => {
+            for key in ["until", "measures", "color", "jump"] {
+                if let Some(value) = root.get(key) {
+                    return Err(value.error("only for scenes".to_owned()));
+                }
+            }
+            let found = found.map_err(|why| scene_error(format!("there is no experiment {name:?}: {why}")))?;
+            (experiment.insert(found).schema().source, name, None)
+        }
+        (Home::Folder(_), Some(builtin)) => (builtin.text.to_owned(), name, None),
+        (Home::Folder(folder), None) => {
             let path = folder.unwrap_or(Path::new("")).join(&name);
             if !path.exists() && !name.contains(['/', '\\', '.']) {
                 let names = builtin::ALL.map(|builtin| builtin.name);
@@ -348,6 +403,7 @@ fn parse(text: &str, file: &str, folder: Option<&Path>) -> Result<Sweep, SceneEr
         scene_text,
         scene_file,
         folder: scene_folder,
+        experiment,
         set,
         design,
         measures,
@@ -455,12 +511,25 @@ fn read_jumps(value: Option<Value<'_>>, measures: Measures) -> Result<Vec<(Strin
 
 /// Rejects values that make the scene invalid, and sweeps with too many runs, before anything runs.
 fn try_values(sweep: &Sweep, axes: &[Table<'_>], sets: &[Table<'_>]) -> Result<(), SceneError> {
-    let template = sweep.template()?;
+    let template = if sweep.experiment.is_none() { Some(sweep.template()?) } else { None };
     let design = &sweep.design;
     let first: Vec<Setting> = design.axes.iter().map(|axis| axis.sample(0)).collect();
-    for (index, (key, setting)) in sweep.set.iter().enumerate() {
-        let before = sweep.set[..index].iter().map(|(key, setting)| (key, setting));
-        if let Err(error) = template.scene(before.chain([(key, setting)])) {
+    // whether the keys of `set` up to some, and those of a point, are valid
+    let check = |count: usize, point: &[Setting]| -> Result<(), SceneError> {
+        if let Some(template) = &template {
+            let fixed = sweep.set[..count].iter().map(|(key, setting)| (key, setting));
+            let of_axes = design.axes.iter().map(|axis| &axis.key).zip(point);
+            return template.scene(fixed.chain(of_axes)).map(drop);
+        }
+        let invalid = match sweep.own(point) {
+            Some(Err(invalid)) => invalid,
+            _ => return Ok(()),
+        };
+        let (file, key) = (sweep.scene_file.clone(), invalid.key.unwrap_or_default());
+        Err(SceneError { file, place: None, key, message: invalid.text, help: None })
+    };
+    for index in 0..sweep.set.len() {
+        if let Err(error) = check(index + 1, &[]) {
             return Err(sets[index].error(if is_unknown(&error) { "key" } else { "value" }, in_words(&error)));
         }
     }
@@ -470,7 +539,7 @@ fn try_values(sweep: &Sweep, axes: &[Table<'_>], sets: &[Table<'_>]) -> Result<(
         for sample in all {
             let mut point = first.clone();
             point[index] = axis.sample(sample);
-            if let Err(error) = template.scene(sweep.settings(&point)) {
+            if let Err(error) = check(sweep.set.len(), &point) {
                 let (key, value) = (&axis.key, &point[index]);
                 let table = &axes[index];
                 return Err(match is_unknown(&error) {
@@ -488,7 +557,7 @@ fn try_values(sweep: &Sweep, axes: &[Table<'_>], sets: &[Table<'_>]) -> Result<(
             if corner >> index & 1 == 1 { axis.sample(axis.sample_count() - 1) } else { axis.sample(0) }
         });
         let point: Vec<Setting> = ends.collect();
-        if let Err(error) = template.scene(sweep.settings(&point)) {
+        if let Err(error) = check(sweep.set.len(), &point) {
             let values = design.axes.iter().zip(&point).map(|(axis, value)| format!("{} = {value}", axis.key));
             let values = crate::text::listed(&values.collect::<Vec<_>>());
             return Err(axes[0].error("key", format!("{values} together make the scene invalid: {}", in_words(&error))));
@@ -497,7 +566,7 @@ fn try_values(sweep: &Sweep, axes: &[Table<'_>], sets: &[Table<'_>]) -> Result<(
     match design.count() {
         Some(count) if count <= MOST_ROWS => Ok(()),
         count => {
-            let seconds = super::run::estimate(&template, sweep, &first);
+            let seconds = template.as_ref().map_or(1.0, |template| super::run::estimate(template, sweep, &first));
             let product = || design.axes.iter().map(|axis| axis.sample_count() as f64).product::<f64>();
             let runs = count.map_or_else(|| format!("{:e}", product()), thousands);
             let time = count.map_or_else(product, |count| count as f64) * seconds;

@@ -4,7 +4,7 @@
 //! | --- | --- |
 //! | the sweep file | [`file`] |
 //! | the points and their row numbers | [`design`] |
-//! | one run: its outcome, its measures, its end | [`run`] |
+//! | one run: its outcome, its measures, its end; that of another experiment | [`run`], `own` |
 //! | the columns of a row | [`row`] |
 //! | rows read back from Parquet | [`table`] |
 //! | the folder: finished and unfinished rows | [`store`] |
@@ -77,6 +77,7 @@ pub mod design;
 pub mod file;
 pub mod level;
 pub mod map;
+mod own;
 pub mod picture;
 pub mod refine;
 pub mod row;

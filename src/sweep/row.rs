@@ -6,6 +6,10 @@ use rustc_hash::FxHasher;
 
 use super::{Sweep, design::Axis};
 use crate::{
+    observe::{
+        Schema,
+        schema::{ScalarOf, ScalarSchema},
+    },
     scene::template::Setting,
     table::{self, Column, Kind},
 };
@@ -106,6 +110,16 @@ pub const SURFACES: [Column; 3] = [
     Column::required("overlaps", Kind::List, "volume of the intersection at each event [share of the smaller body]"),
     Column::required("necks", Kind::List, "radius of the seam at each event [radii]"),
 ];
+/// The results of a sweep over an experiment that is not a scene; each [scalar of its state](ScalarOf::State) follows, as
+/// `final_SCALAR`.
+pub const OWN: [Column; 6] = [
+    Column::required("events", Kind::Text, "the events of pairs in order, the first 64 of them"),
+    Column::required("event_times", Kind::List, "exact times of these events [s]"),
+    Column::required("event_count", Kind::Integer, "number of events of pairs"),
+    Column::required("steps", Kind::Integer, "steps taken"),
+    Column::required("end", Kind::Float, "simulated time at the end [s]"),
+    Column::required("checksum", Kind::Count, "hash of the exact state at the end"),
+];
 /// The last columns of every sweep.
 pub const LAST: [Column; 2] = [
     Column::new("failure", Kind::Text, "why the run failed"),
@@ -122,6 +136,15 @@ pub fn axis_column(axis: &Axis, about: &'static str) -> Column {
 pub fn columns(sweep: &Sweep) -> Vec<Column> {
     let mut columns = vec![ROW];
     columns.extend(sweep.design.axes.iter().map(|axis| axis_column(axis, AXIS)));
+    if let Some(experiment) = &sweep.experiment {
+        columns.extend(OWN);
+        columns.extend(final_scalars(&experiment.schema()).map(|(_, scalar)| Column {
+            name: format!("final_{}", scalar.name).into(),
+            ..Column::new("", Kind::Float, scalar.label)
+        }));
+        columns.extend(LAST);
+        return columns;
+    }
     columns.extend(RESULTS);
     if sweep.measures.displacement {
         columns.extend(DISPLACEMENT);
@@ -131,6 +154,11 @@ pub fn columns(sweep: &Sweep) -> Vec<Column> {
     }
     columns.extend(LAST);
     columns
+}
+
+/// The scalars that are in a row of a sweep, with their indices.
+pub(super) fn final_scalars(schema: &Schema) -> impl Iterator<Item = (usize, &ScalarSchema)> {
+    schema.scalars.iter().enumerate().filter(|(_, scalar)| scalar.of == ScalarOf::State)
 }
 
 impl From<&Setting> for Cell {

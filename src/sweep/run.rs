@@ -31,6 +31,7 @@ use glam::DVec3;
 
 use super::{
     file::{Sweep, Until},
+    own,
     row::{Cell, Row},
 };
 use crate::{
@@ -47,7 +48,7 @@ use crate::{
 };
 
 /// Maximum number of events listed in a row.
-const MAX_EVENTS: usize = 64;
+pub(super) const MAX_EVENTS: usize = 64;
 /// Maximum number of bodies of a run that may end before its scene.
 const MAX_BODIES: usize = 8;
 /// Safety factor on the displacement that the energy of a vertex allows.
@@ -98,7 +99,8 @@ impl Outcome {
 /// Data shared by runs.
 pub struct Runner<'a> {
     sweep: &'a Sweep,
-    template: &'a Template<'a>,
+    /// The scene; `None` if the sweep is over another experiment.
+    template: Option<&'a Template<'a>>,
     interrupt: Option<&'static AtomicBool>,
 }
 
@@ -109,7 +111,12 @@ pub struct Interrupted;
 impl<'a> Runner<'a> {
     /// Prepares the runs of a sweep; they end when `interrupt` is set.
     pub fn new(sweep: &'a Sweep, template: &'a Template<'a>, interrupt: Option<&'static AtomicBool>) -> Runner<'a> {
-        Runner { sweep, template, interrupt }
+        Runner { sweep, template: Some(template), interrupt }
+    }
+
+    /// Prepares the runs of a sweep over an experiment that is not a scene; they end when `interrupt` is set.
+    pub fn of_own(sweep: &'a Sweep, interrupt: Option<&'static AtomicBool>) -> Runner<'a> {
+        Runner { sweep, template: None, interrupt }
     }
 
     /// Runs a row of the sweep.
@@ -127,13 +134,18 @@ impl<'a> Runner<'a> {
     /// The run was interrupted.
     pub fn cells(&self, point: &[Setting]) -> Result<Vec<Cell>, Interrupted> {
         let start = Instant::now();
-        let scene = self.template.scene(self.sweep.settings(point)).map_err(|error| error.to_string());
+        let mut cells: Vec<Cell> = point.iter().map(Cell::from).collect();
+        let Some(template) = self.template else {
+            own::run(self.sweep, point, self.interrupt, &mut cells)?;
+            cells.push(Cell::F64(start.elapsed().as_secs_f64()));
+            return Ok(cells);
+        };
+        let scene = template.scene(self.sweep.settings(point)).map_err(|error| error.to_string());
         let scene = scene.and_then(|scene| {
             models::need_oscillators(&scene, "a sweep").map_err(|error| error.to_string()).map(|()| scene)
         });
         let options = Options { interrupt: self.interrupt, ..Options::default() };
         let world = scene.and_then(|scene| World::with_options(scene, options).map_err(|error| error.to_string()));
-        let mut cells: Vec<Cell> = point.iter().map(Cell::from).collect();
         match world {
             Ok(world) => Run::new(world, self.sweep).finish(&mut cells)?,
             Err(error) => rejected(self.sweep, error, &mut cells),

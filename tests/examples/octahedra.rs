@@ -1,20 +1,22 @@
-//! Records a simulation that shares nothing with this crate's own: octahedra with forces, phases and thresholds of their
-//! own. The viewer shows `octahedra.rrd` with the same tabs as a run of `meldscope`.
+//! A program of its own for a simulation that shares nothing with this crate's: octahedra with forces, phases and
+//! thresholds of their own. The viewer shows `octahedra.rrd` with the same tabs as a run of `meldscope`.
 //!
 //! ```sh
-//! cargo run --release --example octahedra
+//! cargo run --release --example octahedra -- run octahedra
+//! cargo run --release --example octahedra -- replay octahedra.rrd
 //! ```
 
 #[path = "../suite/octahedra.rs"]
 mod octahedra;
 
-use meldscope::stream::{self, Settings, sinks::Destinations};
+use std::{process::ExitCode, sync::Arc};
+
+use meldscope::cli;
 use octahedra::Octahedra;
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let octahedra = Octahedra::two(3.0);
-    let destinations = Destinations { save: Some("octahedra.rrd".into()), ..Destinations::default() };
-    let frames = stream::record(&octahedra, Settings::of(&octahedra), &destinations)?;
-    println!("saved octahedra.rrd: {frames} frames; open it with `rerun octahedra.rrd`");
-    Ok(())
+fn main() -> ExitCode {
+    cli::run(std::env::args_os(), |name| match name {
+        "octahedra" => Ok(Arc::new(Octahedra::two(3.0))),
+        _ => Err("there is octahedra only".to_owned()),
+    })
 }

@@ -17,6 +17,7 @@ mod library;
 mod live;
 mod models;
 mod octahedra;
+mod own_program;
 mod physics;
 mod random;
 mod reach;

@@ -43,7 +43,7 @@ pub fn parts(schema: &Schema, frame: &Frame, merged: &Merged) -> Vec<Part> {
     }
     let mut local = Vectors::default();
     for (index, (body, now)) in schema.bodies.iter().zip(&frame.bodies).enumerate() {
-        if merged.is_merged.get(index).copied().unwrap_or(false) {
+        if now.is_absent || merged.is_merged.get(index).copied().unwrap_or(false) {
             continue;
         }
         let mesh = now.mesh_of(body);

@@ -5,7 +5,10 @@ use std::path::Path;
 use crate::{
     cli::Failure,
     geometry::Vectors,
-    observe::{EventRow, Frame, Instant, Schema, StepSummary, schema::ScalarOf},
+    observe::{
+        EventRow, Frame, Instant, Schema, StepSummary,
+        schema::{ScalarOf, ScalarSchema},
+    },
     table::{Cell, Column, Kind, Table, TableError},
 };
 
@@ -35,7 +38,7 @@ pub const EVENTS: [Column; 10] = [
     Column::new("to", Kind::Text, "phase after; empty unless a phase changes"),
     Column::new("surfaces", Kind::Text, "the surfaces at a change of phase, in words"),
 ];
-/// The columns of a table of pairs within reach.
+/// The first columns of a table of pairs within reach; each scalar of a pair of the simulation follows.
 pub const PAIRS: [Column; 6] = [
     STEP,
     TIME,
@@ -43,6 +46,16 @@ pub const PAIRS: [Column; 6] = [
     Column::required("b", Kind::Text, "the other body"),
     Column::required("q", Kind::Float, Q),
     Column::required("phase", Kind::Text, "phase"),
+];
+/// The first columns of a table of bodies; each scalar of a body of the simulation follows.
+pub const BODIES: [Column; 7] = [
+    STEP,
+    TIME,
+    Column::required("body", Kind::Text, "body"),
+    Column::required("x", Kind::Float, "position of its centre [scene unit]"),
+    Column::required("y", Kind::Float, ""),
+    Column::required("z", Kind::Float, ""),
+    Column::required("max_displacement", Kind::Float, "largest displacement of a vertex [radii]"),
 ];
 /// The first columns of a table of scalars; each scalar of the simulation follows.
 pub const SCALARS: [Column; 2] = [STEP, TIME];
@@ -64,16 +77,19 @@ pub const STATES: [Column; 13] = [
 ];
 
 /// The columns of a table of forces.
-pub const FORCES: [Column; 9] = [
+pub const FORCES: [Column; 12] = [
     STEP,
     TIME,
     Column::required("body", Kind::Text, "body"),
-    Column::required("vertex", Kind::Count, "index of the vertex"),
+    Column::new("vertex", Kind::Count, "index of the vertex; empty for a force at another point"),
     Column::required("cause", Kind::Text, "cause of the acceleration; net: the sum of all others"),
     Column::new("source", Kind::Text, "the body whose sphere causes it, if it is a single one"),
     Column::required("x", Kind::Float, "acceleration [scene unit/s²]"),
     Column::required("y", Kind::Float, ""),
     Column::required("z", Kind::Float, ""),
+    Column::new("at_x", Kind::Float, "the point, if it is no vertex [scene unit]"),
+    Column::new("at_y", Kind::Float, ""),
+    Column::new("at_z", Kind::Float, ""),
 ];
 
 /// A table of events.
@@ -110,18 +126,53 @@ pub struct Pairs(pub Table);
 
 impl Pairs {
     /// An empty table.
-    pub fn create(path: &Path) -> Result<Pairs, Failure> {
-        Ok(Pairs(Table::create(path, PAIRS.into())?))
+    pub fn create(path: &Path, schema: &Schema) -> Result<Pairs, Failure> {
+        Ok(Pairs(Table::create(path, with_scalars(&PAIRS, &schema.pair_scalars))?))
     }
 
     /// Adds the pairs of a frame.
     pub fn add(&mut self, schema: &Schema, frame: &Frame) -> Result<(), Failure> {
         let [step, time] = instant(frame.at);
-        frame.pairs.iter().try_for_each(|pair| {
+        let count = schema.pair_scalars.len();
+        frame.pairs.iter().enumerate().try_for_each(|(index, pair)| {
             let phase = Cell::Text(schema.phases[pair.phase].name);
-            Ok(self.0.row(&[step, time, body(schema, pair.a), body(schema, pair.b), Cell::Float(pair.q), phase])?)
+            let cells = [step, time, body(schema, pair.a), body(schema, pair.b), Cell::Float(pair.q), phase];
+            Ok(self.0.row(&[&cells[..], &numbers(&frame.pair_scalars, index, count)].concat())?)
         })
     }
+}
+
+/// A table of bodies.
+pub struct Bodies(pub Table);
+
+impl Bodies {
+    /// An empty table.
+    pub fn create(path: &Path, schema: &Schema) -> Result<Bodies, Failure> {
+        Ok(Bodies(Table::create(path, with_scalars(&BODIES, &schema.body_scalars))?))
+    }
+
+    /// Adds the bodies of a frame.
+    pub fn add(&mut self, schema: &Schema, frame: &Frame) -> Result<(), Failure> {
+        let [step, time] = instant(frame.at);
+        let count = schema.body_scalars.len();
+        let mut present = schema.bodies.iter().zip(&frame.bodies).enumerate().filter(|(_, (_, now))| !now.is_absent);
+        present.try_for_each(|(index, (of, now))| {
+            let [x, y, z] = now.centre.to_array().map(Cell::Float);
+            let cells = [step, time, body(schema, index), x, y, z, Cell::Float(now.max_displacement / of.radius)];
+            Ok(self.0.row(&[&cells[..], &numbers(&frame.body_scalars, index, count)].concat())?)
+        })
+    }
+}
+
+fn with_scalars(first: &[Column], scalars: &[ScalarSchema]) -> Vec<Column> {
+    let scalars = scalars.iter().map(|scalar| Column::new(scalar.name, Kind::Float, scalar.label));
+    first.iter().cloned().chain(scalars).collect()
+}
+
+/// The scalars of body or pair `index`, which has `count` of them.
+fn numbers(values: &[f64], index: usize, count: usize) -> Vec<Cell<'static>> {
+    let of = |i: usize| values.get(index * count + i).copied().filter(|value| !value.is_nan());
+    (0..count).map(|i| of(i).map_or(Cell::Null, Cell::Float)).collect()
 }
 
 /// A table of scalars.
@@ -130,8 +181,7 @@ pub struct Scalars(pub Table);
 impl Scalars {
     /// An empty table.
     pub fn create(path: &Path, schema: &Schema) -> Result<Scalars, Failure> {
-        let scalars = schema.scalars.iter().map(|scalar| Column::new(scalar.name, Kind::Float, scalar.label));
-        Ok(Scalars(Table::create(path, SCALARS.into_iter().chain(scalars).collect())?))
+        Ok(Scalars(Table::create(path, with_scalars(&SCALARS, &schema.scalars))?))
     }
 
     /// Adds the scalars of a frame and of the step that led to it.
@@ -161,7 +211,8 @@ impl States {
     /// Adds the vertices of a frame.
     pub fn add(&mut self, schema: &Schema, frame: &Frame) -> Result<(), Failure> {
         let [step, time] = instant(frame.at);
-        for (index, (of, now)) in schema.bodies.iter().zip(&frame.bodies).enumerate() {
+        let present = schema.bodies.iter().zip(&frame.bodies).enumerate().filter(|(_, (_, now))| !now.is_absent);
+        for (index, (of, now)) in present {
             now.local_positions(now.rest_of(of), &mut self.local);
             for i in 0..self.local.len() {
                 let position = now.centre + self.local.get(i);
@@ -177,7 +228,7 @@ impl States {
     }
 }
 
-/// A table of forces: a row for each cause that acts on a vertex.
+/// A table of forces: a row for each cause that acts on a vertex, and for each force at another point.
 pub struct Forces(pub Table);
 
 impl Forces {
@@ -189,16 +240,25 @@ impl Forces {
     /// Adds the forces of a frame. A force of zero has no row.
     pub fn add(&mut self, schema: &Schema, frame: &Frame) -> Result<(), Failure> {
         let [step, time] = instant(frame.at);
+        let by = |source: Option<u32>| source.map_or(Cell::Null, |source| body(schema, source as usize));
         for (index, now) in frame.bodies.iter().enumerate() {
             for (of, term) in schema.terms.iter().zip(&now.terms) {
-                let source = term.source.map_or(Cell::Null, |source| body(schema, source as usize));
+                let source = by(term.source);
                 for (i, acceleration) in term.accelerations.iter().enumerate() {
                     if acceleration != glam::DVec3::ZERO {
                         let [x, y, z] = acceleration.to_array().map(Cell::Float);
                         let (vertex, cause) = (Cell::Count(i as u64), Cell::Text(of.name));
-                        self.0.row(&[step, time, body(schema, index), vertex, cause, source, x, y, z])?;
+                        let head = [step, time, body(schema, index), vertex, cause, source, x, y, z];
+                        self.0.row(&[&head[..], &[Cell::Null; 3]].concat())?;
                     }
                 }
+            }
+            for force in &now.point_forces {
+                let [x, y, z] = force.acceleration.to_array().map(Cell::Float);
+                let at = (now.centre + force.place).to_array().map(Cell::Float);
+                let (cause, source) = (Cell::Text(schema.terms[force.term].name), by(force.source));
+                let head = [step, time, body(schema, index), Cell::Null, cause, source, x, y, z];
+                self.0.row(&[&head[..], &at].concat())?;
             }
         }
         Ok(())

@@ -7,12 +7,12 @@ use crate::{
     cli::{
         is_quiet,
         load::shell_word,
-        print,
+        print, program,
         progress::{Progress, Work},
         run::events::Events,
         say,
     },
-    models::SceneRun,
+    observe::Experiment,
     stream::{
         recorder::MOST_APPROACHES,
         settings::{Frames, Settings},
@@ -59,7 +59,7 @@ impl Console {
 
     /// Reports the predicted size of a large recording, and the options that change it. Returns the interval between
     /// frames: the requested one, or one that keeps the file small.
-    pub fn say_size(&self, experiment: &SceneRun, settings: &Settings, asked: Option<u64>) -> Option<u64> {
+    pub fn say_size(&self, experiment: &dyn Experiment, settings: &Settings, asked: Option<u64>) -> Option<u64> {
         let size = size::project(experiment, settings, size::LARGE).filter(|size| size.bytes > size::LARGE);
         let Some(size) = size else { return asked };
         let every = size.every(settings);
@@ -82,13 +82,14 @@ impl Console {
             Some(_) => format!("`--detail surface` {}", about(bytes)),
             None => format!("with `--detail surface` {}", about(bytes)),
         }));
+        let program = program::name();
         let thin = bytes(10 * settings.steps.unwrap_or(0) + 20_000);
         let taken = match asked {
             Some(_) => format!("the recording will take {all} ({frames}{from})"),
             None => format!("the recording has a frame every {every} steps and will take {few}{from}"),
         };
         self.notes(&[format!(
-            "note: {taken}; {}; `--thin` takes about {thin} (`meldscope replay` restores the frames of any part later)",
+            "note: {taken}; {}; `--thin` takes about {thin} (`{program} replay` restores the frames of any part later)",
             others.join(", ")
         )]);
         asked.or(Some(every))
@@ -152,14 +153,14 @@ pub fn summarize(console: &Console, outcome: &Outcome, finished: &Finished) {
         console.print(&account);
     }
     if let Some(saved) = &finished.save {
-        let path = saved.path.display();
+        let (path, program) = (saved.path.display(), program::name());
         let word = shell_word(&path.to_string());
         let size = bytes(saved.bytes);
         if settings.frames == Frames::Thin {
             let events = counted(*event_count, "event");
             console.print(&format!("saved {path}: the scene, {events} and {}, {size}", counted(steps + 1, "checksum")));
             console.print(&format!(
-                "verify it with `meldscope replay {word}`; `meldscope replay {word} --save full.rrd` restores the frames"
+                "verify it with `{program} replay {word}`; `{program} replay {word} --save full.rrd` restores the frames"
             ));
             return;
         }
@@ -169,7 +170,7 @@ pub fn summarize(console: &Console, outcome: &Outcome, finished: &Finished) {
         }
         console.print(&format!(
             "open it with `rerun {word}` (pip install rerun-sdk==0.36.3), or install nothing: \
-             `meldscope run … --serve` shows a run in the browser"
+             `{program} run … --serve` shows a run in the browser"
         ));
     }
 }

@@ -6,12 +6,11 @@ use super::{
     Arguments, CHECK_INTERVAL,
     console::Console,
     events::ListedEvent,
-    experiment,
     simulate::{Outcome, Simulated, simulate},
 };
 use crate::{
-    cli::{Failure, interrupt::STOP},
-    observe::{Experiment as _, Simulation},
+    cli::{Failure, interrupt::STOP, program::Subject},
+    observe::Simulation,
     scene::Scene,
     stream::sinks::Sinks,
     text::{counted, thousands},
@@ -47,7 +46,7 @@ pub fn watch(
             run.next = changes.scene(arguments, console);
         }
         let Some(scene) = run.next.take() else { return Ok(run) };
-        match experiment(scene).start() {
+        match Subject::Scene(Box::new(scene)).experiment(Some(&STOP)).start() {
             Ok(simulation) => {
                 console.say(&format!("{} has changed: restarting", arguments.scene));
                 run = simulate(simulation, run.sinks, arguments, Some(&mut changes), console)?;

@@ -1,0 +1,70 @@
+//! A run of an experiment that is not a scene.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use super::{
+    Sweep,
+    row::{Cell, final_scalars},
+    run::{Interrupted, MAX_EVENTS},
+};
+use crate::{
+    observe::{Frame, Run, StepFailure, Want},
+    scene::template::Setting,
+};
+
+/// Runs a point, and adds the cells of its results and of its failure.
+///
+/// # Errors
+/// The run was interrupted.
+pub fn run(
+    sweep: &Sweep,
+    point: &[Setting],
+    interrupt: Option<&AtomicBool>,
+    cells: &mut Vec<Cell>,
+) -> Result<(), Interrupted> {
+    let started = match sweep.own(point) {
+        Some(Ok(experiment)) => experiment.start().map(|simulation| (experiment.schema(), simulation)),
+        Some(Err(invalid)) => Err(invalid.to_string()),
+        None => Err("the sweep is of a scene".to_owned()),
+    };
+    let (schema, simulation) = match started {
+        Ok(started) => started,
+        Err(reason) => {
+            cells.extend([Cell::Text(String::new()), Cell::List(vec![]), Cell::I64(0), Cell::I64(0), Cell::F64(0.0)]);
+            cells.push(Cell::U64(0));
+            let scalars = sweep.experiment.iter().flat_map(|experiment| {
+                let schema = experiment.schema();
+                final_scalars(&schema).map(|_| Cell::Null).collect::<Vec<_>>()
+            });
+            cells.extend(scalars);
+            cells.push(Cell::Text(reason));
+            return Ok(());
+        }
+    };
+    let mut run = Run::new(simulation, Some(schema.steps));
+    let (mut events, mut times, mut count) = (Vec::new(), Vec::new(), 0);
+    while run.step() {
+        if interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+            return Err(Interrupted);
+        }
+        for event in &run.summary.events {
+            count += 1;
+            if events.len() < MAX_EVENTS {
+                events.push(event.name);
+                times.push(event.time);
+            }
+        }
+    }
+    if let Some(StepFailure::Interrupted(_)) = run.failure {
+        return Err(Interrupted);
+    }
+    let (simulation, mut frame) = (&*run.simulation, Frame::default());
+    simulation.observe(Want { scalars: true, forces: false }, &mut frame);
+    cells.extend([Cell::Text(events.join(" ")), Cell::List(times), Cell::I64(count)]);
+    cells.extend([Cell::I64(simulation.steps_taken() as i64), Cell::F64(simulation.time())]);
+    cells.push(Cell::U64(simulation.checksum()));
+    let scalar = |index: usize| frame.scalars.get(index).filter(|value| !value.is_nan());
+    cells.extend(final_scalars(&schema).map(|(index, _)| scalar(index).map_or(Cell::Null, |&value| Cell::F64(value))));
+    cells.push(run.cause().map_or(Cell::Null, Cell::Text));
+    Ok(())
+}
