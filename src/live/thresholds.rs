@@ -19,7 +19,7 @@ pub struct Mark {
 }
 
 /// Finds the values of a parameter, in its range, at which the outcome of a run changes: by bisection, wherever it
-/// differs between two of [`SAMPLES`] values. `None` if `is_current` says that nobody waits for them any more.
+/// differs between two of `SAMPLES` values. `None` if `is_current` says that nobody waits for them any more.
 pub fn find(
     experiment: &dyn Experiment,
     variation: &Variation,

@@ -67,7 +67,7 @@ pub struct Report {
     pub sweeps: u64,
     /// Largest number of contacts of vertices with planes in a sweep; not counted where bodies take their own steps.
     pub held: u64,
-    /// Sum over the steps of the largest estimated error [radii], times [`GROWTH`].
+    /// Sum over the steps of the largest estimated error [radii], times `GROWTH`.
     pub error: f64,
     /// Energy added to the bodies, by cause.
     pub ledger: Ledger,
