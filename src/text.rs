@@ -47,8 +47,11 @@ pub fn step_size(dt: f64) -> String {
 }
 
 /// A number with three significant digits.
-#[cfg(feature = "cli")]
+#[cfg(feature = "viewer")]
 pub fn significant(x: f64) -> String {
+    if x == 0.0 {
+        return "0".to_owned();
+    }
     let digits = 2 - x.abs().log10().floor().clamp(-9.0, 2.0) as i32;
     format!("{x:.*}", digits as usize)
 }

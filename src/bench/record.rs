@@ -26,6 +26,7 @@ use crate::{
     sim::{Options, World},
     stream::{
         Pipeline, Recorder, Settings,
+        blueprint::Tab,
         contract::{BODY, BODY_SURFACE, DIAGNOSTIC, FORCE},
         extract::{Arrows, Extractor, Surface},
         pipeline::send,
@@ -224,7 +225,7 @@ impl Bench<'_> {
     /// Simulates and records as `run` does, until the operating system has all the data.
     fn simulate(&self, world: &mut World, sinks: Sinks) -> Result<Sinks, String> {
         let recorder = Recorder::new(world, self.settings.clone())?;
-        let mut pipeline = Pipeline::start(world, recorder, sinks).map_err(|error| error.to_string())?;
+        let mut pipeline = Pipeline::start(world, recorder, sinks, Tab::Scene).map_err(|error| error.to_string())?;
         for _ in 0..self.frames.len() {
             world.step();
             pipeline.observe(world, None)?;

@@ -342,7 +342,8 @@ impl Saver {
             }
             None => match Recorder::new(simulation, self.settings.clone()) {
                 Ok(mut recorder) => {
-                    self.failure = send(sinks, recorder.blueprint(simulation).into_iter().chain(recorder.take()));
+                    self.failure =
+                        send(sinks, recorder.blueprint(simulation, Tab::Scene).into_iter().chain(recorder.take()));
                     self.recorder = Some(recorder);
                 }
                 Err(reason) => self.failure = Some(reason),

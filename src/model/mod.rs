@@ -71,6 +71,6 @@ pub use pair_law::{ForFree, PairLaw};
 /// The thesis that the equations come from.
 pub const THESIS: &str = "海上 一徳, 「リアルタイム 3DCG における融合・分裂を考慮したソフトボディ表現」, graduation thesis of fiscal 2006, \
                           メディア学部 ゲームサイエンスプロジェクト, adviser 渡辺 大地";
-/// The same where fonts lack Japanese characters: of those, only the author's name.
+/// The same in the viewer, whose fonts lack Japanese characters.
 pub const THESIS_IN_ENGLISH: &str = "the graduation thesis \u{201c}Representing soft bodies that merge and split in real-time 3D \
-                                     graphics\u{201d} (fiscal 2006) by 海上 一徳; see Citation in the README";
+                                     graphics\u{201d} (fiscal 2006); see Citation in the README for its author";

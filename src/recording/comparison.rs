@@ -11,16 +11,20 @@ use super::{
     existing::{self, Existing},
 };
 use crate::{
+    analysis::worst::Worst,
     geometry::Mesh,
     observe::Schema,
     sdk::{
-        self, ApplicationId, Arrows3D, LogMsg, Mesh3D, Scalars, StoreId, StoreKind, TextDocument, TextLog,
+        self, ApplicationId, Arrows3D, LogMsg, Mesh3D, Points3D, Scalars, StoreId, StoreKind, TextDocument, TextLog,
         ViewCoordinates, components::MediaType,
     },
     stream::{
         blueprint,
         chunks::Chunks,
-        contract::{ABOUT, COMPARED_ERROR, COMPARED_SURFACE, DIFFERENCE, EVENTS, RECORDING_INFO, WORLD},
+        contract::{
+            ABOUT, COMPARED_ERROR, COMPARED_SURFACE, COMPARED_WORST, DIFFERENCE, EVENTS, LOG_DIFFERENCE,
+            RECORDING_INFO, WORLD,
+        },
         instant::Instant,
         light::Light,
         normals,
@@ -36,6 +40,10 @@ const MAX_BODIES: usize = 64;
 const COLORS: [Rgb; 2] = [[90, 150, 235], [240, 150, 50]];
 const ERROR: Rgb = [235, 60, 60];
 const LIMIT: Rgb = [150, 150, 150];
+/// Name of the line of the tolerance.
+const TOLERANCE: &str = "tolerance";
+/// Length of the longest arrow of an instant [radii of the largest body].
+const LONGEST: f64 = 0.3;
 
 /// What a comparison shows, known before it is written.
 #[derive(Clone, Debug)]
@@ -44,8 +52,8 @@ pub struct Plan {
     pub labels: [String; 2],
     /// Bodies to show, in descending order of difference.
     pub bodies: Vec<usize>,
-    /// The largest distance between corresponding vertices [scene unit].
-    pub largest: f64,
+    /// The vertex at whose instant the viewer opens, and what it is.
+    pub focus: Option<(Worst, &'static str)>,
     /// Differences up to this size are ignored [radii].
     pub tolerance: f64,
 }
@@ -55,8 +63,8 @@ pub struct Comparison {
     chunks: Chunks,
     sinks: Sinks,
     shown: Vec<(usize, String, Arc<Mesh>)>,
-    /// Ratio of an arrow's length to the distance that it represents.
-    magnification: f64,
+    /// Radius of the largest body shown [scene unit].
+    radius: f64,
     frames: u64,
     /// Number of differences between events.
     changes: u64,
@@ -73,10 +81,6 @@ impl Comparison {
         let mut sinks = Sinks::open(&destinations)?;
         let application = ApplicationId::new_or_unknown(Existing::comparison().application);
         let store = StoreId::new(StoreKind::Recording, application, format!("{}-difference", file_stem(&schema.name)));
-        for message in blueprint::of_comparison(spheres, &store) {
-            sinks.send(message)?;
-        }
-        let mut chunks = Chunks::new(store);
         let bodies = plan.bodies.iter().take(MAX_BODIES);
         let shown: Vec<_> = bodies
             .filter_map(|&index| {
@@ -86,19 +90,22 @@ impl Comparison {
             .collect();
         let radius =
             shown.iter().filter_map(|&(i, ..)| schema.bodies.get(i)).map(|body| body.radius).fold(0.0, f64::max);
-        let wanted = 0.3 * radius / plan.largest;
-        let magnification = if wanted.is_finite() { wanted.max(1.0) } else { 1.0 };
-
+        let second: Vec<_> = shown.iter().map(|(_, name, _)| (COMPARED_SURFACE.of(&["b", name]), COLORS[1])).collect();
+        let first = plan.focus.as_ref().map(|(first, _)| first.time);
+        for message in blueprint::of_comparison(spheres, &second, first, &store) {
+            sinks.send(message)?;
+        }
+        let mut chunks = Chunks::new(store);
         chunks.log_static(WORLD.path, &ViewCoordinates::RIGHT_HAND_Z_UP());
         let name = format!("{}: {} and {}", schema.name, plan.labels[0], plan.labels[1]);
         chunks.log_static(RECORDING_INFO.path, &sdk::RecordingInfo::new().with_name(name));
         let about = format!(
-            "**{}**: blue is {}, orange is {}. Red arrows lead from the one to the other, {} times as long as the vertices \
-             are apart. {}  \nThe plot has the largest distance of each body, in radii; grey: the tolerance, {:e}.",
+            "**{}**: the blue surface is {}, orange dots are the vertices of {}. Red arrows lead from the one to the other; the \
+             longest of an instant has a length of {LONGEST} radii. {}  \nThe plot has the largest distance of each body; \
+             grey: the tolerance, {:e}.",
             schema.name,
             plan.labels[0],
             plan.labels[1],
-            if magnification > 1.5 { format!("{magnification:.0}") } else { "1".to_owned() },
             match plan.bodies.len() {
                 0 => "No body differs.".to_owned(),
                 n if n > MAX_BODIES => format!("The {MAX_BODIES} bodies that differ most are shown, of {n}."),
@@ -111,7 +118,7 @@ impl Comparison {
             for (side, rgb) in ["a", "b"].into_iter().zip(COLORS) {
                 let mesh = Mesh3D::update_fields()
                     .with_triangle_indices(mesh.triangles().iter().copied())
-                    .with_albedo_factor(sdk::Rgba32::from_unmultiplied_rgba(rgb[0], rgb[1], rgb[2], 120));
+                    .with_albedo_factor(color(rgb).0);
                 chunks.log_static(&COMPARED_SURFACE.of(&[side, name]), &mesh);
             }
         }
@@ -119,10 +126,24 @@ impl Comparison {
         chunks.log_static(COMPARED_ERROR.path, &style);
         for (number, (_, name, _)) in shown.iter().enumerate() {
             let rgb = palette::distance(number); // blue and orange are the two runs
-            Series::style(&mut chunks, &DIFFERENCE.of(&[name]), name, rgb, 1.5, Interpolation::Linear);
+            for line in [&DIFFERENCE, &LOG_DIFFERENCE] {
+                Series::style(&mut chunks, &line.of(&[name]), name, rgb, 1.5, Interpolation::Linear);
+            }
         }
-        Series::style(&mut chunks, &DIFFERENCE.of(&["tolerance"]), "tolerance", LIMIT, 1.0, Interpolation::Linear);
-        let mut comparison = Comparison { chunks, sinks, shown, magnification, frames: 0, changes: 0 };
+        for line in [&DIFFERENCE, &LOG_DIFFERENCE] {
+            Series::style(&mut chunks, &line.of(&[TOLERANCE]), TOLERANCE, LIMIT, 1.0, Interpolation::Linear);
+        }
+        let worst = Points3D::update_fields()
+            .with_radii([sdk::Radius::new_ui_points(5.0)])
+            .with_colors([color(ERROR)])
+            .with_show_labels(true);
+        chunks.log_static(COMPARED_WORST.path, &worst);
+        if let Some((Worst { step, time, body, vertex, difference, .. }, what)) = &plan.focus {
+            let line = format!("{what}: {body}:{vertex}, {difference:.3e} R");
+            let at = Instant { step: *step, time: *time };
+            chunks.log(EVENTS.path, at, &TextLog::new(line).with_color(color(ERROR)));
+        }
+        let mut comparison = Comparison { chunks, sinks, shown, radius, frames: 0, changes: 0 };
         comparison.send()?;
         Ok(comparison)
     }
@@ -138,7 +159,8 @@ impl Comparison {
         tolerance: f64,
         mut positions: impl FnMut(usize) -> [Option<Vec<DVec3>>; 2],
     ) -> Result<(), SinkError> {
-        let (mut origins, mut vectors, light) = (Vec::new(), Vec::new(), Light::in_world());
+        let (mut origins, mut apart, light) = (Vec::new(), Vec::new(), Light::in_world());
+        let mut worst: Option<(f64, DVec3, String)> = None;
         for (index, name, mesh) in &self.shown {
             let both = positions(*index);
             for (side, positions) in ["a", "b"].into_iter().zip(&both) {
@@ -152,22 +174,28 @@ impl Comparison {
                 self.chunks.log(&COMPARED_SURFACE.of(&[side, name]), at, &mesh);
             }
             if let [Some(a), Some(b)] = &both {
-                let mut largest = 0.0;
-                for (&a, &b) in a.iter().zip(b).filter(|(a, b)| a != b) {
-                    largest = f64::max(largest, a.distance(b));
+                let (mut largest, radius) = (0.0, schema.bodies.get(*index).map_or(1.0, |body| body.radius));
+                for (vertex, (&a, &b)) in a.iter().zip(b).enumerate().filter(|(_, (a, b))| a != b) {
+                    let difference = a.distance(b) / radius;
+                    largest = f64::max(largest, difference);
+                    if worst.as_ref().is_none_or(|(worst, ..)| difference > *worst) {
+                        worst = Some((difference, a, format!("{name}:{vertex} {difference:.3e} R")));
+                    }
                     origins.push(a.as_vec3());
-                    vectors.push(((b - a) * self.magnification).as_vec3());
+                    apart.push(b - a);
                 }
-                let radii = largest / schema.bodies.get(*index).map_or(1.0, |body| body.radius);
-                self.chunks.log(&DIFFERENCE.of(&[name]), at, &Scalars::single(radii));
+                log_difference(&mut self.chunks, name, largest, at);
             }
         }
-        self.chunks.log(
-            COMPARED_ERROR.path,
-            at,
-            &Arrows3D::update_fields().with_origins(origins).with_vectors(vectors),
-        );
-        self.chunks.log(&DIFFERENCE.of(&["tolerance"]), at, &Scalars::single(tolerance));
+        let longest = apart.iter().map(|apart| apart.length()).fold(0.0, f64::max);
+        let vectors = apart.iter().map(|apart| (LONGEST * self.radius / longest * *apart).as_vec3());
+        let arrows = Arrows3D::update_fields().with_origins(origins).with_vectors(vectors);
+        self.chunks.log(COMPARED_ERROR.path, at, &arrows);
+        let worst = worst.map(|(_, position, label)| (position.as_vec3(), label));
+        let (position, label): (Vec<_>, Vec<_>) = worst.into_iter().unzip();
+        let worst = Points3D::update_fields().with_positions(position).with_labels(label);
+        self.chunks.log(COMPARED_WORST.path, at, &worst);
+        log_difference(&mut self.chunks, TOLERANCE, tolerance, at);
         self.frames += 1;
         if self.frames.is_multiple_of(64) { self.send() } else { Ok(()) }
     }
@@ -209,4 +237,11 @@ impl Comparison {
         self.send()?;
         Ok(self.sinks.finish()?.save)
     }
+}
+
+fn log_difference(chunks: &mut Chunks, name: &str, difference: f64, at: Instant) {
+    chunks.log(&DIFFERENCE.of(&[name]), at, &Scalars::single(difference));
+    // a difference of 0 is a gap in the line
+    let logarithm = (difference > 0.0).then(|| difference.log10());
+    chunks.log(&LOG_DIFFERENCE.of(&[name]), at, &Scalars::new(logarithm));
 }

@@ -249,7 +249,7 @@ pub fn save(
             let name = recorded.path.file_name().unwrap_or_default().to_string_lossy();
             format!("{name} ({}, Δt = {} s)", recorded.schema.integrator, step_size(recorded.schema.dt))
         }),
-        largest: difference.bodies.iter().map(|worst| worst.recorded.distance(worst.found)).fold(0.0, f64::max),
+        focus: difference.first_beyond.clone().map(|first| (first, "first beyond tolerance")),
         bodies,
         tolerance,
     };

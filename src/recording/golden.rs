@@ -426,7 +426,7 @@ fn show(
     }
     let plan = Plan {
         labels: ["the golden recording".to_owned(), "this run".to_owned()],
-        largest: worst.map_or(0.0, |worst| worst.recorded.distance(worst.found)),
+        focus: worst.map(|worst| (worst.clone(), "largest difference")),
         bodies,
         tolerance: schema.tolerance,
     };

@@ -8,15 +8,15 @@ use glam::DVec3;
 use super::{
     chunks::{Chunks, blueprint_time},
     contract::{
-        ABOUT, ALONG, BODY, BODY_SCALAR, BODY_SURFACE, DEFORMING, DIAGNOSTIC, DIFFERENCE, DRAWN, EVENTS, Entity, FORCE,
-        GROUP_LINE, INFLUENCE, LAG, LEGEND, MAP, MARKS_AT_Q, MARKS_ON_AXIS, MEASURE, MERGED, MERGED_SURFACE,
-        PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_LEVEL, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR, PLANE,
-        RESTING, SIM_TIME, SLICE, SPEED, STACKED, STAGE, STAGES, STEP, TRAILS, WORLD,
+        ABOUT, ALONG, BODY, BODY_FORCE, BODY_SCALAR, BODY_SURFACE, DEFORMING, DIAGNOSTIC, DRAWN, EVENTS, Entity, FORCE,
+        GROUP_LINE, INFLUENCE, LAG, LARGEST, LEGEND, LOG_DIFFERENCE, MAP, MARKS_AT_Q, MARKS_ON_AXIS, MEASURE, MERGED,
+        MERGED_SURFACE, PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_LEVEL, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE,
+        PAIR_SCALAR, PLANE, RESTING, SIM_TIME, SLICE, SPEED, STAGE, STAGES, STEP, TRAILS, VOLUME, WORLD,
     },
     focus::Focus,
     light, palette,
     parts::{
-        groups, heat, net_forces, numbers,
+        heat, net_forces, numbers,
         pairs::{self, MEASURES},
         trails,
     },
@@ -43,7 +43,7 @@ use crate::{
         components::{Plane3D, Position3D, Range1D, Vector3D},
         datatypes::{self, TimeRange, TimeRangeBoundary, Uuid},
     },
-    text::counted,
+    text::{counted, significant},
 };
 
 /// The recording for which a layout is made.
@@ -55,6 +55,9 @@ pub struct Subject<'a> {
     /// The settings of the recording.
     pub settings: &'a Settings,
 }
+
+/// The vertices of a mesh as points.
+const VERTICES: Mapping = Mapping { target: "Points3D:positions", source: "Mesh3D:vertex_positions" };
 
 /// A line of a view's contents: an entity.
 fn including(entity: &str) -> String {
@@ -80,8 +83,8 @@ pub struct Measured<'a> {
     pub duration: f64,
     /// Stages and the medians of their durations [ms].
     pub medians: Vec<(&'static str, f64)>,
-    /// Typical total duration of a step [ms]: the upper end of the timing plots.
-    pub typical: Option<f64>,
+    /// Typical total duration of a step and of its recording [ms]: the upper ends of the timing plots.
+    pub typical: [Option<f64>; 2],
     /// Smallest and largest plotted q [–], if any.
     pub distances: Option<[f64; 2]>,
     /// Smallest and largest plotted value of each scalar of the schema.
@@ -90,6 +93,8 @@ pub struct Measured<'a> {
     pub pairs: Vec<String>,
     /// The initial focus of the viewer.
     pub focus: Option<&'a Focus>,
+    /// Whether each force term has acted on any body; empty if forces were not recorded.
+    pub have_acted: &'a [bool],
 }
 
 /// The changes to [`messages`] at the end of a run. The axes of timing plots exclude rare outliers. The viewer opens
@@ -101,14 +106,16 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     let mut layout = Layout::of(recording);
     let root = layout.root(subject, tab);
     layout.finish(root); // already sent; the new ids continue after its own
-    for plot in std::mem::take(&mut layout.timings) {
-        if let Some(highest) = measured.typical.filter(|&typical| typical > 0.0) {
-            let axis = ScalarAxis::new().with_range(Range1D::new(-0.02 * highest, HEADROOM * highest));
+    for (plot, stages) in std::mem::take(&mut layout.timings) {
+        let is_recording = stages.iter().any(|stage| numbers::RECORDING.contains(stage));
+        if let Some(typical) = measured.typical[usize::from(is_recording)].filter(|&typical| typical > 0.0) {
+            let axis = ScalarAxis::new().with_range(Range1D::new(-0.02 * typical, HEADROOM * typical));
             layout.log(&format!("{}/ScalarAxis", plot.path), &axis);
         }
-        for (stage, median) in measured.medians.iter().filter(|(stage, _)| numbers::is_work(stage)) {
-            let name = format!("{}, median {median:.4} ms", numbers::described(stage));
-            let entity = STACKED.of(&[stage]);
+        for (stage, median) in measured.medians.iter().filter(|(stage, _)| stages.contains(stage)) {
+            let median = if *median < 1e-3 { "below 0.001".to_owned() } else { significant(*median) };
+            let name = format!("{stage}, median {median} ms");
+            let entity = numbers::stacked(subject.schema, stage);
             let style = SeriesLines::update_fields().with_names([name]);
             layout.visualize(&plot, &entity, &[("SeriesLines", &[], &style)]);
         }
@@ -136,14 +143,17 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             layout.log(&format!("{plot}/ScalarAxis"), &axis);
         }
     }
+    for (view, has_acted) in std::mem::take(&mut layout.forces).into_iter().zip(measured.have_acted) {
+        if !has_acted
+            && measured.duration > 0.0
+            && let Some((view, name)) = view
+        {
+            layout.log(&view, &ViewBlueprint::update_fields().with_display_name(format!("{name} (never acted)")));
+        }
+    }
     if let Some(focus) = measured.focus {
         if tab != Tab::Stages {
-            let [start, end] = focus.interval(measured.duration).map(|time| ((1e9 * time) as i64).into());
-            let time_panel = TimePanelBlueprint::update_fields()
-                .with_time_selection(AbsoluteTimeRange::from(datatypes::AbsoluteTimeRange { min: start, max: end }))
-                .with_loop_mode(LoopMode::Selection)
-                .with_play_state(PlayState::Playing);
-            layout.log("time_panel", &time_panel);
+            layout.open_at(focus.interval(measured.duration));
         }
         for (view, aspect) in std::mem::take(&mut layout.spaces) {
             let camera = camera_past(&focus.spheres, &focus.pair, &focus.others, aspect);
@@ -192,17 +202,36 @@ pub fn beside_controls(subject: &Subject<'_>, recording: &StoreId) -> Vec<LogMsg
 }
 
 /// The layout of a comparison of two runs: surfaces and error arrows, differences over time, events.
-pub fn of_comparison(spheres: &[(DVec3, f64)], recording: &StoreId) -> Vec<LogMsg> {
+///
+/// `second` are the surfaces of the second run, drawn as dots; the viewer opens at `first` [s], if there is one.
+pub fn of_comparison(
+    spheres: &[(DVec3, f64)],
+    second: &[(String, palette::Rgb)],
+    first: Option<f64>,
+    recording: &StoreId,
+) -> Vec<LogMsg> {
+    /// What is repeated around that instant [s].
+    const BEFORE: f64 = 0.2;
+    const AFTER: f64 = 1.0;
+
     let mut layout = Layout::of(recording);
     layout.ground = Ground::under(spheres);
     let surfaces = layout.space((spheres, WIDE), "Both surfaces, and arrows between them", &[&family(&WORLD)]);
+    for (surface, rgb) in second {
+        let dots =
+            Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(2.0)]).with_colors([palette::color(*rgb)]);
+        layout.visualize(&surfaces, surface, &[("Points3D", &[VERTICES], &dots)]);
+    }
     let about = layout.view("TextDocument", "What is what", ABOUT.path, &[&including(ABOUT.path)], &[]);
     let left = layout.container(ContainerKind::Vertical, "Surfaces", vec![surfaces, about], &[3.4, 1.0]);
-    let plot =
-        layout.plot("Largest difference [radii]", DIFFERENCE.family(), &[&family(&DIFFERENCE)], Corner2D::LeftTop);
+    let title = "Largest difference [radii], as its decimal logarithm";
+    let plot = layout.time_series(title, "/", &[&family(&LOG_DIFFERENCE)], Corner2D::RightBottom);
     let events = layout.lines("Events", EVENTS.path);
     let right = layout.container(ContainerKind::Vertical, "Differences", vec![plot, events], &[1.5, 1.0]);
     let root = layout.container(ContainerKind::Horizontal, "meldscope", vec![left, right], &[1.6, 1.0]);
+    if let Some(first) = first {
+        layout.open_at([(first - BEFORE).max(0.0), first + AFTER]);
+    }
     layout.finish(root)
 }
 
@@ -288,14 +317,16 @@ pub struct Mapping {
 struct Layout {
     chunks: Chunks,
     next_id: u64,
-    /// The plots of timings.
-    timings: Vec<Part>,
+    /// The plots of timings, with their stages.
+    timings: Vec<(Part, Vec<&'static str>)>,
     /// The plots of q.
     distances: Vec<String>,
     /// The plots of scalars, with their names.
     scalars: Vec<(String, &'static str)>,
     /// The lanes of phases.
     phases: Vec<String>,
+    /// The view of each force term, with its name; none for terms that cannot act.
+    forces: Vec<Option<(String, String)>>,
     /// The views in 3D, with their aspect ratios.
     spaces: Vec<(String, f64)>,
     /// The grid below everything visible, if there is one.
@@ -336,10 +367,21 @@ impl Layout {
             distances: Vec::new(),
             scalars: Vec::new(),
             phases: Vec::new(),
+            forces: Vec::new(),
             spaces: Vec::new(),
             ground: None,
             timeline: SIM_TIME,
         }
+    }
+
+    /// Opens the viewer in this interval of time [s], which it repeats: there is no other way to set its time cursor.
+    fn open_at(&mut self, interval: [f64; 2]) {
+        let [min, max] = interval.map(|time| ((1e9 * time) as i64).into());
+        let time_panel = TimePanelBlueprint::update_fields()
+            .with_time_selection(AbsoluteTimeRange::from(datatypes::AbsoluteTimeRange { min, max }))
+            .with_loop_mode(LoopMode::Selection)
+            .with_play_state(PlayState::Playing);
+        self.log("time_panel", &time_panel);
     }
 
     /// Makes `root` the content of the whole window.
@@ -430,17 +472,16 @@ impl Layout {
         let about = self.view("TextDocument", "What is what", ABOUT.path, &[&including(ABOUT.path)], &[]);
         let left = self.container(ContainerKind::Vertical, "Space", vec![scene_view, about], &[2.6, 1.0]);
         let right = if schema.bodies.len() > 1 {
-            let mut parts = self.pair_views(schema);
-            parts.push(self.timings(schema, false));
             // a lane for each pair, as far as there is room
-            let shares = if schema.bodies.len() == 2 { [1.5, 0.5, 1.2, 0.7] } else { [1.4, 1.1, 1.0, 0.5] };
+            let shares = if schema.bodies.len() == 2 { [1.5, 0.5, 0.9, 1.0] } else { [1.4, 1.1, 0.8, 0.9] };
+            let mut parts = self.pair_views(schema);
+            parts.push(self.small_timings(schema));
             self.container(ContainerKind::Vertical, "Time", parts, &shares)
         } else {
             // a single body: show its motion and its timings
             let mut parts = self.diagnostics(schema);
-            let mut shares = vec![1.0; parts.len()];
-            parts.push(self.timings(schema, false));
-            shares.push(1.2);
+            parts.push(self.small_timings(schema));
+            let shares = vec![1.0; parts.len()];
             self.container(ContainerKind::Vertical, "Time", parts, &shares)
         };
         self.container(ContainerKind::Horizontal, "Scene", vec![left, right], &[1.6, 1.0])
@@ -451,7 +492,10 @@ impl Layout {
         let view = self.surface_view((framing, NARROW), schema, settings);
         let mut parts = Vec::new();
         if pairs::has_named_pairs(schema) {
-            let titles = ["Gap and neck [radii of the smaller body]", "Overlap [its radius cubed]"];
+            let titles = [
+                "Gap (below 0: depth of the overlap) and neck [radii of the smaller body]",
+                "Overlap: volume in both bodies [cubed radii of the smaller body]",
+            ];
             for (title, measures) in titles.into_iter().zip([[&PAIR_GAP, &PAIR_NECK].as_slice(), &[&PAIR_OVERLAP]]) {
                 let lines = measures.iter().flat_map(|measure| pairs::named(schema, measure));
                 let contents: Vec<String> = lines.map(|line| including(&line)).collect();
@@ -462,20 +506,15 @@ impl Layout {
         let title = "Phases, and whether the surfaces touch (red, yellow: the two disagree)";
         parts.push(self.view("StateTimeline", title, PAIR_PHASE.family(), &[&family(&PAIR_PHASE)], &[]));
         if pairs::has_named_pairs(schema) {
-            let titles =
-                ["Groups (by their first body): volume and area", "Groups (by their first body): bodies and topology"];
-            for (title, is_size) in titles.into_iter().zip([true, false]) {
-                let lines = groups::LINES.iter().filter(|(line, ..)| ["volume", "area"].contains(line) == is_size);
-                let entities = lines.flat_map(|(line, ..)| {
-                    schema.bodies.iter().map(move |body| including(&GROUP_LINE.of(&[&body.name, line])))
-                });
-                let contents: Vec<String> = entities.collect();
-                let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
-                parts.push(self.plot(title, "/", &contents, Corner2D::RightTop));
-            }
+            let volumes = schema.bodies.iter().map(|body| including(&GROUP_LINE.of(&[&body.name, "volume"])));
+            let contents: Vec<String> = std::iter::once(including(VOLUME.path)).chain(volumes).collect();
+            let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
+            let title = "Volume [unit³]: of all surfaces, and of each group, named by its first body";
+            parts.push(self.plot(title, "/", &contents, Corner2D::RightTop));
         } else {
             parts.push(self.plot("Groups: volume, bodies, genus", "/", &[&family(&GROUP_LINE)], Corner2D::RightTop));
         }
+        parts.push(self.lines("Events", EVENTS.path));
         let shares = vec![1.0; parts.len()];
         let right = self.container(ContainerKind::Vertical, "Measures", parts, &shares);
         self.container(ContainerKind::Horizontal, "Surface", vec![view, right], &[1.6, 1.0])
@@ -499,51 +538,88 @@ impl Layout {
         view
     }
 
-    /// One view for each force term that can act in the scene, all with the same initial camera. Afterwards each view
-    /// has its own camera: Rerun 0.36 cannot link two of them.
+    /// A view of all forces and one for each that can act in the scene, of which one is in front, and the net force on each
+    /// body over time. All views have the same initial camera; Rerun 0.36 cannot link two of them.
     fn forces_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
+        let sums = schema.terms.iter().filter(|term| term.is_sum).map(|sum| sum.name);
+        let sums = sums.chain(net_forces::KINDS.map(|(name, ..)| name));
+        let mut arrows: Vec<String> = sums.map(|name| format!("- {}", FORCE.of(&[name]))).collect();
+        arrows.push(family(&FORCE));
+        let mut views = vec![self.forces_view(framing, "All", &arrows, schema, settings)];
+        for term in &schema.terms {
+            if !term.can_act {
+                self.forces.push(None);
+                continue;
+            }
+            let name = capitalized(term.name);
+            let view = self.forces_view(framing, &name, &[including(&FORCE.of(&[term.name]))], schema, settings);
+            self.forces.push(Some((view.path.clone(), name)));
+            views.push(view);
+        }
+        let causes = self.container(ContainerKind::Tabs, "Causes", views, &[]);
+        if !pairs::has_named_pairs(schema) {
+            return self.container(ContainerKind::Vertical, "Forces", vec![causes], &[1.0]);
+        }
+        let plots = schema.bodies.iter().enumerate().map(|(index, body)| {
+            let title = format!("Net force on {} by cause, over its mass [unit/s²]", body.name);
+            let contents = format!("+ {}/{}/**", BODY_FORCE.family(), body.name);
+            let plot = self.plot(&title, "/", &[&contents], Corner2D::RightTop);
+            if index > 0 {
+                self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
+            }
+            plot
+        });
+        let plots: Vec<Part> = plots.collect();
+        let shares = vec![1.0; plots.len()];
+        let plots = self.container(ContainerKind::Vertical, "Net forces", plots, &shares);
+        self.container(ContainerKind::Horizontal, "Forces", vec![causes, plots], &[1.6, 1.0])
+    }
+
+    /// Arrows on translucent bodies.
+    fn forces_view(
+        &mut self,
+        framing: &[(DVec3, f64)],
+        name: &str,
+        arrows: &[String],
+        schema: &Schema,
+        settings: &Settings,
+    ) -> Part {
         const WHITE: palette::Rgb = [0xFF; 3];
         let bodies = [&BODY, &DEFORMING, &PLANE].map(family);
-        let views: Vec<Part> = schema
-            .terms
-            .iter()
-            .filter(|term| term.can_act)
-            .map(|term| {
-                let arrows = including(&FORCE.of(&[term.name]));
-                let contents = [&bodies[0], &bodies[1], &bodies[2], &arrows].map(String::as_str);
-                let view =
-                    self.space((framing, NARROW), &format!("{} ({})", term.label, colors::name(term.color)), &contents);
-                if schema.bodies.len() <= MAX_SHEER || settings.entities == Entities::Batch {
-                    for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
-                        // a batch has a colour per vertex
-                        let rgb =
-                            if settings.entities == Entities::Batch { WHITE } else { palette::of_body(schema, index) };
-                        let sheer = Mesh3D::update_fields().with_albedo_factor(palette::sheer(rgb));
-                        self.draw_lit(&view, &surface, &sheer);
-                    }
-                }
-                view
-            })
-            .collect();
-        self.grid("Forces", views, 3)
+        let contents: Vec<&str> = bodies.iter().chain(arrows).map(String::as_str).collect();
+        let view = self.space((framing, NARROW), name, &contents);
+        if schema.bodies.len() <= MAX_SHEER || settings.entities == Entities::Batch {
+            for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
+                // a batch has a colour per vertex
+                let rgb = if settings.entities == Entities::Batch { WHITE } else { palette::of_body(schema, index) };
+                let sheer = Mesh3D::update_fields().with_albedo_factor(palette::sheer(rgb));
+                self.draw_lit(&view, &surface, &sheer);
+            }
+        }
+        view
     }
 
     /// Surfaces coloured by displacement, with selectable vertices, above the colour scale.
     fn displacement_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
-        let contents = [&BODY, &DEFORMING, &PLANE].map(family);
-        let contents = [&contents[0], &contents[1], &contents[2]].map(String::as_str);
+        let contents = [&BODY, &DEFORMING, &PLANE, &LARGEST].map(family);
+        let contents = [&contents[0], &contents[1], &contents[2], &contents[3]].map(String::as_str);
         let title = "Displacement from rest; select a vertex to see its numbers";
         let view = self.space((framing, WIDE), title, &contents);
-        let positions = Mapping { target: "Points3D:positions", source: "Mesh3D:vertex_positions" };
         let white = sdk::Rgba32::WHITE;
         let opaque = Mesh3D::update_fields().with_albedo_factor(white).with_vertex_colors([white]);
         let dots = Points3D::update_fields()
-            .with_radii([sdk::Radius::new_ui_points(1.5)])
+            .with_radii([sdk::Radius::new_ui_points(2.5)])
             .with_colors([palette::color(palette::DOT)]);
         for surface in surfaces(schema, settings) {
-            self.visualize(&view, &surface, &[("Mesh3D", &heat::MAPPINGS, &opaque), ("Points3D", &[positions], &dots)]);
+            self.visualize(&view, &surface, &[("Mesh3D", &heat::MAPPINGS, &opaque), ("Points3D", &[VERTICES], &dots)]);
         }
-        let scale = self.view("2D", "Displacement [radii]", LEGEND.family(), &[&family(&LEGEND)], &[]);
+        let scale = self.view(
+            "2D",
+            "Displacement [radii], the scale of this instant",
+            LEGEND.family(),
+            &[&family(&LEGEND)],
+            &[],
+        );
         self.container(ContainerKind::Vertical, "Displacement", vec![view, scale], &[6.0, 1.0])
     }
 
@@ -568,25 +644,32 @@ impl Layout {
         vec![distances, phases, events]
     }
 
-    /// The cost of a step as stacked stages, and the resulting speed.
+    /// The cost of a step and of its recording, each as stacked stages, and the resulting speed.
     fn timings_tab(&mut self, schema: &Schema) -> Part {
-        let parts = vec![self.timings(schema, true), self.speed()];
-        self.container(ContainerKind::Vertical, "Timings", parts, &[2.2, 1.0])
+        let recording = self.stacked("Recording on its own thread, ms per step", schema, true);
+        let parts = vec![self.timings(schema), recording, self.speed()];
+        self.container(ContainerKind::Vertical, "Timings", parts, &[1.6, 1.0, 1.0])
     }
 
-    /// Stacked timings of the simulation thread and of the recording thread. In a small view, a legend would hide them.
-    fn timings(&mut self, schema: &Schema, has_legend: bool) -> Part {
-        let contents: Vec<String> = numbers::timings(schema)
-            .filter(|&stage| numbers::is_work(stage))
-            .map(|stage| including(&STACKED.of(&[stage])))
-            .collect();
+    fn timings(&mut self, schema: &Schema) -> Part {
+        self.stacked("Timings, ms per step: each stage upon those below it", schema, false)
+    }
+
+    /// Without a legend, which would hide the lines of a small plot.
+    fn small_timings(&mut self, schema: &Schema) -> Part {
+        let plot = self.timings(schema);
+        self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
+        plot
+    }
+
+    /// The stages of a step, or of its recording.
+    fn stacked(&mut self, title: &str, schema: &Schema, is_recording: bool) -> Part {
+        let stages = numbers::timings(schema).filter(|stage| numbers::is_work(stage));
+        let stages: Vec<_> = stages.filter(|stage| numbers::RECORDING.contains(stage) == is_recording).collect();
+        let contents: Vec<String> = stages.iter().map(|stage| including(&numbers::stacked(schema, stage))).collect();
         let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
-        let title = "Timings, ms per step: each stage upon those below it";
         let plot = self.plot(title, "/", &contents, Corner2D::LeftTop);
-        if !has_legend {
-            self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
-        }
-        self.timings.push(Part { id: plot.id, path: plot.path.clone() });
+        self.timings.push((Part { id: plot.id, path: plot.path.clone() }, stages));
         plot
     }
 
@@ -793,6 +876,12 @@ impl Layout {
         self.log(&grid.path, &ContainerBlueprint::update_fields().with_grid_columns(columns));
         grid
     }
+}
+
+/// A name as a title.
+fn capitalized(name: &str) -> String {
+    let mut letters = name.chars();
+    letters.next().into_iter().flat_map(char::to_uppercase).chain(letters).collect()
 }
 
 /// Whether springs are recorded.

@@ -104,15 +104,17 @@ entities! {
     INFLUENCE = "/world/influence" ["Ellipsoids3D"]
         "All influence spheres, coloured by the deepest phase of their body.";
     PAIR_LINES = "/world/pairs" ["LineStrips3D; with more than 64 bodies Ellipsoids3D"]
-        "Lines between the centres of the closest pairs within reach, the closest three labelled with q; with many bodies also the influence spheres that reach another body.";
+        "Lines between the centres of the closest pairs within reach, up to three labelled with q; with many bodies also the influence spheres that reach another body.";
     RECENT = "/world/recent" ["LineStrips3D"]
-        "Pairs that had an event in the last 24 frames, labelled with the event and q.";
+        "The pair that had the last event, for 24 frames, labelled with the event and q.";
     NAMES = "/world/names" ["Points3D"]
         "The names of up to 8 bodies.";
     FORCES = "/world/forces" ["AnnotationContext"]
         "Names of the pairs of bodies between which forces act, as classes of arrows.";
     FORCE = "/world/forces/CAUSE" ["Arrows3D"]
         "Accelerations of vertices and of points of contact by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre.";
+    BODY_FORCE = "/forces/NAME/CAUSE" ["Scalars"]
+        "Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, and of that by forces at points [scene unit/s²]; with at most 5 bodies, from the first frame in which it acts.";
     POINTS = "/world/points" ["Ellipsoids3D"]
         "The influence spheres of force points, while they act.";
     SPRINGS = "/world/springs/NAME" ["LineStrips3D"]
@@ -159,20 +161,24 @@ entities! {
         "Events as markers in plots of q.";
     TIMING = "/timings/STAGE" ["Scalars"]
         "What a stage of the step or of the recording costs [ms per step].";
-    STACKED = "/timings/stacked/STAGE" ["Scalars"]
-        "The same, with the stages before it on the same thread.";
+    STACKED = "/timings/stacked/N_STAGE" ["Scalars"]
+        "The same, with the stages before it on the same thread; numbered from the top of the stack.";
     SPEED = "/timings/speed" ["Scalars"]
         "Steps per second.";
     LAG = "/timings/lag" ["Scalars"]
         "How far a run in real time is behind [ms].";
     DIAGNOSTIC = "/diagnostics/SCALAR" ["Scalars"]
         "Energy, error, counts.";
+    VOLUME = "/volume" ["Scalars"]
+        "The volume that all surfaces enclose: of each group that of its sharp union, of every other body its own [scene unit³]; with at most 5 bodies.";
     OVERLAPPING = "/diagnostics/overlapping_groups" ["Scalars"]
         "Groups that could not be united in time and are drawn as overlapping meshes.";
     LEGEND = "/legend/PART" ["Image; Points2D"]
-        "The colour scale of displacements, and its numbers.";
+        "The colour scale of displacements, and its numbers at the instant.";
+    LARGEST = "/largest" ["Points3D"]
+        "The vertex with the largest displacement of those that lie in no other body, labelled.";
     STAGES = "/stages" ["TextLog"]
-        "One line per stage of the steps recorded in detail, on the timeline stage, which the entities under /world have too.";
+        "One line per stage of the steps recorded in detail, with the largest displacement and how far vertices moved since the stage before, on the timeline stage, which the entities under /world have too.";
     CHECKSUM = "/checksum" ["checksum"]
         "A hash of the exact state after every step; a thin recording has several steps per row, at the time of the last one.";
     ABOUT = "/about" ["TextDocument"]
@@ -190,9 +196,13 @@ entities! {
     COMPARED_SURFACE = "/world/SIDE/NAME" ["Mesh3D"]
         "In a comparison: the surface of a body in the first or the second run.";
     COMPARED_ERROR = "/world/error" ["Arrows3D"]
-        "In a comparison: arrows between equal vertices.";
+        "In a comparison: arrows from the vertices of the first run towards those of the second; the longest of an instant has a length of 0.3 radii.";
+    COMPARED_WORST = "/world/worst" ["Points3D"]
+        "In a comparison: the vertex that differs most, labelled.";
     DIFFERENCE = "/difference/NAME" ["Scalars"]
-        "In a comparison: the largest difference of a body [radii].";
+        "In a comparison: the largest difference of a body [radii], and the tolerance.";
+    LOG_DIFFERENCE = "/log10/difference/NAME" ["Scalars"]
+        "In a comparison: the decimal logarithms of these, where they are not 0.";
     MAP = "/map/LAYER" ["Image, LineStrips2D, Points2D"]
         "In the map of a sweep: its regions, their boundaries, every run as a point, and ticks; on the timeline slice, if there are several maps.";
     MEASURE = "/along/COLUMN/LINE" ["Scalars"]

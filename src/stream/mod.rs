@@ -41,11 +41,12 @@
 //! | `/world/merged/surface` | Mesh3D, vertex, lit_colors, unlit_normals | The surfaces of all groups (two or more bodies connected by joined pairs), as one mesh in world coordinates. |
 //! | `/world/merged/seams` | LineStrips3D | The lines along which bodies meet. |
 //! | `/world/influence` | Ellipsoids3D | All influence spheres, coloured by the deepest phase of their body. |
-//! | `/world/pairs` | LineStrips3D; with more than 64 bodies Ellipsoids3D | Lines between the centres of the closest pairs within reach, the closest three labelled with q; with many bodies also the influence spheres that reach another body. |
-//! | `/world/recent` | LineStrips3D | Pairs that had an event in the last 24 frames, labelled with the event and q. |
+//! | `/world/pairs` | LineStrips3D; with more than 64 bodies Ellipsoids3D | Lines between the centres of the closest pairs within reach, up to three labelled with q; with many bodies also the influence spheres that reach another body. |
+//! | `/world/recent` | LineStrips3D | The pair that had the last event, for 24 frames, labelled with the event and q. |
 //! | `/world/names` | Points3D | The names of up to 8 bodies. |
 //! | `/world/forces` | AnnotationContext | Names of the pairs of bodies between which forces act, as classes of arrows. |
 //! | `/world/forces/CAUSE` | Arrows3D | Accelerations of vertices and of points of contact by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre. |
+//! | `/forces/NAME/CAUSE` | Scalars | Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, and of that by forces at points [scene unit/s²]; with at most 5 bodies, from the first frame in which it acts. |
 //! | `/world/points` | Ellipsoids3D | The influence spheres of force points, while they act. |
 //! | `/world/springs/NAME` | LineStrips3D | The springs of a body, blue where they are shorter than at rest, red where longer; with forces, and of at most 64 cells. |
 //! | `/world/trails` | LineStrips3D | The path of the centre of each free body, one segment per frame; not with more than 64 bodies. |
@@ -69,13 +70,15 @@
 //! | `/marks/axis/KIND` | Scalars, SeriesPoints | Events as markers on the axis of plots. |
 //! | `/marks/q/KIND` | Scalars, SeriesPoints | Events as markers in plots of q. |
 //! | `/timings/STAGE` | Scalars | What a stage of the step or of the recording costs [ms per step]. |
-//! | `/timings/stacked/STAGE` | Scalars | The same, with the stages before it on the same thread. |
+//! | `/timings/stacked/N_STAGE` | Scalars | The same, with the stages before it on the same thread; numbered from the top of the stack. |
 //! | `/timings/speed` | Scalars | Steps per second. |
 //! | `/timings/lag` | Scalars | How far a run in real time is behind [ms]. |
 //! | `/diagnostics/SCALAR` | Scalars | Energy, error, counts. |
+//! | `/volume` | Scalars | The volume that all surfaces enclose: of each group that of its sharp union, of every other body its own [scene unit³]; with at most 5 bodies. |
 //! | `/diagnostics/overlapping_groups` | Scalars | Groups that could not be united in time and are drawn as overlapping meshes. |
-//! | `/legend/PART` | Image; Points2D | The colour scale of displacements, and its numbers. |
-//! | `/stages` | TextLog | One line per stage of the steps recorded in detail, on the timeline stage, which the entities under /world have too. |
+//! | `/legend/PART` | Image; Points2D | The colour scale of displacements, and its numbers at the instant. |
+//! | `/largest` | Points3D | The vertex with the largest displacement of those that lie in no other body, labelled. |
+//! | `/stages` | TextLog | One line per stage of the steps recorded in detail, with the largest displacement and how far vertices moved since the stage before, on the timeline stage, which the entities under /world have too. |
 //! | `/checksum` | checksum | A hash of the exact state after every step; a thin recording has several steps per row, at the time of the last one. |
 //! | `/about` | TextDocument | The text of the panel. |
 //! | `/__properties` | RecordingInfo | The name of the recording. |
@@ -84,8 +87,10 @@
 //! | `/golden/states` | bodies, displacements, frames | In a golden recording: displacements of these bodies every 20 steps, and the centres and rotations of the free ones. |
 //! | `/golden/surfaces` | names, values | In a golden recording: the quantities of pairs and groups every 20 steps, by the entity that plots them. |
 //! | `/world/SIDE/NAME` | Mesh3D | In a comparison: the surface of a body in the first or the second run. |
-//! | `/world/error` | Arrows3D | In a comparison: arrows between equal vertices. |
-//! | `/difference/NAME` | Scalars | In a comparison: the largest difference of a body [radii]. |
+//! | `/world/error` | Arrows3D | In a comparison: arrows from the vertices of the first run towards those of the second; the longest of an instant has a length of 0.3 radii. |
+//! | `/world/worst` | Points3D | In a comparison: the vertex that differs most, labelled. |
+//! | `/difference/NAME` | Scalars | In a comparison: the largest difference of a body [radii], and the tolerance. |
+//! | `/log10/difference/NAME` | Scalars | In a comparison: the decimal logarithms of these, where they are not 0. |
 //! | `/map/LAYER` | Image, LineStrips2D, Points2D | In the map of a sweep: its regions, their boundaries, every run as a point, and ticks; on the timeline slice, if there are several maps. |
 //! | `/along/COLUMN/LINE` | Scalars | In the map of a sweep: a measure along the first axis, on the timeline along. |
 

@@ -16,6 +16,7 @@ use std::{
 
 use super::{
     Recorder, Settings,
+    blueprint::Tab,
     chunks::Audience,
     contract::FAILURE,
     sinks::{SinkError, Sinks},
@@ -39,8 +40,9 @@ const BYTES: usize = 8 << 20;
 const AGE: Duration = Duration::from_millis(10);
 /// Upper limit on the time until recorded data is sent to viewers.
 const LIVE_INTERVAL: Duration = Duration::from_millis(30);
-/// Upper limit on the time until recorded data is sent to files.
-const FILE_INTERVAL: Duration = Duration::from_millis(200);
+/// Upper limit on the time until recorded data is sent to files. Each chunk costs as much to write as some 20 kB of
+/// vertices.
+const FILE_INTERVAL: Duration = Duration::from_millis(400);
 
 /// The simulation's side of the pipeline.
 pub struct Pipeline {
@@ -58,7 +60,8 @@ pub struct Pipeline {
     full: Option<Sender<Packet>>,
     empty: Receiver<Packet>,
     shared: Arc<Mutex<Shared>>,
-    thread: Option<JoinHandle<(Recorder, Sinks)>>,
+    tab: Tab,
+    thread: Option<JoinHandle<Recording>>,
 }
 
 /// The recorder and its destinations after the last step, to be finished.
@@ -71,22 +74,26 @@ pub struct PipelineEnd {
     pub notes: Vec<String>,
     /// Why recording failed, if it did.
     pub failure: Option<String>,
+    /// The tab that files open on.
+    tab: Tab,
 }
 
 impl PipelineEnd {
-    /// Ends the recording of a run, with the [cause](crate::observe::Run::cause) if it failed, and sends the remaining messages. Returns the reason if
-    /// that fails.
+    /// Ends the recording of a run, with the [cause](crate::observe::Run::cause) if it failed, and sends the remaining
+    /// messages, and to files the changes of their layout. Returns the reason if that fails.
     pub fn finish(&mut self, simulation: &dyn Simulation, cause: Option<&str>) -> Option<String> {
         if let Some(cause) = cause {
             self.recorder.log_property(FAILURE, cause);
         }
         self.recorder.finish(simulation);
         let [is_live, is_recorded] = self.sinks.are_live_and_recorded();
-        if !(is_live && is_recorded) {
-            return send(&mut self.sinks, self.recorder.take());
+        let mut failure = if is_live { show(&mut self.recorder, &mut self.sinks, is_recorded) } else { None };
+        if is_recorded {
+            let rest = self.recorder.take();
+            let layout = self.recorder.measured_layout(simulation, self.tab);
+            failure = failure.or(send_to(Audience::Files, &mut self.sinks, rest.into_iter().chain(layout)));
         }
-        let failure = show(&mut self.recorder, &mut self.sinks, true);
-        failure.or(send_to(Audience::Files, &mut self.sinks, self.recorder.take()))
+        failure
     }
 }
 
@@ -110,11 +117,27 @@ struct Packet {
 }
 
 impl Pipeline {
-    /// Starts to record the simulation from its current state, to the sinks.
+    /// Starts to record the simulation from its current state, to the sinks. Viewers open on `tab`.
     ///
     /// # Errors
-    /// The thread cannot be started.
-    pub fn start(simulation: &dyn Simulation, recorder: Recorder, sinks: Sinks) -> Result<Pipeline, SinkError> {
+    /// The first messages cannot be sent, or the thread cannot be started.
+    pub fn start(
+        simulation: &dyn Simulation,
+        mut recorder: Recorder,
+        mut sinks: Sinks,
+        tab: Tab,
+    ) -> Result<Pipeline, SinkError> {
+        let layout = recorder.blueprint(simulation, tab);
+        let [is_live, _] = sinks.are_live_and_recorded();
+        // first what a replay needs, because the run may be killed at any moment
+        let mut first = if is_live { recorder.take() } else { recorder.take_full() };
+        let rest = first.split_off(Recorder::HEAD.min(first.len()));
+        for message in first.into_iter().chain(layout).chain(rest) {
+            sinks.send(message)?;
+        }
+        if !is_live {
+            sinks.flush()?;
+        }
         let (full, filled) = channel();
         let (emptied, empty) = channel();
         for _ in 1..PACKETS {
@@ -139,6 +162,7 @@ impl Pipeline {
             full: Some(full),
             empty,
             shared,
+            tab,
             thread: Some(thread),
         })
     }
@@ -205,10 +229,11 @@ impl Pipeline {
         let handed_over = self.hand_over();
         self.full = None;
         match self.thread.take().map(JoinHandle::join) {
-            Some(Ok((mut recorder, sinks))) => {
+            Some(Ok(Recording { mut recorder, sinks, .. })) => {
                 self.watch.take().into_iter().for_each(|watch| recorder.watched_by(watch));
                 let Shared { notes, failure } = take(&mut *self.lock());
-                Ok(PipelineEnd { recorder, sinks, notes, failure: failure.or(handed_over.err()) })
+                let failure = failure.or(handed_over.err());
+                Ok(PipelineEnd { recorder, sinks, notes, failure, tab: self.tab })
             }
             _ => Err(broken()),
         }
@@ -252,7 +277,7 @@ impl Recording {
         Recording { recorder, sinks, is_live, is_recorded, shared, shown: now, saved: now }
     }
 
-    fn run(mut self, filled: &Receiver<Packet>, emptied: &Sender<Packet>) -> (Recorder, Sinks) {
+    fn run(mut self, filled: &Receiver<Packet>, emptied: &Sender<Packet>) -> Recording {
         let interval = if self.is_live { LIVE_INTERVAL } else { FILE_INTERVAL };
         loop {
             let packet = filled.recv_timeout(interval);
@@ -270,7 +295,7 @@ impl Recording {
             shared.failure = failure;
             drop(shared);
             if is_last || has_failed {
-                return (self.recorder, self.sinks);
+                return self;
             }
         }
     }

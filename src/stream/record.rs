@@ -3,7 +3,6 @@
 use super::{
     Pipeline, Recorder, Settings,
     blueprint::Tab,
-    chunks::Audience,
     sinks::{Destinations, SinkError, Sinks},
 };
 use crate::observe::{Experiment, Run, Simulation};
@@ -65,13 +64,10 @@ fn record_to(
     simulation: Box<dyn Simulation>,
     steps: u64,
     settings: Settings,
-    mut sinks: Sinks,
+    sinks: Sinks,
 ) -> Result<(u64, Sinks), RecordError> {
     let recorder = Recorder::new(&*simulation, settings).map_err(RecordError::Start)?;
-    for message in recorder.blueprint(&*simulation) {
-        sinks.send(message)?;
-    }
-    let mut pipeline = Pipeline::start(&*simulation, recorder, sinks)?;
+    let mut pipeline = Pipeline::start(&*simulation, recorder, sinks, Tab::Scene)?;
     let mut run = Run::new(simulation, Some(steps));
     let mut refused = None;
     while refused.is_none() && run.step() {
@@ -81,9 +77,6 @@ fn record_to(
     let unsent = end.finish(&*run.simulation, run.cause().as_deref());
     if let Some(failure) = refused.or(end.failure).or(unsent) {
         return Err(RecordError::Recording(failure));
-    }
-    for message in end.recorder.measured_layout(&*run.simulation, Tab::Scene) {
-        end.sinks.send_to(Audience::Files, message)?;
     }
     Ok((end.recorder.written(), end.sinks))
 }

@@ -25,9 +25,10 @@ use super::{
     instant::Instant,
     machine,
     parts::{
-        FrameView, batch::BatchedBodies, bodies::SeparateBodies, forces::Forces, groups::GroupPlots, heat::Heat,
-        lines::Lines, marks, merged::MergedEntities, net_forces::NetForces, numbers::FrameNumbers, pairs,
-        pairs::PairPlots, planes, points::Points, spheres::SphereEntities, springs::Springs, trails::Trails,
+        FrameView, batch::BatchedBodies, bodies::SeparateBodies, body_forces::BodyForces, forces::Forces,
+        groups::GroupPlots, heat::Heat, lines::Lines, marks, merged::MergedEntities, net_forces::NetForces,
+        numbers::FrameNumbers, pairs, pairs::PairPlots, planes, points::Points, spheres::SphereEntities,
+        springs::Springs, trails::Trails,
     },
     series::Series,
     settings::{FORMAT, Frames, Trigger, application, recording_id},
@@ -38,6 +39,7 @@ pub use super::{
     settings::{Detail, Entities, MOST_PAIRS, Settings, file_stem},
 };
 use crate::{
+    geometry::Vectors,
     observe::{Frame, Schema, Simulation, StageFrame, StepFailure, StepSummary, row::rows, verify},
     sdk::{
         self, AnyValues, ApplicationId, AsComponents, LogMsg, Scalars, StoreId, StoreKind, TextDocument, TextLog,
@@ -91,6 +93,8 @@ struct FrameParts {
     trails: Option<Trails>,
     series: Series,
     focus: FocusFinder,
+    /// With forces.
+    body_forces: Option<BodyForces>,
     /// Colours of displacements, with forces.
     heat: Option<Heat>,
     /// The last change of a phase since the last frame.
@@ -221,13 +225,8 @@ impl Recorder {
         self.chunks.show()
     }
 
-    /// The layout that the viewer opens with, to be sent before anything else.
-    pub fn blueprint(&self, simulation: &dyn Simulation) -> Vec<LogMsg> {
-        self.blueprint_at(simulation, Tab::Scene)
-    }
-
-    /// Like [`Recorder::blueprint`], with another tab active.
-    pub fn blueprint_at(&self, simulation: &dyn Simulation, tab: Tab) -> Vec<LogMsg> {
+    /// The layout that the viewer opens with, at `tab`, to be sent before anything else.
+    pub fn blueprint(&self, simulation: &dyn Simulation, tab: Tab) -> Vec<LogMsg> {
         match self.settings.frames {
             // the viewer finds the text and the events without it, and a layout would be larger than everything else
             Frames::Thin => Vec::new(),
@@ -253,6 +252,7 @@ impl Recorder {
             scalars: parts.numbers.plotted().collect(),
             pairs: parts.pairs.names(&self.schema),
             focus: parts.focus.focus().filter(|_| self.flight.is_none()), // a flight recorder may have dropped it
+            have_acted: parts.body_forces.as_ref().map_or(&[], BodyForces::have_acted),
         };
         blueprint::measured(&self.subject(simulation), tab, self.chunks.store(), &measured)
     }
@@ -340,10 +340,18 @@ impl Recorder {
 
     fn log_stages(&mut self, stages: &[StageFrame], at: Instant) {
         let Some(state) = &mut self.stages else { return };
+        let mut before: Option<&StageFrame> = None;
         for stage in stages {
             self.chunks.set_stage(Some(self.stage_count));
             self.stage_count += 1;
-            let line = format!("step {}: {}", at.step, stage.name);
+            let bodies = self.schema.bodies.iter().zip(&stage.frame.bodies);
+            let largest = bodies.map(|(body, now)| now.max_displacement / body.radius).fold(0.0, f64::max);
+            let mut line = format!("step {}: {} — displaced up to {largest:.4} R", at.step, stage.name);
+            let moved = before.map_or(0.0, |before| furthest_move(&self.schema, [&before.frame, &stage.frame]));
+            if moved > 0.0 {
+                line += &format!(", moved up to {moved:.1e} R");
+            }
+            before = Some(stage);
             self.chunks.log(STAGES.path, at, &TextLog::new(line).with_level("stage"));
             state.log(FrameView { schema: &self.schema, frame: &stage.frame, at }, &[], &mut self.chunks);
         }
@@ -487,11 +495,12 @@ impl FrameParts {
         FrameParts {
             state,
             pairs: PairPlots::new(settings),
-            groups: GroupPlots::new(settings.pairs),
+            groups: GroupPlots::new(schema, settings.pairs, &mut series, chunks),
             numbers,
             trails,
             series,
             focus: FocusFinder::new(settings),
+            body_forces: (settings.detail != Detail::Surface).then(|| BodyForces::new(schema)),
             heat: (settings.detail != Detail::Surface)
                 .then(|| Heat::new(blueprint::surfaces(schema, settings), chunks)),
             changed: None,
@@ -501,14 +510,17 @@ impl FrameParts {
     /// Logs changed values; `number` is the number of the frame.
     fn log(&mut self, view: FrameView<'_>, number: u64, chunks: &mut Chunks) {
         let start = Clock::now();
-        let FrameParts { state, pairs, groups, numbers, trails, series, focus, heat, changed } = self;
+        let FrameParts { state, pairs, groups, numbers, trails, series, focus, body_forces, heat, changed } = self;
         focus.frame(view);
         let [extracting, ahead] = state.log(view, pairs.choose(view, series, chunks), chunks);
         if let Some(trails) = trails {
             trails.log(view, chunks);
         }
+        if let Some(body_forces) = body_forces {
+            body_forces.log(view, series, chunks);
+        }
         if let Some(heat) = heat {
-            heat.add(view.bodies().map(|(body, now)| now.max_displacement / body.radius).fold(0.0, f64::max), chunks);
+            heat.log(view, chunks);
         }
         let merged = state.merged.merged();
         pairs.log(view, &merged.pairs, number, series, chunks);
@@ -574,6 +586,21 @@ impl StateParts {
         lines.log(view, chunks);
         [extracting, ahead]
     }
+}
+
+/// The largest distance that a vertex is from where it was in the frame before [radii].
+fn furthest_move(schema: &Schema, frames: [&Frame; 2]) -> f64 {
+    let mut positions = [Vectors::default(), Vectors::default()];
+    let bodies = schema.bodies.iter().zip(frames[0].bodies.iter().zip(&frames[1].bodies));
+    let moved = bodies.map(|(body, (before, now))| {
+        for (state, positions) in [before, now].into_iter().zip(&mut positions) {
+            state.local_positions(state.rest_of(body), positions);
+        }
+        let shift = now.centre - before.centre;
+        let moves = positions[0].iter().zip(positions[1].iter()).map(|(before, now)| (now - before + shift).length());
+        moves.fold(0.0, f64::max) / body.radius
+    });
+    moved.fold(0.0, f64::max)
 }
 
 fn log_about(text: String, chunks: &mut Chunks) {

@@ -5,6 +5,7 @@ use std::io::{self, Write};
 
 use super::{
     Recorder, Settings,
+    blueprint::Tab,
     contract::{STACKED, TIMING},
     settings::{Detail, Frames},
 };
@@ -117,7 +118,7 @@ impl Probe {
         let mut recorder = Recorder::new(simulation, settings).ok()?;
         let mut encoder =
             Encoder::new_eager(CrateVersion::LOCAL, EncodingOptions::PROTOBUF_COMPRESSED, Count::default()).ok()?;
-        let layout = recorder.blueprint(simulation);
+        let layout = recorder.blueprint(simulation, Tab::Scene);
         let head = append(&mut encoder, layout.into_iter().chain(recorder.take())).ok()?;
         let first = recorder.frames();
         Some(Probe { recorder, encoder, head, first })

@@ -9,7 +9,7 @@ use std::{
     sync::atomic::{AtomicU32, Ordering},
 };
 
-use glam::{DVec3, Vec3};
+use glam::{DMat3, DVec3, Vec3};
 use meldscope::{
     Scene, World,
     geometry::{Shape, Sphere},
@@ -293,7 +293,7 @@ impl Run {
         let mut recorder = Recorder::new(&world, settings.clone()).expect("its text describes it");
         let mut send =
             |messages: Vec<_>| messages.into_iter().for_each(|message| sinks.send(message).expect("disk space"));
-        send(recorder.blueprint(&world));
+        send(recorder.blueprint(&world, Tab::Scene));
         for step in 1..=settings.steps.expect("a last step") {
             world.step();
             recorder.observe(&world).expect("a valid step");
@@ -429,7 +429,9 @@ impl Run {
         self.verify_spheres();
         if self.settings.detail == Detail::Forces {
             self.verify_forces();
+            self.verify_body_forces();
             self.verify_vertices();
+            self.verify_largest();
         }
         self.verify_lines();
         self.verify_reaching_spheres();
@@ -437,6 +439,7 @@ impl Run {
         self.verify_events();
         self.verify_diagnostics();
         self.verify_timings();
+        self.verify_volume();
     }
 
     /// Verifies that exactly the specified entities exist.
@@ -468,16 +471,18 @@ impl Run {
         if self.scene.bodies.len() > 1 {
             entities.extend(["/world/merged", "/world/merged/surface", "/world/merged/seams"].map(str::to_owned));
         }
-        // these depend on groups and on touching surfaces
-        let is_of_surfaces = |path: &String| path.starts_with("/groups/") || path == "/events/surfaces";
-        entities.extend(self.recording.entities().iter().map(ToString::to_string).filter(is_of_surfaces));
+        // these depend on groups, on touching surfaces, and on the forces that act
+        let depends =
+            |path: &String| path.starts_with("/groups/") || path.starts_with("/forces/") || path == "/events/surfaces";
+        entities.extend(self.recording.entities().iter().map(ToString::to_string).filter(depends));
+        entities.extend((2..=5).contains(&self.scene.bodies.len()).then(|| "/volume".to_owned()));
         entities.extend(TIMINGS.map(|stage| format!("/timings/{stage}")));
-        let stacked = TIMINGS.iter().filter(|&&stage| stage != "wait");
-        entities.extend(stacked.map(|stage| format!("/timings/stacked/{stage}")));
+        let stacked = TIMINGS.iter().filter(|&&stage| stage != "wait").rev().zip(1..);
+        entities.extend(stacked.map(|(stage, number)| format!("/timings/stacked/{number}_{stage}")));
         entities.extend(["/timings/speed", "/timings/lag", "/world/pairs", "/world/recent"].map(str::to_owned));
         entities.extend((2..=8).contains(&self.scene.bodies.len()).then(|| "/world/names".to_owned()));
         if self.settings.detail == Detail::Forces {
-            entities.extend(["/legend/bar", "/legend/ticks"].map(str::to_owned));
+            entities.extend(["/legend/bar", "/legend/ticks", "/largest"].map(str::to_owned));
         }
         entities.insert(0, "/marks/axis/ends".to_owned());
         entities.extend((!self.pairs().is_empty()).then(|| "/marks/q/ends".to_owned()));
@@ -493,7 +498,7 @@ impl Run {
         let up = self.recording.fixed("/world").get::<ViewCoordinates>("ViewCoordinates:xyz");
         assert_eq!(up, [ViewCoordinates::RIGHT_HAND_Z_UP]);
         let about = self.recording.fixed("/about").text("TextDocument:text");
-        assert!(about.contains(&self.scene.name) && about.contains("海上 一徳"), "{about}");
+        assert!(about.contains(&self.scene.name) && about.contains("the graduation thesis"), "{about}");
     }
 
     /// Verifies that rows are at the frames or at the exact times of events, and that no row hides another.
@@ -779,6 +784,95 @@ impl Run {
         });
     }
 
+    /// Verifies the mean force on each body by each cause, from the first frame in which it acts.
+    fn verify_body_forces(&self) {
+        if !(1..=5).contains(&self.scene.bodies.len()) {
+            assert!(self.recording.entities().iter().all(|path| !path.to_string().starts_with("/forces/")));
+            return;
+        }
+        let mut lines = vec![CAUSES.map(|_| BTreeMap::new()); self.scene.bodies.len()];
+        let mut forces = BodyForces::default();
+        self.walk_frames(|_, world| {
+            for (index, lines) in lines.iter_mut().enumerate() {
+                world.forces(index, &mut forces);
+                for (cause, line) in Cause::of(&self.scene).zip(lines) {
+                    let of = forces.of(cause);
+                    let mean = of.iter().sum::<DVec3>().length() / of.len().max(1) as f64;
+                    if mean > 0.0 || !line.is_empty() {
+                        line.insert(world.steps_taken(), mean);
+                    }
+                }
+            }
+        });
+        for (body, lines) in self.scene.bodies.iter().zip(lines) {
+            for (cause, values) in CAUSES.iter().zip(lines) {
+                let entity = format!("/forces/{}/{cause}", body.name);
+                assert_eq!(self.recording.entities().contains(&EntityPath::from(entity.as_str())), !values.is_empty());
+                if values.is_empty() {
+                    continue;
+                }
+                let track = self.track(&entity);
+                for (frame, step) in self.frames().iter().enumerate() {
+                    let (logged, expected) = (track.held[frame].scalar(), values.get(step));
+                    assert_eq!(logged.is_some(), expected.is_some(), "{entity} at step {step}");
+                    let error = logged.zip(expected).map_or(0.0, |(logged, expected)| (logged - expected).abs());
+                    assert!(error <= 1e-12 * expected.copied().unwrap_or(0.0), "{entity} at step {step}: {error}");
+                }
+            }
+        }
+    }
+
+    /// Verifies the label of the vertex with the largest displacement, if no other body is near.
+    fn verify_largest(&self) {
+        let track = self.track("/largest");
+        self.walk_frames(|frame, world| {
+            let hides = |at: DVec3, index: usize| {
+                let others = world.bodies().enumerate().filter(|(other, _)| *other != index);
+                others
+                    .map(|(_, body)| (body.centre() - at).length() / body.scene().radius)
+                    .fold(f64::INFINITY, f64::min)
+            };
+            let mut largest: Option<(f64, String)> = None;
+            for (index, body) in world.bodies().enumerate() {
+                for vertex in 0..body.vertex_count() {
+                    let displacement = body.displacement(vertex).length() / body.scene().radius;
+                    let is_visible = hides(body.position(vertex), index) >= 0.95;
+                    if is_visible && displacement > largest.as_ref().map_or(0.0, |(largest, _)| *largest) {
+                        let name = &body.scene().name;
+                        largest = Some((displacement, format!("largest: {name}:{vertex}, {displacement:.3} R")));
+                    }
+                }
+            }
+            if let Some((_, label)) = largest {
+                assert_eq!(track.held[frame].texts("Points3D:labels"), [label], "step {}", world.steps_taken());
+            }
+        });
+    }
+
+    /// Verifies the volume of all surfaces while no bodies share one.
+    fn verify_volume(&self) {
+        if !(2..=5).contains(&self.scene.bodies.len()) {
+            return;
+        }
+        let track = self.track("/volume");
+        self.walk_frames(|frame, world| {
+            if world.pairs().any(|pair| pair.phase != Phase::Apart) {
+                return;
+            }
+            let volume = |body: BodyView<'_>| {
+                let mesh = body.scene().shape.mesh();
+                let six_times = mesh.triangles().iter().map(|corners| {
+                    let [a, b, c] = corners.map(|corner| body.position(corner as usize) - body.centre());
+                    DMat3::from_cols(a, b, c).determinant()
+                });
+                six_times.sum::<f64>() / 6.0
+            };
+            let expected: f64 = world.bodies().map(volume).sum();
+            let logged = track.held[frame].scalar().expect("a volume");
+            assert!((logged - expected).abs() <= 1e-12 * expected, "step {}: {logged}", world.steps_taken());
+        });
+    }
+
     /// Verifies the values of each vertex: its displacement, the force on it, the influence that reaches it.
     fn verify_vertices(&self) {
         if self.settings.entities == Entities::Batch {
@@ -833,7 +927,9 @@ impl Run {
             };
             pairs.sort_by_key(is_highlighted);
             let plain = pairs.iter().filter(|pair| !is_highlighted(pair)).count();
-            let labelled = if plain == 1 && pairs.len() > 1 { 0 } else { plain.min(3) };
+            let free = 3 - highlighted.len();
+            let plain = plain.min(free);
+            let labelled = if plain == 1 && pairs.len() > 1 { 0 } else { plain };
             let labels: Vec<String> = pairs[..labelled].iter().map(|pair| format!("q = {:.3}", pair.q)).collect();
             assert_eq!(held.texts("LineStrips3D:labels"), labels, "step {}", world.steps_taken());
             let colors: Vec<Rgba32> = pairs.iter().map(|pair| color(phase_color(pair.phase))).collect();
@@ -1349,8 +1445,9 @@ fn stages_within_steps_are_recorded() {
     for step in steps {
         let of_step: Vec<&(i64, String)> =
             lines.iter().filter(|(_, line)| line.starts_with(&format!("step {step}: "))).collect();
-        let names: Vec<&str> = of_step.iter().filter_map(|(_, line)| line.split(": ").nth(1)).collect();
-        assert_eq!(names[..3], ["start", "influence forces", "after the flow alone"]);
+        let names = of_step.iter().filter_map(|(_, line)| line.split(": ").nth(1)?.split(" — ").next());
+        let names: Vec<&str> = names.collect();
+        assert_eq!(names[..3], ["start", "influence forces", "end if no influence acted"]);
         assert_eq!(names[names.len() - 1], "end");
         assert_eq!(names.iter().any(|name| name.starts_with("merge a~b")), step == 84, "{names:?}");
         // the values at the first stage and at the last are the frames before and after
@@ -1376,7 +1473,7 @@ fn a_file_ends_with_the_ranges_of_its_plots_and_opens_at_its_first_event() {
         recorder.observe(&world).expect("a valid step");
     }
     let store_of = |messages: &[LogMsg]| messages.last().expect("messages").store_id().clone();
-    let layout = recorder.blueprint_at(&world, Tab::Timings);
+    let layout = recorder.blueprint(&world, Tab::Timings);
     let ranges = recorder.measured_layout(&world, Tab::Timings);
     assert_eq!(store_of(&ranges), store_of(&layout), "it is the same layout");
     assert!(matches!(ranges.last(), Some(LogMsg::BlueprintActivationCommand(_))));
@@ -1390,8 +1487,8 @@ fn a_file_ends_with_the_ranges_of_its_plots_and_opens_at_its_first_event() {
             opening.extend(chunk.components().keys().map(|component| component.to_string()));
         }
     }
-    // the plots of timings and of q, each in the first tab and in its own
-    assert_eq!(views.len(), 4, "{views:?}");
+    // the plots of timings and of q, each in the first tab and in its own, and of the recording
+    assert_eq!(views.len(), 5, "{views:?}");
     for component in ["TimePanelBlueprint:time_selection", "TimePanelBlueprint:play_state", "EyeControls3D:position"] {
         assert!(opening.iter().any(|logged| logged == component), "{opening:?}");
     }

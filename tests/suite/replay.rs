@@ -21,6 +21,7 @@ use meldscope::{
     sim::Options,
     stream::{
         Recorder, Settings,
+        blueprint::Tab,
         settings::{Frames, Trigger},
         sinks::{Destinations, Sinks},
     },
@@ -90,7 +91,7 @@ fn record_with(path: &Path, played: &Scene, options: Options, settings: Settings
 fn send(sinks: &mut Sinks, played: &Scene, options: Options, settings: &Settings) {
     let mut world = World::with_options(played.clone(), options).expect("enough memory");
     let mut recorder = Recorder::new(&AnotherVersion(&world), settings.clone()).expect("a valid schema");
-    let mut messages = recorder.blueprint(&world);
+    let mut messages = recorder.blueprint(&world, Tab::Scene);
     for step in 1..=settings.steps.expect("a last step") {
         world.step();
         recorder.observe(&world).expect("a valid step");

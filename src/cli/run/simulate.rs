@@ -5,7 +5,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::{Arguments, CHECK_INTERVAL, console::Console, destined_live, events::Events, settings, watch::Changes};
+use super::{Arguments, CHECK_INTERVAL, console::Console, events::Events, settings, watch::Changes};
 use crate::{
     cli::{
         Failure,
@@ -16,8 +16,7 @@ use crate::{
     scene::Scene,
     stream::{
         Pipeline, Recorder,
-        chunks::Audience,
-        pipeline::{PipelineEnd, send},
+        pipeline::PipelineEnd,
         settings::Settings,
         sinks::{Finished, Serving, Sinks},
     },
@@ -69,12 +68,11 @@ impl Simulated {
 /// The main loop: step, then record. Ends early when `changes` reports an edited scene.
 pub fn simulate(
     simulation: Box<dyn Simulation>,
-    mut sinks: Sinks,
+    sinks: Sinks,
     arguments: &Arguments,
     mut changes: Option<&mut Changes>,
     console: &mut Console,
 ) -> Result<Simulated, Failure> {
-    let is_live = destined_live(arguments);
     let schema = simulation.schema();
     let settings = settings(arguments, &schema)?;
     // without its own number, a restarted run would have the id of the previous one, and a viewer would append to that
@@ -82,17 +80,9 @@ pub fn simulate(
     let warnings: Vec<String> = schema.warnings.iter().map(|warning| format!("warning: {warning}")).collect();
     console.notes(&warnings);
     console.begin(&settings, arguments.save.as_deref());
-    let mut recorder = Recorder::numbered(&*simulation, settings.clone(), number).map_err(Failure::Input)?;
-    // first write what a replay needs, because the run may be killed at any moment
-    let mut first = recorder.take();
-    let rest = first.split_off(Recorder::HEAD.min(first.len()));
-    let layout = recorder.blueprint_at(&*simulation, arguments.tab);
-    let mut failure = send(&mut sinks, first.into_iter().chain(layout).chain(rest));
-    if arguments.save.is_some() && !is_live {
-        // flush, so that a killed run leaves a file that names its scene
-        failure = failure.or(sinks.flush().err().map(|error| error.to_string()));
-    }
-    let mut pipeline = Pipeline::start(&*simulation, recorder, sinks).map_err(sink_failure)?;
+    let recorder = Recorder::numbered(&*simulation, settings.clone(), number).map_err(Failure::Input)?;
+    let mut pipeline = Pipeline::start(&*simulation, recorder, sinks, arguments.tab).map_err(sink_failure)?;
+    let mut failure = None;
     console.progress.stage("");
     let (mut events, mut next) = (Events::default(), None);
     let (start, mut simulating) = (Instant::now(), Duration::ZERO);
@@ -140,11 +130,8 @@ pub fn simulate(
     let failed = run.cause();
     let unsent = end.finish(&*run.simulation, failed.as_deref());
     let simulation = run.simulation;
-    let PipelineEnd { recorder, mut sinks, mut notes, failure: recording } = end;
+    let PipelineEnd { recorder, mut sinks, mut notes, failure: recording, .. } = end;
     let failure = failed.or(failure).or(recording).or(unsent);
-    let layout = recorder.measured_layout(&*simulation, arguments.tab);
-    let unsent = layout.into_iter().find_map(|message| sinks.send_to(Audience::Files, message).err());
-    let failure = failure.or(unsent.map(|error| error.to_string()));
     notes.append(&mut sinks.notes());
     notes.extend(events.inaccuracy(&schema));
     notes.extend(recorder.dropped_frames());

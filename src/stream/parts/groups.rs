@@ -1,16 +1,17 @@
-//! Plots of groups: volume, area and topology of the surface, and number of bodies. The first body of a group gives it
-//! its name.
+//! Plots of groups: volume, area and topology of the surface, and number of bodies; and of the volume of all surfaces. The
+//! first body of a group gives it its name.
 
 use std::collections::BTreeMap;
 
 use super::{FrameView, pairs::has_named_pairs};
 use crate::{
     analysis::surface::Merged,
+    geometry::Vectors,
     observe::{Schema, surface::Group},
     sdk::{AnyValues, components::Text},
     stream::{
         chunks::Chunks,
-        contract::{BODIES, GROUP, GROUP_LINE, OVERLAPPING},
+        contract::{BODIES, GROUP, GROUP_LINE, OVERLAPPING, VOLUME},
         palette,
         series::{Interpolation, LineId, Series},
     },
@@ -23,6 +24,12 @@ pub struct GroupPlots {
     known: BTreeMap<usize, GroupPlot>,
     /// Plot of the number of groups without a surface; `None` until there is one.
     overlapping: Option<LineId>,
+    /// Plot of the volume of all surfaces, if there is one.
+    volume: Option<LineId>,
+    /// Volume of each body at rest [scene unit³].
+    at_rest: Vec<f64>,
+    /// Scratch storage, reused.
+    is_grouped: Vec<bool>,
 }
 
 struct GroupPlot {
@@ -53,8 +60,19 @@ pub fn values(group: &Group) -> [f64; 6] {
 
 impl GroupPlots {
     /// Starts without groups; at most `max_groups` get plots.
-    pub fn new(max_groups: usize) -> GroupPlots {
-        GroupPlots { max_groups, known: BTreeMap::new(), overlapping: None }
+    pub fn new(schema: &Schema, max_groups: usize, series: &mut Series, chunks: &mut Chunks) -> GroupPlots {
+        let has_volume = has_named_pairs(schema) && schema.bodies.len() > 1;
+        let volume = has_volume.then(|| {
+            Series::style(chunks, VOLUME.path, "all surfaces", palette::BODY_LINE, 2.5, Interpolation::Linear);
+            series.line(chunks, VOLUME.path, Interpolation::Linear)
+        });
+        let bodies = if has_volume { schema.bodies.as_slice() } else { &[] };
+        let at_rest = bodies.iter().map(|body| {
+            let mesh = &body.mesh;
+            body.radius.powi(3) * enclosed(mesh.triangles(), mesh.positions())
+        });
+        let at_rest = at_rest.collect();
+        GroupPlots { max_groups, known: BTreeMap::new(), overlapping: None, volume, at_rest, is_grouped: Vec::new() }
     }
 
     /// Logs changed values.
@@ -68,6 +86,7 @@ impl GroupPlots {
             });
             series.log(chunks, line, merged.overlapping as f64, at);
         }
+        self.log_volume(view, merged, series, chunks);
         for (first, plot) in &mut self.known {
             let is_there = merged.groups.iter().any(|group| group.bodies.first() == Some(first));
             if !is_there && !plot.bodies.is_empty() {
@@ -96,6 +115,37 @@ impl GroupPlots {
             }
         }
     }
+}
+
+impl GroupPlots {
+    fn log_volume(&mut self, view: FrameView<'_>, merged: &Merged, series: &mut Series, chunks: &mut Chunks) {
+        let Some(line) = self.volume else { return };
+        if merged.overlapping > 0 {
+            return series.interrupt(chunks, line, view.at);
+        }
+        self.is_grouped.clear();
+        self.is_grouped.resize(self.at_rest.len(), false);
+        for &body in merged.groups.iter().flat_map(|group| &group.bodies) {
+            self.is_grouped[body] = true;
+        }
+        let alone = view.bodies().zip(&self.at_rest).zip(&self.is_grouped).filter(|(_, is_grouped)| !**is_grouped);
+        let volumes = alone.map(|(((body, now), at_rest), _)| match (now.is_absent, now.is_at_rest) {
+            (true, _) => 0.0,
+            (_, true) => *at_rest,
+            _ => enclosed(now.mesh_of(body).triangles(), &now.positions),
+        });
+        let volume = volumes.sum::<f64>() + merged.groups.iter().map(|group| group.volume).sum::<f64>();
+        series.log(chunks, line, volume, view.at);
+    }
+}
+
+/// The volume that a closed mesh encloses, in the unit of its positions cubed.
+fn enclosed(triangles: &[[u32; 3]], positions: &Vectors) -> f64 {
+    let six_times = triangles.iter().map(|corners| {
+        let [a, b, c] = corners.map(|corner| positions.get(corner as usize));
+        a.dot(b.cross(c))
+    });
+    six_times.sum::<f64>() / 6.0
 }
 
 impl GroupPlot {

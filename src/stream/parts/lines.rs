@@ -1,7 +1,5 @@
 //! Lines in 3D between the centres of pairs within reach, coloured by phase and labelled with q; the names of bodies;
-//! and highlights of the pairs that had an event in the last frames.
-
-use std::collections::BTreeMap;
+//! and a highlight of the pair that had the last event.
 
 use glam::DVec3;
 
@@ -21,11 +19,9 @@ use crate::{
 
 /// Number of frames for which an event is recent.
 const RECENT_FRAMES: u64 = 24;
-/// Upper limit on the number of highlighted pairs; those of the latest events are chosen.
-const MAX_RECENT: usize = 4;
-/// Upper limit on the number of pairs that are labelled with q and not highlighted; the closest are chosen. More labels
-/// would cover each other and the bodies.
-const MAX_Q: usize = 3;
+/// Upper limit on the number of labelled pairs: the highlighted one, then the closest. More labels would cover each
+/// other and the bodies.
+const MAX_LABELLED: usize = 3;
 
 /// Pair lines, with the last logged values.
 pub struct Lines {
@@ -59,13 +55,19 @@ struct Names {
     named: Vec<usize>,
 }
 
-/// The pairs that had an event in the last frames.
+/// The pair that had the last event, while it is recent. With more pairs, labels would cover each other.
 struct Recent {
     track: TrackId,
-    /// Frames since the event and its label, by pair.
-    events: BTreeMap<(usize, usize), (u64, String, Rgb)>,
+    event: Option<RecentEvent>,
     last: LineRows,
-    next: LineRows,
+}
+
+struct RecentEvent {
+    pair: (usize, usize),
+    label: String,
+    color: Rgb,
+    /// Frames since it happened.
+    age: u64,
 }
 
 impl Lines {
@@ -82,12 +84,7 @@ impl Lines {
         chunks.log_static(RECENT.path, &style);
         let components =
             [LineStrips3D::descriptor_strips(), LineStrips3D::descriptor_colors(), LineStrips3D::descriptor_labels()];
-        let recent = Recent {
-            track: chunks.track(RECENT.path, components),
-            events: BTreeMap::new(),
-            last: LineRows::default(),
-            next: LineRows::default(),
-        };
+        let recent = Recent { track: chunks.track(RECENT.path, components), event: None, last: LineRows::default() };
         Lines {
             track,
             max_lines: settings.pairs,
@@ -102,14 +99,10 @@ impl Lines {
 
     /// Adds an event, before the first frame that it affects.
     pub fn event(&mut self, schema: &Schema, event: &PairEvent) {
-        let Recent { events, .. } = &mut self.recent;
         let colon = if event.name.contains(' ') { ":" } else { "" };
-        let name = format!("{}{colon} {}", event.name, schema.pair_name(event.a, event.b));
-        events.insert((event.a, event.b), (0, name, schema.phases[event.to].color));
-        while events.len() > MAX_RECENT {
-            let Some(oldest) = events.iter().max_by_key(|(_, (age, ..))| *age).map(|(pair, _)| *pair) else { break };
-            events.remove(&oldest);
-        }
+        let label = format!("{}{colon} {}", event.name, schema.pair_name(event.a, event.b));
+        let color = schema.phases[event.to].color;
+        self.recent.event = Some(RecentEvent { pair: (event.a, event.b), label, color, age: 0 });
     }
 
     /// Logs changed values.
@@ -123,9 +116,11 @@ impl Lines {
         self.closest.truncate(self.max_lines);
         // the viewer labels the first lines, as many as there are labels; a highlighted pair has its label there
         self.recent.age();
-        self.closest.sort_by_key(|pair| self.recent.events.contains_key(&(pair.a, pair.b)));
-        let is_plain = |pair: &&PairFrame| !self.recent.events.contains_key(&(pair.a, pair.b));
-        let mut labelled = self.closest.iter().filter(is_plain).count().min(MAX_Q);
+        let recent = self.recent.event.as_ref().map(|event| event.pair);
+        self.closest.sort_by_key(|pair| recent == Some((pair.a, pair.b)));
+        let is_plain = |pair: &&PairFrame| recent != Some((pair.a, pair.b));
+        let free = MAX_LABELLED - usize::from(recent.is_some());
+        let mut labelled = self.closest.iter().filter(is_plain).count().min(free);
         if labelled == 1 && self.closest.len() > 1 {
             labelled = 0; // the viewer would take a single label for that of all lines
         }
@@ -201,30 +196,23 @@ fn labelled(points: Points3D, schema: &Schema, bodies: &[usize]) -> Points3D {
 }
 
 impl Recent {
-    /// Drops pairs whose event is no longer recent.
+    /// Drops an event that is no longer recent.
     fn age(&mut self) {
-        self.events.retain(|_, (age, ..)| *age < RECENT_FRAMES);
+        self.event.take_if(|event| event.age >= RECENT_FRAMES);
     }
 
     fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
-        if self.events.is_empty() && self.last.labels.is_empty() {
-            return;
-        }
-        let LineRows { segments, colors, labels } = &mut self.next;
-        segments.clear();
-        colors.clear();
-        labels.clear();
-        for (&(a, b), (age, name, rgb)) in &mut self.events {
-            segments.push([a, b].map(|body| view.frame.bodies[body].centre.as_vec3().to_array()));
-            colors.push(color(*rgb).to_u32());
-            let pair = view.frame.pairs.iter().find(|pair| (pair.a, pair.b) == (a, b));
-            labels.push(pair.map_or_else(|| name.clone(), |pair| format!("{name}, q = {:.3}", pair.q)));
+        let mut rows = LineRows::default();
+        if let Some(RecentEvent { pair: (a, b), label, color: rgb, age }) = &mut self.event {
+            rows.segments.push([*a, *b].map(|body| view.frame.bodies[body].centre.as_vec3().to_array()));
+            rows.colors.push(color(*rgb).to_u32());
+            let pair = view.frame.pairs.iter().find(|pair| (pair.a, pair.b) == (*a, *b));
+            rows.labels.push(pair.map_or_else(|| label.clone(), |pair| format!("{label}, q = {:.3}", pair.q)));
             *age += 1;
         }
-        if self.next != self.last {
-            std::mem::swap(&mut self.next, &mut self.last);
-            let LineRows { segments, colors, labels } = &self.last;
-            chunks.push(self.track, view.at, &[segments, colors, labels]);
+        if rows != self.last {
+            chunks.push(self.track, view.at, &[&rows.segments, &rows.colors, &rows.labels]);
+            self.last = rows;
         }
     }
 }

@@ -7,15 +7,16 @@
 //! | `/world/resting/SHAPE`, `/world/deforming/surface` | [`batch`] |
 //! | `/world/influence` | [`spheres`] |
 //! | `/world/forces/TERM` | [`forces`] |
+//! | `/forces/NAME/CAUSE` | [`body_forces`] |
 //! | `/world/forces/net_force`, `…/torque` | [`net_forces`] |
 //! | `/world/merged/surface`, `/world/merged/seams` | [`merged`] |
-//! | `/groups/A/…` | [`groups`] |
+//! | `/groups/A/…`, `/volume` | [`groups`] |
 //! | `/world/trails` | [`trails`] |
 //! | `/world/planes/N` | [`planes`] |
 //! | `/world/points` | [`points`] |
 //! | `/world/springs/NAME` | [`springs`] |
 //! | `/pairs/A~B/…`, `/events` | [`pairs`] |
-//! | `/legend/…` | [`heat`] |
+//! | `/legend/…`, `/largest` | [`heat`] |
 //! | `/marks/…` | [`marks`] |
 //! | `/world/pairs`, `/world/recent`, `/world/names` | [`lines`] |
 //! | values of single vertices, on the entities of their surfaces | [`vertices`] |
@@ -23,6 +24,7 @@
 
 pub mod batch;
 pub mod bodies;
+pub mod body_forces;
 pub mod forces;
 pub mod groups;
 pub mod heat;

@@ -32,13 +32,11 @@ pub fn is_work(stage: &str) -> bool {
     stage != OBSERVING[1]
 }
 
-/// The name of a stage in a legend.
-pub fn described(stage: &str) -> &str {
-    match stage {
-        "extract" => "recorder's thread: extract",
-        "log" => "recorder's thread: log",
-        stage => stage,
-    }
+/// The entity of the stacked plot of a stage. Its number orders the viewer's legend like the stack, from its top.
+pub fn stacked(schema: &Schema, stage: &str) -> String {
+    let work: Vec<_> = timings(schema).filter(|stage| is_work(stage)).collect();
+    let number = work.iter().rev().position(|of| *of == stage).map_or(0, |place| place + 1);
+    STACKED.of(&[&format!("{number}_{stage}")])
 }
 
 /// Scalars aggregated between frames.
@@ -96,9 +94,8 @@ impl FrameNumbers {
             Series::style(chunks, &entity, &format!("{name} [ms]"), rgb, 1.5, Interpolation::Step);
             let track = chunks.track(&entity, [Scalars::descriptor_scalars()]);
             let stacked = is_work(name).then(|| {
-                let entity = STACKED.of(&[name]);
-                let label = format!("{} [ms]", described(name));
-                Series::style(chunks, &entity, &label, rgb, 1.5, Interpolation::Step);
+                let entity = stacked(schema, name);
+                Series::style(chunks, &entity, &format!("{name} [ms]"), rgb, 1.5, Interpolation::Step);
                 chunks.track(&entity, [Scalars::descriptor_scalars()])
             });
             let is_first = schema.stages.first() == Some(&name) || name == RECORDING[0];
@@ -206,10 +203,10 @@ impl FrameNumbers {
         self.timings.iter().filter_map(|timing| Some((timing.name, timing.spread.quantile(0.5)?))).collect()
     }
 
-    /// The 90th percentile of the duration of a step and of its recording [ms]; `None` if there were no frames.
-    pub fn typical(&self) -> Option<f64> {
+    /// The 90th percentile of the duration of a step, and that of its recording [ms]; `None` or 0 if there were no frames.
+    pub fn typical(&self) -> [Option<f64>; 2] {
         let recording: f64 = self.timings.iter().rev().take(2).filter_map(|timing| timing.spread.quantile(0.9)).sum();
-        Some(f64::max(self.total.quantile(0.9)?, recording))
+        [self.total.quantile(0.9), Some(recording)]
     }
 
     /// Logs the timings since the last frame [ms per step].

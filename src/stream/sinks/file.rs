@@ -24,7 +24,7 @@ const LIMIT: u64 = 16 << 20;
 /// Write buffer size [bytes].
 const BUFFER: usize = 256 << 10;
 /// Interval between flushes: a killed run loses at most what was written after the last one.
-const FLUSH_EVERY: Duration = Duration::from_millis(250);
+const FLUSH_EVERY: Duration = Duration::from_millis(100);
 /// Messages encoded between two checks of the clock.
 const BATCH: usize = 64;
 
