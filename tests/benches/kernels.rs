@@ -48,7 +48,7 @@ fn oscillator(c: &mut Criterion) {
     group.bench_function("flow", |b| b.iter(|| black_box(oscillator).flow(black_box(0.7))));
     group.bench_function("propagator, short", |b| b.iter(|| black_box(oscillator).propagator(black_box(1.0 / 60.0))));
     group.bench_function("propagator, long", |b| b.iter(|| black_box(oscillator).propagator(black_box(0.7))));
-    group.bench_function("weights", |b| b.iter(|| Weights::new(black_box(oscillator), black_box(1.0 / 60.0), false)));
+    group.bench_function("weights", |b| b.iter(|| Weights::new(black_box(oscillator), black_box(1.0 / 60.0))));
     group.finish();
 }
 

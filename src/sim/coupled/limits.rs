@@ -12,10 +12,6 @@ use crate::{
     },
 };
 
-/// Steps of fixed length are calm if their estimated error is at most this many times what the tolerance allows: adaptive
-/// ones may then be possible.
-const CALM: f64 = 10.0;
-
 impl Coupled {
     /// Whether an island of these bodies takes steps of fixed length.
     pub(super) fn fixed_steps_of(&self, bodies: &[u32]) -> FixedSteps {
@@ -31,10 +27,9 @@ impl Coupled {
         let before = self.fixed_steps_of(bodies);
         let allowed = scene.tolerance * span.length();
         let (error, body) = (job.report.error, job.report.shortest.map_or(0, |(_, body)| body as usize));
-        let is_calm = error <= CALM * allowed;
         let fixed = match before.left {
             0 => before.begin(),
-            left => FixedSteps { left: left - u16::from(is_calm), ..before },
+            left => FixedSteps { left: left - 1, ..before },
         };
         bodies.iter().for_each(|&body| self.members[body as usize].fixed = fixed);
         if error > allowed && report.shortfall.is_none_or(|worst| worst.error < error) {

@@ -17,28 +17,15 @@ use crate::{
         free::{Body, Driven, Push, Shape, Way},
         memory::spilled,
         neighbours::{FatBounds, Neighbours},
+        numerics::control::{MAX_SLOW_TOLERANCE, NEGLIGIBLE, NEGLIGIBLE_TOLERANCE, SLOW, SLOW_TIME},
         span::Span,
         terms::carry,
     },
 };
 
-/// Least number of consecutive steps after which a body must be [slow](Member::is_slow) before it sleeps.
-const SLOW_STEPS: f64 = 12.0;
-/// Shortest time for which a body must be slow before it sleeps, as is usual in game engines [s].
-const SLOW_TIME: f64 = 0.5;
-/// Share of the tolerance within which the motion of a body counts as slow. The integrator's own errors are far below
-/// the rest.
-const SLOW: f64 = 0.5;
-/// Larger tolerances than this do not let bodies rest any sooner [radii/s]: the motion lost by resting is an error that
-/// shorter steps do not reduce.
-pub(super) const MAX_SLOW_TOLERANCE: f64 = 1e-2;
-/// Share of the tolerance within which the deformation of a body counts as zero.
-const UNDEFORMED: f64 = 0.1;
-/// Larger tolerances than this do not allow a larger deformation to count as zero [radii/s].
-const MAX_UNDEFORMED_TOLERANCE: f64 = 1e-5;
 /// How much farther than in free flight a body may move in a step before the step is repeated [radii].
 const SLACK: f64 = 0.05;
-/// Least and largest number of calm steps of fixed length before adaptive ones are tried again.
+/// Least and largest number of steps of fixed length before adaptive ones are tried again.
 const MIN_WAIT: u16 = 30;
 const MAX_WAIT: u16 = 1920;
 
@@ -87,7 +74,7 @@ pub(in crate::sim) struct Drift {
 /// Whether the island of a body takes steps of fixed length, because adaptive ones were too much work.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(in crate::sim) struct FixedSteps {
-    /// Number of calm steps until adaptive ones are tried again; 0 if it takes these.
+    /// Number of steps until adaptive ones are tried again; 0 if it takes these.
     pub left: u16,
     /// That number when they were last given up; 0 if they never were.
     pub wait: u16,
@@ -269,7 +256,7 @@ impl Member {
             self.slow_from = now;
         }
         self.slow_steps += 1;
-        if f64::from(self.slow_steps) < (SLOW_TIME / h).ceil().max(SLOW_STEPS) {
+        if f64::from(self.slow_steps) < (SLOW_TIME / h).ceil().max(2.0) {
             return false;
         }
         // a steady acceleration must gain no more than the slow speed per second
@@ -285,7 +272,7 @@ impl Member {
     /// Whether its deformation is so small that setting it to zero is an error of less than a tenth of the tolerance.
     /// That is done if nothing acts on the body.
     pub fn is_nearly_undeformed(&self, tolerance: f64) -> bool {
-        let max = UNDEFORMED * tolerance.min(MAX_UNDEFORMED_TOLERANCE) * self.body.radius;
+        let max = NEGLIGIBLE * tolerance.min(NEGLIGIBLE_TOLERANCE) * self.body.radius;
         let x = self.body.x.iter().map(|x| x.length_squared()).fold(0.0, f64::max).sqrt();
         x <= max && self.speed <= max * self.body.oscillator.omega.max(1.0)
     }
@@ -311,7 +298,7 @@ impl Member {
         let (inertia, frame_spin) = (resistance(squares), body.frame_spin());
         let spin = solve(inertia, body.spin);
         // deviations of the vertices change the moments too, and thus the spin: this error grows with |Ω|
-        let max = UNDEFORMED * tolerance.min(MAX_UNDEFORMED_TOLERANCE) * body.radius / spin.length().max(1.0);
+        let max = NEGLIGIBLE * tolerance.min(NEGLIGIBLE_TOLERANCE) * body.radius / spin.length().max(1.0);
         let wobble = solve(inertia, spin.cross(inertia * spin));
         if !(spin != DVec3::ZERO && wobble.length() * self.extent <= max && is_largest(inertia, spin)) {
             return None;

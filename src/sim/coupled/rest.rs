@@ -3,12 +3,13 @@
 use super::{
     Coupled,
     islands::{Group, Job},
-    member::{FixedSteps, MAX_SLOW_TOLERANCE, Member},
+    member::{FixedSteps, Member},
 };
 use crate::{
     model::shape_matching::Plane,
     scene::{Point, Scene},
     sim::{
+        numerics::control::MAX_SLOW_TOLERANCE,
         report::StepReport,
         solver::{Setting, Step},
         span::Span,

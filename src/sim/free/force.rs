@@ -7,15 +7,12 @@ use super::{
     body::Body,
     field::{Field, Pair, Push},
     kernels::{self, Detect, Kernel, Pull},
-    split::{hold, is_stiff, passages, softened},
-    step::{Course, Held, MIDDLE, Place, Reaction, Span},
+    split::{hold, passages},
+    step::{Course, Held, Place, Reaction, Span},
 };
 use crate::{
     model::{PairLaw, influence::Weight, phase::Phase, shape_matching::Plane},
-    sim::numerics::{
-        bernstein::{self, Crossings, Polynomial},
-        lagrange::{combine, cubic},
-    },
+    sim::numerics::bernstein::{self, Crossings, Polynomial},
 };
 
 /// A sphere that acts on a body.
@@ -336,9 +333,7 @@ impl Acting {
             *g = std::array::from_fn(|sample| Contact::Plane(plane).acceleration(field.weight, sample, &seen[sample]));
             let key = (*number, *vertex);
             let known = course.held_before.binary_search_by_key(&key, |held| (held.contact, held.vertex));
-            if let Ok(known) = known
-                && is_stiff(plane, &seen, &responses)
-            {
+            if let Ok(known) = known {
                 *g = hold(plane, &course.held_before[known].g, g, &seen, &responses);
             }
             for sample in first..4 {
@@ -364,8 +359,7 @@ impl Acting {
 
     /// Evaluates the forces that act at a single sample.
     pub fn evaluate_at(&self, sample: usize, view: &View<'_>, course: &mut Course) {
-        let View { body, field, span, places, arch, .. } = *view;
-        let weights = cubic(span.midpoint);
+        let View { body, field, places, arch, .. } = *view;
         course.active.clear_forces(sample..sample + 1);
         let extent = course.frames[sample].extent;
         for sphere in &self.spheres {
@@ -397,15 +391,7 @@ impl Acting {
                 }
                 let seen = see(course, places, sample, i);
                 if contact.depth(sample, &seen).0 > 0.0 {
-                    let mut g = contact.acceleration(field.weight, sample, &seen);
-                    if let (MIDDLE, Contact::Plane(plane)) = (sample, contact) {
-                        let key = (number, i as u32);
-                        let known = course.held.binary_search_by_key(&key, |held| (held.contact, held.vertex));
-                        if let Ok(known) = known {
-                            let expected = combine(&weights, course.held[known].g);
-                            g = expected + softened(plane, &seen, g - expected, span.h);
-                        }
-                    }
+                    let g = contact.acceleration(field.weight, sample, &seen);
                     course.active.accelerate(sample, i, g);
                     if let (0, Contact::Plane(_)) = (sample, contact) {
                         course.held.push(Held { contact: number, vertex: i as u32, g: [g; 4] });

@@ -16,20 +16,18 @@ use super::{
     step::{Course, Place, Span},
     verlet,
 };
-use crate::{model::phase::Phase, sim::numerics::larger};
+use crate::{
+    model::phase::Phase,
+    sim::numerics::{
+        control::{GROWTH, MAX_GROWTH, SAFETY},
+        larger,
+    },
+};
 
 /// Largest number of steps of one [`Island::advance`].
 const MAX_STEPS: u64 = 20_000;
 /// Largest number of phase changes of one pair in one [`Island::advance`].
 pub(super) const MAX_CHANGES: u32 = 200;
-/// A step may be longer than [`Island::step_length`] by this factor if that saves another step. Its expected error is then
-/// nine tenths of the tolerance, and this saves far more steps than are rejected.
-const HOPED: f64 = 1.15;
-/// Largest ratio by which the expected step length grows from one step to the next.
-const MAX_GROWTH: f64 = 4.0;
-/// The reported sum of estimates is meant to bound the error: it allows for errors that grow after their step, and for
-/// residuals that are larger between the midpoints.
-pub(super) const GROWTH: f64 = 2.0;
 
 /// A phase change of a pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -364,7 +362,7 @@ impl Island {
     ) -> Result<(), Failure> {
         let stop = self.enter(scratch, advance.end, paths, report)?;
         let left = stop - self.time;
-        let parts = (left / (HOPED * self.step_length)).ceil().max(1.0);
+        let parts = (left / self.step_length).ceil().max(1.0);
         let mut next = if parts > 1.0 { self.time + left / parts } else { stop };
         let attempt = loop {
             let attempt = self.attempt(scratch, next, paths, work, report);
@@ -375,7 +373,7 @@ impl Island {
             let (h, factor) = match attempt {
                 Some(attempt) if attempt.outcome.error <= 1.0 => break attempt,
                 Some(Attempt { end, outcome, .. }) => {
-                    (end - self.time, (0.85 * libm::pow(outcome.error, -0.2)).clamp(0.1, 0.7))
+                    (end - self.time, (SAFETY * libm::pow(outcome.error, -0.2)).clamp(0.1, 0.7))
                 }
                 None => (next - self.time, 0.4),
             };
@@ -390,7 +388,7 @@ impl Island {
         let Attempt { end: next, outcome, crossing } = attempt;
         let (start, h) = (self.time, next - self.time);
         if h > 0.0 {
-            let factor = 0.85 * libm::pow(outcome.error.max(1e-9), -0.2);
+            let factor = SAFETY * libm::pow(outcome.error.max(1e-9), -0.2);
             // a step that was cut short does not limit the next one
             self.step_length = if factor > MAX_GROWTH { self.step_length.max(MAX_GROWTH * h) } else { factor * h };
             report.steps += 1;

@@ -7,13 +7,10 @@ use super::{
     island::{Change, Failure, Island, MAX_CHANGES, Report, Scratch},
     step::Place,
 };
-use crate::{model::phase::Phase, sim::numerics::bernstein::Polynomial};
-
-/// Distances within this fraction of a threshold count as on it.
-const STANDING: f64 = 1e-12;
-/// In islands with more bodies than this, steps do not end where a gradual change of strength begins or ends: it is
-/// smooth enough for the error estimate, and the steps of all bodies would become shorter.
-const MAX_WAITING: usize = 8;
+use crate::{
+    model::phase::Phase,
+    sim::numerics::{bernstein::Polynomial, control::STANDING},
+};
 
 /// The instant of a step at which a pair reaches a level where the step has to end.
 #[derive(Clone, Copy, Debug)]
@@ -34,8 +31,7 @@ impl Island {
     pub(super) fn levels(&self, pair: &Pair) -> impl Iterator<Item = (f64, Option<bool>, Option<Phase>)> + use<> {
         let Pair { phase, law, .. } = *pair;
         let ends = law.rim(phase).into_iter().flat_map(|rim| rim.ends());
-        let are_waited_for = self.bodies.len() <= MAX_WAITING;
-        let ends = ends.filter(move |&level| level > 0.0 && are_waited_for).map(|level| (level, None, None));
+        let ends = ends.filter(|&level| level > 0.0).map(|level| (level, None, None));
         let ways = pair.transitions().filter(move |way| !law.is_gradual(phase, way.to));
         ways.map(|way| (way.level, Some(way.falling), Some(way.to))).chain(ends)
     }

@@ -13,28 +13,22 @@ use super::{
     split::{Around, By, Piece},
     step::{Course, MIDDLE, Place, Span},
 };
-use crate::sim::numerics::{larger, nodes::MIDPOINTS};
+use crate::sim::numerics::{
+    control::{MAX_SWEEPS, MAX_TURN, NEGLIGIBLE, NEGLIGIBLE_TOLERANCE},
+    larger,
+    nodes::MIDPOINTS,
+};
 
-/// Largest number of sweeps of a step before a shorter one is tried.
-const MAX_SWEEPS: u32 = 24;
 /// With fewer vertices than this, a second thread does not pay off.
 const PARALLEL_VERTICES: usize = 4096;
-/// A step has converged when the remaining corrections are below this fraction of the tolerance, so that its error is
-/// the discretisation error, not that of unfinished iteration.
-const SETTLED: f64 = 3e-2;
-/// Larger tolerances than this make steps longer, but do not end their iteration earlier [radii/s]. Otherwise its
-/// remainder, which is of low order, would dominate the error of steps much shorter than the tolerance requires.
-pub(super) const MAX_SETTLED_TOLERANCE: f64 = 1e-6;
 /// Work of the force of a plane on a vertex, a solution of nine equations [units].
 const HOLD: u64 = 200;
 /// Work of a sweep for each part of a step of a vertex that is advanced alone [units].
 const LEG: u64 = 200;
-/// Largest rotation of a body's frame in a step [rad].
-const MAX_TURN: f64 = 1.0;
 
 /// Corrections of a body below this size count as converged, in a step of length `h` [s] [scene unit].
 pub(super) fn small_correction(tolerance: f64, radius: f64, h: f64) -> f64 {
-    SETTLED * tolerance.min(MAX_SETTLED_TOLERANCE) * radius * h
+    NEGLIGIBLE * tolerance.min(NEGLIGIBLE_TOLERANCE) * radius * h
 }
 
 impl Island {

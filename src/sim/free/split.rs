@@ -23,26 +23,15 @@ use crate::{
     },
     sim::numerics::{
         bernstein::{Crossings, Curve},
+        control::{MAX_CORRECTIONS, NEGLIGIBLE, RESIDUAL, STANDING},
         dense::Dense,
         lagrange::{CubicIntegrals, combine, combine_matrices, cubic},
         nodes::NODES,
     },
 };
 
-/// Largest number of corrections of the forces on a leg in a sweep.
-const MAX_CORRECTIONS: usize = 6;
-/// Corrections of a leg end when they change displacements by less than this fraction of what counts as converged for
-/// the whole body.
-const LEFT_TO_SWEEP: f64 = 0.1;
-/// Legs that are shorter than this fraction of a step are skipped.
-const SHORTEST: f64 = 1e-12;
-/// A leg keeps its ends if they would move by less than this fraction of the step: the force vanishes there, so that the
-/// error is of second order in it.
-const SAME: f64 = 1e-6;
-/// Products of stiffness and response above which a plane's force is corrected by Newton's method.
-const STIFF: f64 = 0.2;
-/// Share of a residual in the middle of a leg that counts over all of it.
-const RESIDUAL: f64 = 0.1;
+/// Room for legs, so that a warm step allocates none: a vertex hardly ever has more.
+const MOST_LEGS: usize = 8;
 
 /// A contact that acts on a split vertex, over a leg.
 #[derive(Clone, Copy, Debug)]
@@ -427,17 +416,20 @@ impl Split {
         let mut from = 0.0;
         let mut used = 0;
         for &to in &ends {
-            if to - from < SHORTEST {
+            if to - from < STANDING {
                 continue;
             }
             if used == self.legs.len() {
+                if used == 0 {
+                    self.legs.reserve_exact(MOST_LEGS);
+                }
                 self.legs.push(Leg::default());
             }
             let leg = &mut self.legs[used];
             let middle = 0.5 * (from + to);
             let acts: SmallVec<[By; 2]> = passages.iter().filter(|p| p.acts_at(middle)).map(|p| p.by).collect();
             let is_known = used < self.used && leg.touches.iter().map(|touch| touch.by).eq(acts.iter().copied());
-            if !(is_known && (leg.from - from).abs() < SAME && (leg.to - to).abs() < SAME) {
+            if !(is_known && [leg.from, leg.to] == [from, to]) {
                 (leg.from, leg.to) = (from, to);
                 for node in if acts.is_empty() { 3..4 } else { 1..4 } {
                     leg.weights[node - 1] = Dense::new(oscillator, (to - from) * h, NODES[node]);
@@ -489,10 +481,7 @@ impl Split {
             let mut residual = DVec3::ZERO;
             for touch in &leg.touches {
                 let off = undisturbed.force(touch.by, theta, acting, &seen) - combine(&cubic(0.5), touch.g);
-                residual += match touch.by {
-                    By::Plane(n) => softened(&around.field.planes[n as usize], &seen, off, length * h),
-                    _ => off,
-                };
+                residual += off;
                 let mut begun = 0.0;
                 // a contact begins where its force vanishes
                 if leg.from > 0.0 && !before.iter().any(|before| before.by == touch.by) {
@@ -585,7 +574,7 @@ impl Leg {
             self.touches.clear();
             self.touches.extend(acts.iter().map(touch));
         }
-        let small_correction = LEFT_TO_SWEEP * around.small_correction * body.radius;
+        let small_correction = NEGLIGIBLE * around.small_correction * body.radius;
         // effect of a change of force on the displacement, now or after the oscillator has turned the velocity into one
         let Oscillator { omega, damping } = body.oscillator;
         let gain = length / omega.max(2.0 * damping).max(1.0);
@@ -610,7 +599,6 @@ impl Leg {
                 if let By::Plane(n) = touch.by
                     && !is_rough
                     && (correction > 0 || is_known)
-                    && is_stiff(&field.planes[n as usize], &all, &responses)
                 {
                     found = hold(&field.planes[n as usize], &touch.g, &found, &all, &responses);
                 }
@@ -645,45 +633,6 @@ impl Leg {
         }
         self.piece = Piece::new([self.from, self.to], h, acceleration, torque, turn);
     }
-}
-
-/// Whether a plane's force changes so much with the displacement that it causes that it has to be found by Newton's
-/// method.
-pub fn is_stiff(plane: &Plane, seen: &[Seen; 4], responses: &[[(f64, f64); 3]; 3]) -> bool {
-    let [x, u] = responses[2].iter().fold([0.0, 0.0], |[x, u], response| [x + response.0.abs(), u + response.1.abs()]);
-    if plane.stiffness * x > STIFF {
-        return true;
-    }
-    plane.friction != 0.0
-        && seen.iter().any(|at| {
-            let velocity = at.place.velocity + at.rate;
-            let slide = velocity - plane.normal.dot(velocity) * plane.normal;
-            let pressure = plane.stiffness * plane.depth(at.place.centre + at.s).abs();
-            plane.friction * pressure * u > STIFF * (slide.length_squared() + plane.slip * plane.slip).sqrt()
-        })
-}
-
-/// The part of a residual of a plane's force that moves the vertex in a step of length `h` [s]: the plane itself opposes
-/// the motion, the more so the stiffer it is.
-pub fn softened(plane: &Plane, seen: &Seen, residual: DVec3, h: f64) -> DVec3 {
-    /// Share of the step over which the motion by a residual builds up.
-    const SHARE: f64 = 0.25;
-    let n = plane.normal;
-    let velocity = seen.place.velocity + seen.rate;
-    let across = n.dot(residual);
-    let normal = across / (1.0 + plane.stiffness * (SHARE * h) * (SHARE * h)) * n;
-    if plane.friction == 0.0 {
-        return normal + (residual - across * n);
-    }
-    let slide = velocity - n.dot(velocity) * n;
-    let per_speed = 1.0 / (slide.length_squared() + plane.slip * plane.slip).sqrt();
-    let pressure = plane.stiffness * plane.depth(seen.place.centre + seen.s).max(0.0);
-    let rate = SHARE * h * plane.friction * pressure * per_speed;
-    let (direction, speed) = (slide.normalize_or_zero(), slide.length() * per_speed);
-    let tangential = residual - across * n;
-    let along = direction.dot(tangential);
-    let sideways = (tangential - along * direction) / (1.0 + rate);
-    normal + along / (1.0 + rate * (1.0 - speed * speed)) * direction + sideways
 }
 
 /// The force of a plane on a vertex at the nodes depends on the displacement that it causes. Returns the result of one

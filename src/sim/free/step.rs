@@ -45,11 +45,6 @@ use crate::{
 /// Index of the sample in the middle of the step.
 pub const MIDDLE: usize = 4;
 
-/// Largest number of corrections of the rotations in a sweep.
-const MAX_ROUNDS: usize = 4;
-/// Rotations that change by less than this fraction of the sweep's change are not corrected further in this sweep.
-const LEFT_TO_SWEEP: f64 = 1e-6;
-
 /// Position and velocity of a body's centre at an instant of a step.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Place {
@@ -433,7 +428,7 @@ impl Course {
     pub fn predict(&mut self, arch: Arch, body: &Body, span: &Span, node: usize, places: &mut [Place; 5]) {
         let weights = self.early[node - 1];
         let first = if node == 3 { 1 } else { node };
-        self.advance(arch, body, span, [&weights, &span.early[node - 1]], (first..node + 1, 1), places);
+        self.advance(arch, body, span, [&weights, &span.early[node - 1]], first..node + 1, places);
     }
 
     /// Updates the centre and the vertices at the samples from the last forces at the nodes. Returns the largest change
@@ -453,20 +448,17 @@ impl Course {
             end if end > MIDDLE => self.add_pieces(body, span, samples.clone()),
             _ => {} // computed with the end
         }
-        // the middle does not act on the nodes
-        let rounds = if samples.start == MIDDLE { 1 } else { MAX_ROUNDS };
-        self.advance(arch, body, span, [&weights, &span.ballistic], (samples, rounds), places)
+        self.advance(arch, body, span, [&weights, &span.ballistic], samples, places)
     }
 
-    /// Like [`Course::correct`], with these weights for vertices and centres and at most `rounds` corrections of the
-    /// rotations.
+    /// Like [`Course::correct`], with these weights for vertices and centres.
     fn advance(
         &mut self,
         arch: Arch,
         body: &Body,
         span: &Span,
         [weights, ballistic]: [&[Dense]; 2],
-        (samples, rounds): (std::ops::Range<usize>, usize),
+        samples: std::ops::Range<usize>,
         places: &mut [Place; 5],
     ) -> f64 {
         // time that a velocity lasts: an oscillator turns it into a displacement; a centre keeps it, so count one
@@ -587,7 +579,7 @@ impl Course {
             (frame.extent, frame.speed) = (body.shape.extent + far, fast);
         }
         if body.turns() {
-            change = self.turn(body, ballistic, samples.clone(), rounds, change);
+            change = larger(change, self.turn(body, ballistic, samples.clone()));
         } else {
             for sample in samples.clone() {
                 self.frames[sample].rotation = body.rotation;
@@ -600,35 +592,21 @@ impl Course {
         change
     }
 
-    /// Computes the rotations at samples and the frame's angular velocities there, which depend on each other. Returns the
-    /// larger of `change` and the largest displacement of a rest position by this [scene unit].
-    fn turn(
-        &mut self,
-        body: &Body,
-        ballistic: &[Dense],
-        samples: std::ops::Range<usize>,
-        rounds: usize,
-        mut change: f64,
-    ) -> f64 {
-        for _ in 0..rounds {
-            let rates: [DVec3; 4] = std::array::from_fn(|node| {
-                rotation_vector_rate(self.frames[node].turned, self.frames[node].frame_spin)
-            });
-            let mut moved = 0.0;
-            for sample in samples.clone() {
-                let turned = combine(&ballistic[sample - 1].u, rates) + self.late[sample - 1].turned;
-                let frame = &mut self.frames[sample];
-                moved = larger(moved, (turned - frame.turned).length() * body.shape.extent);
-                frame.turned = turned;
-                frame.rotation = rotation_by(turned) * body.rotation;
-                self.orient(body, sample);
-            }
-            change = larger(change, moved);
-            if moved <= LEFT_TO_SWEEP * change {
-                break;
-            }
+    /// Corrects the rotations at samples for the frame's angular velocities, which depend on them. Returns the largest
+    /// displacement of a rest position by this [scene unit].
+    fn turn(&mut self, body: &Body, ballistic: &[Dense], samples: std::ops::Range<usize>) -> f64 {
+        let rates: [DVec3; 4] =
+            std::array::from_fn(|node| rotation_vector_rate(self.frames[node].turned, self.frames[node].frame_spin));
+        let mut moved = 0.0;
+        for sample in samples {
+            let turned = combine(&ballistic[sample - 1].u, rates) + self.late[sample - 1].turned;
+            let frame = &mut self.frames[sample];
+            moved = larger(moved, (turned - frame.turned).length() * body.shape.extent);
+            frame.turned = turned;
+            frame.rotation = rotation_by(turned) * body.rotation;
+            self.orient(body, sample);
         }
-        change
+        moved
     }
 
     /// Places the active vertices at a sample.

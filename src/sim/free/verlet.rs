@@ -18,20 +18,19 @@ use super::{
     super::work::Tally,
     body::Body,
     field::{Driven, Paths},
-    island::{Change, Failure, GROWTH, Island, Report, Scratch},
+    island::{Change, Failure, Island, Report, Scratch},
     kernels::{Kernel, Lane, Lanes, at, by_coordinate, by_vertex, replace},
     step::Place,
     verlet_kernels::{Drift, Drifted, Kick, Kicked, Pull, Spring, Support, angular_momentum, largest_change},
 };
 use crate::{
     model::shape_matching::{best_rotation, outer, resistance, solve},
-    sim::numerics::larger,
+    sim::numerics::{
+        control::{GROWTH, MAX_ANGLE, MAX_WAY},
+        larger,
+    },
 };
 
-/// Largest angle by which the stiffest oscillation advances in a substep [rad]. Verlet is stable up to 2.
-const MAX_ANGLE: f64 = 0.5;
-/// Largest way of a vertex in a substep [radii of the smallest body].
-const MAX_WAY: f64 = 0.25;
 /// Least number of substeps.
 const MIN_SUBSTEPS: f64 = 2.0;
 /// Largest number of substeps: what needs more is too stiff or too fast for this scheme.

@@ -7,10 +7,12 @@
 //! | the response of an oscillator to such forces, at any instant of a step | [`dense`] |
 //! | sign changes of polynomials, without missing any | [`bernstein`] |
 //! | roots of functions of time | [`roots`] |
+//! | the constants that decide accuracy and step size | [`control`] |
 //! | state as arrays, and arithmetic in SIMD lanes | [`arrays`], [`lanes`] |
 
 pub mod arrays;
 pub mod bernstein;
+pub mod control;
 pub mod dense;
 pub mod lagrange;
 pub mod lanes;

@@ -5,7 +5,6 @@
 //! | forces on a body over an interval, and the motion that all its vertices share | [`course`] |
 //! | the weights of a step, from the oscillator's φ-functions | [`weights`] |
 //! | one step of several vertices side by side, and its error | [`step`], [`lanes`] |
-//! | what a step leaves out at kinks of the force | [`kinks`] |
 //! | a step of all vertices near a sphere | [`together`] |
 //! | a vertex that needs shorter steps, or crosses a rim | [`single`], [`rim`] |
 //!
@@ -16,21 +15,18 @@
 //! are left to the exact flow, which advances them to the time at which they are next needed.
 
 pub mod course;
-pub mod kinks;
 pub mod rim;
 pub mod single;
 pub mod step;
 pub mod together;
 pub mod weights;
 
-use std::ops::Range;
-
 use pulp::Arch;
 
 use crate::sim::{prescribed::deformation::ActiveSet, state::State, work::Tally};
 use course::Course;
 use single::Single;
-use step::{Outcome, Pull, SHORTER, Step, Vertex};
+use step::{Outcome, Pull, Step, Vertex};
 use together::{BEND, FORCES, Outcomes, START, Together};
 use weights::KnownWeights;
 
@@ -38,10 +34,9 @@ use weights::KnownWeights;
 const MAX_HALVINGS: u32 = 10;
 /// Number of steps that a vertex may always take, however short the step of all vertices is.
 const MIN_STEPS: u32 = 128;
-/// Steps are halved once more if they are too long for more than one in this many of a body's vertices.
+/// All vertices of a body take steps of half the length if longer ones fail for more than one in this many, and of twice the
+/// length if these would fail for fewer than half of that: a vertex alone costs about this much more.
 const MANY: u64 = 32;
-/// Steps are halved once less if steps of twice the length would be too long for fewer than one in this many.
-const FEW: u64 = 64;
 
 /// Buffers, reused from step to step.
 #[derive(Default)]
@@ -128,7 +123,7 @@ pub fn advance(
         *halvings = match *halvings {
             now if now < MAX_HALVINGS && hard * MANY > vertices => now + 1,
             1.. if near == 0 => 0,
-            now @ 1.. if near * FEW < vertices => now - 1,
+            now @ 1.. if near * 2 * MANY < vertices => now - 1,
             now => now,
         };
     }
@@ -150,7 +145,7 @@ fn halve(
         return;
     }
     let wanted = control.tolerance * h;
-    let weights = scratch.known.get(course.oscillator(), h, step::is_sampled_aside(course, h, wanted));
+    let weights = scratch.known.get(course.oscillator(), h);
     scratch.whole.prepare(course, weights, *carried, wanted);
     let uniform_error = scratch.whole.uniform_error();
     let middle = course.start + 0.5 * h;
@@ -198,12 +193,9 @@ fn step_active_set(
         work,
         uncounted: 0,
         count_near: *count_near,
-        kinks: kinks::Limit::new(course, whole, wanted),
         pulls,
         outcomes,
     });
-
-    add_errors_of_kinks(course, whole, wanted, active_set, (outcomes, *count_near));
 
     let mut alone = Single {
         course,
@@ -217,7 +209,6 @@ fn step_active_set(
         error: 0.0,
         excess: 0.0,
     };
-    single.begin();
     let has_kink = step::has_kink(course.weight());
     let count = active_set.vertices.len();
     for group in &outcomes.groups {
@@ -250,30 +241,4 @@ fn step_active_set(
     statistics.substeps += alone.substeps;
     statistics.excess += alone.excess;
     alone.error.max(outcomes.largest_error())
-}
-
-/// Adds the errors caused by kinks within the step to those of the vertices to which they may matter.
-fn add_errors_of_kinks(
-    course: &Course<'_>,
-    whole: &Step,
-    wanted: f64,
-    active_set: &ActiveSet,
-    (outcomes, count_near): (&mut Outcomes, bool),
-) {
-    let has_kink = step::has_kink(course.weight());
-    for group in 0..outcomes.groups.len() {
-        let Range { start, end } = outcomes.groups[group];
-        for i in start..end.min(active_set.vertices.len()) {
-            if outcomes.kinked[i] == 0.0 {
-                continue;
-            }
-            let vertex = Vertex { rest: active_set.rest(i), local: course.local(i) };
-            let forces = FORCES.map(|node| outcomes.results.get(node, i));
-            let [x, u] = START.map(|k| outcomes.results.get(k, i));
-            let acts = |j| !has_kink || outcomes.strength(j, i) != 0.0;
-            let error = kinks::error(course, whole, &vertex, State { x, u }, &forces, acts);
-            outcomes.add_error(i, error, wanted);
-            outcomes.near += u64::from(count_near && error * SHORTER > wanted);
-        }
-    }
 }

@@ -5,16 +5,16 @@ use pulp::Scalar;
 
 use super::{
     course::Course,
-    kinks,
     rim::{self, Motion, Rim, Unresolved},
-    step::{Collocated, Group, Moment, Outcome, Pull, SHORTER, Step, Trajectories, Vertex, is_sampled_aside},
-    weights::{ASIDE, KnownWeights, Residual, Stage, Weights},
+    step::{Collocated, Group, Moment, Outcome, Pull, Step, Trajectories, Vertex},
+    weights::{BEND_ASIDE, KnownWeights, Residual, Stage, Weights},
     work_of,
 };
 use crate::{
     model::{energy, influence},
     sim::{
         numerics::{
+            control::{ASIDE, RESOLVED, SHORTER},
             dense::Dense,
             lanes::{LANES, Reals, Vector},
         },
@@ -29,8 +29,6 @@ use crate::{
 /// others.
 pub const MAX_STEPS: u32 = 3072;
 const DOUBLINGS: u32 = 32;
-/// Number of halves, quarters, … of an interval that are kept for other vertices.
-const MAX_HALVED: usize = 64;
 
 /// Work of preparing a step of one vertex by polynomials [units].
 const STEP: u64 = 60;
@@ -47,22 +45,11 @@ const SAMPLE_EXACTLY: u64 = 120;
 #[derive(Default)]
 pub struct Scratch {
     part: Step,
-    /// Halves, quarters, … of the interval, prepared once for all vertices that take them.
-    halved: Vec<Step>,
-    /// Number of prepared steps that belong to this interval.
-    prepared: usize,
     /// Remaining parts of the interval as (start, length) [s], the next one last.
     left: Vec<(f64, f64)>,
     pulls: Vec<Pull>,
     inside: Vec<u64>,
     aside: Moment,
-}
-
-impl Scratch {
-    /// Begins an interval.
-    pub fn begin(&mut self) {
-        self.prepared = 0;
-    }
 }
 
 /// The spheres that contain a vertex throughout a step, one bit each, if the weight has a kink at their rims. Otherwise the
@@ -109,21 +96,19 @@ impl Single<'_> {
         scratch: &mut Scratch,
     ) -> State {
         let course = self.course;
-        let Scratch { part, halved, prepared, left, pulls, inside: spheres, aside } = scratch;
+        let Scratch { part, left, pulls, inside: spheres, aside } = scratch;
         let has_kink = inside.is_some();
         spheres.clear();
         spheres.extend_from_slice(inside.unwrap_or_default());
         let (mut start, mut h) = (course.start, course.length);
         let (mut is_whole, mut error, mut excess, mut steps) = (true, 0.0, 0.0, 1);
-        // the index of the step in `halved`, if it is not `part`
-        let mut shared: Option<usize> = None;
         // steps longer than this are not worth trying, because one was not accurate enough
         let mut longest = f64::INFINITY;
         left.clear();
         // the sphere at whose rim a step starts because the previous one ended there
         let mut crossed = None;
         loop {
-            let step = if is_whole { self.whole } else { shared.map_or(&*part, |index| &halved[index]) };
+            let step = if is_whole { self.whole } else { &*part };
             let (middle, end) = (start + 0.5 * h, start + h);
             let wanted = self.wanted(h, steps);
             let inside = has_kink.then_some(&**spheres);
@@ -177,10 +162,10 @@ impl Single<'_> {
                 break;
             }
             (start, h) = next;
-            (is_whole, shared) = (false, None);
+            is_whole = false;
             steps += 1;
             if steps == self.max_steps {
-                let weights = Weights::new(course.oscillator(), course.end() - start, false);
+                let weights = Weights::new(course.oscillator(), course.end() - start);
                 part.prepare_part(course, self.whole, self.carried, start, &weights);
                 let held = hold(course, part, &vertex, state);
                 error += (held.x - state.x).length();
@@ -194,30 +179,16 @@ impl Single<'_> {
                 free(course, state, h)
             } else {
                 // the length of the part beyond a rim does not recur, so its weights are not cached
-                let is_halved = course.length / h == (course.length / h).round();
-                let is_sampled_aside = is_sampled_aside(course, h, self.tolerance * h);
-                if is_halved {
-                    shared = halved[..*prepared].iter().position(|step| step.start == start && step.h == h);
-                }
-                if shared.is_none() {
-                    let once;
-                    let weights = if is_halved {
-                        known.get(course.oscillator(), h, is_sampled_aside)
-                    } else {
-                        once = Weights::new(course.oscillator(), h, is_sampled_aside);
-                        &once
-                    };
-                    if is_halved && *prepared < MAX_HALVED {
-                        halved.resize_with(halved.len().max(*prepared + 1), Step::default);
-                        shared = Some(*prepared);
-                        *prepared += 1;
-                    }
-                    let step = shared.map_or(&mut *part, |index| &mut halved[index]);
-                    step.prepare_part(course, self.whole, self.carried, start, weights);
-                }
-                let step = shared.map_or(&*part, |index| &halved[index]);
+                let once;
+                let weights = if course.length / h == (course.length / h).round() {
+                    known.get(course.oscillator(), h)
+                } else {
+                    once = Weights::new(course.oscillator(), h);
+                    &once
+                };
+                part.prepare_part(course, self.whole, self.carried, start, weights);
                 let inside = has_kink.then_some(&**spheres);
-                collocate(course, step, (&vertex, inside), state, self.wanted(h, steps), pulls)
+                collocate(course, part, (&vertex, inside), state, self.wanted(h, steps), pulls)
             };
         }
         self.substeps += u64::from(steps - 1);
@@ -249,11 +220,11 @@ impl Single<'_> {
             let weight = course.weight().inside(to_centre.length() * sphere.inverse_radius);
             found += (sphere.strength * weight) * to_centre;
         }
-        let Weights { polynomial_aside: [w0, w1, w2, w3], bend_aside, .. } = step.weights;
+        let Weights { polynomial_aside: [w0, w1, w2, w3], .. } = step.weights;
         let cubic = (w0 * forces[0] + w1 * forces[1]) + (w2 * forces[2] + w3 * forces[3]);
         let Residual { bend_x, bend_u, skew_u } = Residual::new(course.oscillator(), step.h, theta);
         x += bend_x * *bend;
-        u += bend_u * *bend + skew_u * (found - cubic - bend_aside * *bend);
+        u += bend_u * *bend + skew_u * (found - cubic - BEND_ASIDE * *bend);
         State { x, u }
     }
 
@@ -355,7 +326,7 @@ impl Single<'_> {
 /// Whether a step is too long to resolve the oscillation of the body's vertices.
 pub fn is_stiff(course: &Course<'_>, h: f64) -> bool {
     let material = course.material;
-    (material.omega + 2.0 * material.damping) * h > 1.0
+    (material.omega + 2.0 * material.damping) * h > RESOLVED
 }
 
 /// The end of a step under the constant force at its start, for a vertex on which no more work can be spent. That force
@@ -420,30 +391,18 @@ fn collocate(
     let simd = Scalar;
     let [rest, local, x, u] = [vertex.rest, vertex.local, state.x, state.u].map(|vector| Vector::splat(simd, vector));
     let end = Group::<_, 1> { simd, course, step, rest, local, pulls }.collocate(x, u, wanted);
-    let Collocated { x, u, forces, bend, error, bent, passed } = end;
+    let Collocated { x, u, forces, bend, error, bent } = end;
     let only = |values: Reals<Scalar, 1>| {
         let mut only = [0.0];
         values.store(&mut only, 0);
         only[0]
     };
-    let forces = forces.map(first);
-    let position = vertex.rest + state.x;
-    let mut kinks = 0.0;
-    for pull in &*pulls {
-        let distance = (step.moments[0].centres[pull.sphere] - position).length();
-        let distance = Reals::splat(simd, distance * course.spheres[pull.sphere].inverse_radius);
-        if kinks::Limit::new(course, step, wanted).exceeded(simd, passed, distance).any() {
-            let acts = |j| inside.is_none_or(|inside| is_inside(inside, j));
-            kinks = kinks::error(course, step, vertex, state, &forces, acts);
-            break;
-        }
-    }
     Outcome {
         end: State { x: first(x), u: first(u) },
-        forces,
+        forces: forces.map(first),
         bend: first(bend),
-        error: only(error) + kinks,
-        bent: only(bent) + kinks,
+        error: only(error),
+        bent: only(bent),
     }
 }
 

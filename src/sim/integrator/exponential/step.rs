@@ -5,13 +5,14 @@ use pulp::Simd;
 
 use super::{
     course::Course,
-    weights::{ASIDE, Mode, Weights},
+    weights::{BEND_ASIDE, Mode, Weights},
 };
 use crate::{
     model::influence::Weight,
     scene::{Material, path::Bounds},
     sim::{
         numerics::{
+            control::{ASIDE, MAX_CORRECTIONS, OSCILLATION, RESIDUAL, RESOLVED, ROUNDING, USUAL},
             dense::Dense,
             lagrange::{combine, quartic, quartic_through},
             lanes::{LANES, Mask, Reals, Vector},
@@ -22,14 +23,7 @@ use crate::{
     },
 };
 
-/// A step that has not converged after this many corrections is rejected.
-pub const MAX_SWEEPS: usize = 6;
-/// Paths are interpolated by the quartic through a step's samples only if the cubic through its nodes is this accurate
-/// in the middle, or the quartic itself is where that is known [radii]; see [`Step::smooth`].
-const SMOOTH: f64 = 1e-7;
-/// Ratio of the error per unit of time of a step to that of a step of half the length.
-pub const SHORTER: f64 = 32.0;
-/// Index of the sample at [`ASIDE`].
+/// Index of the sample at `ASIDE`.
 const ASIDE_SAMPLE: usize = 5;
 
 /// An instant of a step.
@@ -53,13 +47,13 @@ pub struct Step {
     pub h: f64,
     /// Weights for this length.
     pub weights: Weights,
-    /// The influences at the four nodes, in the middle, and, if the step is sampled there, at [`ASIDE`].
+    /// The influences at the four nodes, in the middle, and at `ASIDE`.
     pub moments: [Moment; 6],
     /// Bounds on the motion of each sphere's centre relative to the shared motion of the vertices.
     pub relative: Vec<Bounds>,
     /// Whether the quartic through the five moments is as good as the paths themselves: its residual causes a force whose
     /// effect on the displacement is negligible. That residual is smaller than the cubic's by the ratio of the step length
-    /// to the oscillator's time scale; where the step is sampled at [`ASIDE`], it is also known from there.
+    /// to the oscillator's time scale; it is also known from the sample at `ASIDE`.
     pub smooth: bool,
     /// Effect of rounding of times and positions on the force at any of the moments [scene unit/s²]. Smaller
     /// differences carry no information, and halving the step does not reduce them.
@@ -68,17 +62,6 @@ pub struct Step {
     /// [scene unit].
     pub ringing: f64,
 }
-
-/// Factor from the number of the force's time scales that pass in a step to the fraction of the residual that counts,
-/// see `roughness` of [`Group`].
-pub const SMOOTHNESS: f64 = 0.5;
-/// Factor from the bound on what a correction leaves to what it usually leaves.
-pub const UNSETTLED: f64 = 0.1;
-/// Factor from the bound on the error of the interpolated force to the usual error: 0.15 to 0.4 over the vertices of the
-/// reference scenes.
-pub const LEFT_OUT: f64 = 0.3;
-/// Relative error after a few roundings.
-const ROUNDING: f64 = 8.0 * f64::EPSILON;
 
 /// The influence of a sphere on several vertices side by side.
 #[derive(Clone, Copy, Debug)]
@@ -147,8 +130,6 @@ pub struct Collocated<S: Simd, const W: usize> {
     pub error: Reals<S, W>,
     /// See [`Outcome::bent`].
     pub bent: Reals<S, W>,
-    /// The way past a sphere that acts on the vertex, the largest [radii of the sphere]: the sum of its three components.
-    pub passed: Reals<S, W>,
 }
 
 /// `flow + Σ wᵢ fᵢ`, the response to the forces at the first `N` nodes.
@@ -191,14 +172,14 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
     }
 
     /// The fraction of the cubic's residual in the force that counts as error, per vertex [–], for a vertex that moves
-    /// from `start` to `end` in the step; and [`Collocated::passed`].
+    /// from `start` to `end` in the step.
     ///
     /// Lobatto quadrature integrates the quartic part of the residual exactly, so it does not affect a slow oscillator.
     /// The rest is of higher order in the ratio of the step to the time scales involved: of the oscillator, of the
     /// influence's own oscillation, and of a sphere that the vertex passes through. So the residual counts in full only
     /// where the force is not smooth.
     #[inline(always)]
-    fn roughness(&self, start: Vector<S, W>, end: Vector<S, W>) -> [Reals<S, W>; 2] {
+    fn roughness(&self, start: Vector<S, W>, end: Vector<S, W>) -> Reals<S, W> {
         let (simd, step) = (self.simd, self.step);
         let material = self.course.material;
         let travelled = end - start;
@@ -214,7 +195,7 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
             stiffness = stiffness + strength;
         }
         let rate = stiffness.sqrt() + Reals::splat(simd, material.omega + 2.0 * material.damping);
-        [((passed + rate * step.h) * SMOOTHNESS).smaller(Reals::splat(simd, 1.0)), passed]
+        (passed + rate * step.h).smaller(Reals::splat(simd, 1.0))
     }
 
     /// Takes the step with all vertices of the group, such that the estimated errors are below `wanted` [scene unit] if
@@ -247,11 +228,11 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
         }
         // Effect of a force error on the displacement, now or after the oscillator has converted the velocity.
         let gain = weights.gain();
-        let left = stiffness * (UNSETTLED * weights.constant.abs() * gain);
+        let left = stiffness * (USUAL * weights.constant.abs() * gain);
         let enough = Reals::splat(simd, 0.25 * wanted);
         let mut unsettled = Reals::splat(simd, f64::INFINITY);
         let mut settled = Mask::none(simd);
-        for _ in 0..MAX_SWEEPS {
+        for _ in 0..MAX_CORRECTIONS {
             let mut change = Reals::splat(simd, 0.0);
             for node in 1..4 {
                 let corrected = self.force(node, respond(flow[node - 1], &weights.nodes[node].force, &forces));
@@ -273,30 +254,31 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
         let none = Reals::splat(simd, 0.0);
         let left_out = none.larger_or_nan(bend.length_squared().sqrt() - noise);
         let end = respond(flow[2], &weights.nodes[3].force, &forces);
-        let [roughness, passed] = self.roughness(x, end);
-        let mut effect = left_out * roughness * 0.1;
-        if self.step.weights.is_sampled_aside {
-            // depends only on what acts on each vertex, not on spheres that are near other vertices or near none
-            let Material { omega, damping, .. } = self.course.material;
-            let scales = (stiffness.sqrt() + Reals::splat(simd, omega + 2.0 * damping)) * self.step.h;
-            let is_quick = Reals::splat(simd, 1.0).below(scales);
-            let is_near = Reals::splat(simd, wanted).below(effect * (4.0 * gain));
-            // usually the force in the middle has already shown that the error is far below the tolerance
-            if is_quick.or(is_near).any() {
-                let stage = &weights.aside;
-                let found = self.force(ASIDE_SAMPLE, respond(x * stage.xx + u * stage.xu, &stage.force, &forces));
-                let quartic = respond(bend * weights.bend_aside, &weights.polynomial_aside, &forces);
-                let skew = none.larger_or_nan((found - quartic).length_squared().sqrt() - noise);
-                let h = Reals::splat(simd, self.step.h);
-                let material = self.course.material;
-                let all = self::left_out(simd, material, h, stiffness, [left_out, skew])
-                    + self.ringing([x, u], &forces, stiffness);
-                let expected = self.pulled() * ((scales * scales) * (scales * scales)) * scales;
-                let is_bent = Reals::splat(simd, wanted).below(expected * usual(self.course, self.step.h));
-                effect = is_quick.or(is_near.and(is_bent)).select(all, effect);
-            }
+        let roughness = self.roughness(x, end);
+        let mut effect = left_out * roughness * RESIDUAL;
+        // Depends only on what acts on each vertex, not on spheres that are near other vertices or near none.
+        let Material { omega, damping, .. } = self.course.material;
+        let scales = (stiffness.sqrt() + Reals::splat(simd, omega + 2.0 * damping)) * self.step.h;
+        let is_quick = Reals::splat(simd, RESOLVED).below(scales);
+        let is_near = Reals::splat(simd, wanted).below(effect * (4.0 * gain));
+        // usually the force in the middle has already shown that the error is far below the tolerance
+        if is_quick.or(is_near).any() {
+            let stage = &weights.aside;
+            let found = self.force(ASIDE_SAMPLE, respond(x * stage.xx + u * stage.xu, &stage.force, &forces));
+            let quartic = respond(bend * BEND_ASIDE, &weights.polynomial_aside, &forces);
+            let skew = none.larger_or_nan((found - quartic).length_squared().sqrt() - noise);
+            let h = Reals::splat(simd, self.step.h);
+            let material = self.course.material;
+            let all = self::left_out(simd, material, h, stiffness, [left_out, skew])
+                + self.ringing([x, u], &forces, stiffness);
+            // An error near the tolerance that is larger than an oscillation usually causes is due to a kink between the
+            // samples, as where a vertex passes a centre: only the residual in the middle shows it.
+            let swing = self.step.h * self.step.weights.swing;
+            let usual = self.pulled() * ((scales * scales) * (scales * scales)) * scales * (OSCILLATION * swing);
+            let is_oscillation = Reals::splat(simd, wanted).below(usual);
+            effect = is_quick.or(is_near.and(is_oscillation)).select(all, effect);
         }
-        let bent = effect * (LEFT_OUT * gain);
+        let bent = effect * (USUAL * gain);
         Collocated {
             x: end,
             u: respond(x * weights.ux + u * weights.uu, &weights.velocity, &forces),
@@ -304,7 +286,6 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
             bend,
             error: unsettled + bent,
             bent,
-            passed,
         }
     }
 
@@ -337,7 +318,7 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
 }
 
 /// The mean force that a step leaves out [scene unit/s²], given the residual of the cubic in the middle and that of the
-/// quartic at [`ASIDE`].
+/// quartic at `ASIDE`.
 ///
 /// With q = 80 θ(θ − 1)(θ² − θ + 1/5) the residual is a q + b (θ − ½) q and higher terms. The weights of the end
 /// state are S(h − s) and S′(h − s), which are at most 1 after division by the gain: so the two terms count at most
@@ -393,11 +374,9 @@ impl Step {
                 *centre -= moment.carried;
             }
         }
-        if self.weights.is_sampled_aside {
-            let mut aside = std::mem::take(&mut self.moments[ASIDE_SAMPLE]);
-            aside.sample(Trajectories { course, whole: self, carried }, self.start + ASIDE * h);
-            self.moments[ASIDE_SAMPLE] = aside;
-        }
+        let mut aside = std::mem::take(&mut self.moments[ASIDE_SAMPLE]);
+        aside.sample(Trajectories { course, whole: self, carried }, self.start + ASIDE * h);
+        self.moments[ASIDE_SAMPLE] = aside;
         let own = self.carried_bounds(course, carried);
         self.relative.clear();
         self.relative.extend((0..course.spheres.len()).map(|j| {
@@ -431,24 +410,22 @@ impl Step {
         let known = [at(0), at(1), at(2), at(3)];
         let is_small = |residual: DVec3, limit: f64| residual.length_squared() <= limit * limit;
         let of_cubic = |sample: usize, w: &[f64; 4]| is_small(at(sample) - combine(w, known), limits[0]);
-        let Weights { polynomial, polynomial_aside, is_sampled_aside, .. } = self.weights;
-        if of_cubic(4, &polynomial) && (!is_sampled_aside || of_cubic(ASIDE_SAMPLE, &polynomial_aside)) {
+        let Weights { polynomial, polynomial_aside, .. } = self.weights;
+        if of_cubic(4, &polynomial) && of_cubic(ASIDE_SAMPLE, &polynomial_aside) {
             return true;
         }
-        is_sampled_aside && {
-            let [w0, w1, w2, w3, middle] = quartic(ASIDE);
-            is_small(at(ASIDE_SAMPLE) - combine(&[w0, w1, w2, w3], known) - middle * at(4), limits[1])
-        }
+        let [w0, w1, w2, w3, middle] = quartic(ASIDE);
+        is_small(at(ASIDE_SAMPLE) - combine(&[w0, w1, w2, w3], known) - middle * at(4), limits[1])
     }
 
-    /// Acceptable residuals [scene unit] of the cubics in the middle, and of the quartics at [`ASIDE`]; see
+    /// Acceptable residuals [scene unit] of the cubics in the middle, and of the quartics at `ASIDE`; see
     /// [`Step::smooth`].
     fn largest_left_out(&self, course: &Course<'_>, wanted: f64) -> [f64; 2] {
         let Material { omega, damping, .. } = course.material;
         let stiffness: f64 = course.spheres.iter().map(|sphere| sphere.strength.abs()).sum();
         let seen = stiffness * self.weights.gain();
         let of_cubic = seen * f64::min(1.0, (omega + 2.0 * damping) * self.h);
-        [of_cubic, seen].map(|seen| f64::min(SMOOTH * course.radius, 0.25 * wanted / seen))
+        [of_cubic, seen].map(|seen| 0.25 * wanted / seen)
     }
 
     /// See [`Step::noise`].
@@ -493,7 +470,7 @@ impl Step {
         let left_out = (self.moments[4].uniform - combine(&weights.polynomial, forces)).length();
         // not `f64::max`, which would drop NaN
         let beyond = if left_out <= self.noise { 0.0 } else { left_out - self.noise };
-        0.1 * beyond * gain
+        RESIDUAL * beyond * gain
     }
 
     /// See [`Step::ringing`].
@@ -509,7 +486,7 @@ impl Step {
         self.start = start;
         self.set_weights(weights);
         self.ringing = if self.weights.ringing.is_some() { whole.ringing } else { 0.0 };
-        for sample in 0..if self.weights.is_sampled_aside { 6 } else { 5 } {
+        for sample in 0..self.moments.len() {
             self.sample_within(course, whole, carried, sample);
         }
         self.bound_within(course, whole);
@@ -519,7 +496,7 @@ impl Step {
     /// Sets the weights, which are usually set already: copying them is expensive.
     fn set_weights(&mut self, weights: &Weights) {
         self.h = weights.h;
-        let of = |weights: &Weights| (weights.h, weights.oscillator, weights.is_sampled_aside);
+        let of = |weights: &Weights| (weights.h, weights.oscillator);
         if of(&self.weights) != of(weights) {
             self.weights = *weights;
         }
@@ -594,24 +571,6 @@ impl Moment {
             *centre -= self.carried;
         }
     }
-}
-
-/// See [`Weights::is_sampled_aside`]; `wanted` is the acceptable error of the step [scene unit]. The sample is taken if
-/// any vertex may need it: [`Group::collocate`] decides for each vertex from the influences on it.
-pub fn is_sampled_aside(course: &Course<'_>, h: f64, wanted: f64) -> bool {
-    let Material { omega, damping, .. } = course.material;
-    let stiffness: f64 = course.spheres.iter().map(|sphere| sphere.strength.abs()).sum();
-    let scales = (omega + 2.0 * damping + stiffness.sqrt()) * h;
-    scales > 1.0 || course.strongest_pull() * scales.powi(5) * usual(course, h) > wanted
-}
-
-/// The usual error of a step of length `h` [s], divided by the strongest pull and by the fifth power of the number of
-/// time scales of the motion that pass in the step [s²].
-pub fn usual(course: &Course<'_>, h: f64) -> f64 {
-    /// The usual fraction of the error that [`Group::roughness`] gives for the residual of an oscillation.
-    const USUAL: f64 = 1.0 / 16.0;
-    let Material { omega, damping, .. } = course.material;
-    USUAL * 0.1 * SMOOTHNESS / 384.0 * (h / omega.max(2.0 * damping).max(1.0))
 }
 
 /// Time of a sample of a step [s].

@@ -7,20 +7,20 @@ use pulp::{Simd, WithSimd};
 
 use super::{
     course::Course,
-    kinks,
-    step::{Collocated, Group, Pull, SHORTER, Step, has_kink, respond},
+    step::{Collocated, Group, Pull, Step, has_kink, respond},
 };
 use crate::sim::{
     numerics::{
         arrays::{Block, Blocks},
+        control::SHORTER,
         lanes::{LANES, Mask, Reals, Vector},
     },
-    prescribed::deformation::ActiveSet,
+    prescribed::deformation::{ActiveSet, REST},
     work::Tally,
 };
 
 /// A vertex with |x|² + |u|² below this, in scene units and seconds, is at rest.
-const REST_SQUARED: f64 = 1e-300;
+const REST_SQUARED: f64 = REST * REST;
 
 /// Work of a step of a vertex, and of each sphere that is examined for it [units].
 const EXAMINE: u64 = 2;
@@ -43,8 +43,6 @@ pub struct Outcomes {
     inside: Vec<f64>,
     /// 1 for vertices for which this step is not accurate enough or that may cross a rim, otherwise 0.
     pub attention: Vec<f64>,
-    /// 1 for vertices that may have passed a kink of the force with a noticeable effect, otherwise 0.
-    pub kinked: Vec<f64>,
     /// The groups with at least one vertex that needs attention.
     pub groups: Vec<Range<usize>>,
     /// The largest estimated errors of the other vertices, by lanes [scene unit].
@@ -65,7 +63,7 @@ pub const RESULTS: usize = 7;
 impl Outcomes {
     fn resize(&mut self, count: usize, spheres: usize) {
         (self.count, self.spheres) = (count, spheres);
-        let Outcomes { results, error, inside, attention, kinked, groups, largest, near, .. } = self;
+        let Outcomes { results, error, inside, attention, groups, largest, near, .. } = self;
         groups.clear();
         (*largest, *near) = ([0.0; LANES], 0);
         inside.resize(inside.len().max(count * spheres), 0.0);
@@ -75,7 +73,6 @@ impl Outcomes {
         results.resize(count);
         error.resize(count, 0.0);
         attention.resize(count, 0.0);
-        kinked.resize(count, 0.0);
     }
 
     /// Finds the spheres that contain vertex `i` at the start, one bit each; only for a weight with a kink.
@@ -86,22 +83,6 @@ impl Outcomes {
                 bits.push(0);
             }
             bits[j / 64] |= u64::from(strengths[i] != 0.0) << (j % 64);
-        }
-    }
-
-    /// The strength of sphere `j` on vertex `i` at the start, 0 outside [1/s²]; only for a weight with a kink.
-    pub fn strength(&self, j: usize, i: usize) -> f64 {
-        self.inside[j * self.count + i]
-    }
-
-    /// Adds to the estimated error of vertex `i`, in a group that is kept; it needs attention if that exceeds `wanted`
-    /// [scene unit].
-    pub fn add_error(&mut self, i: usize, error: f64, wanted: f64) {
-        self.error[i] += error;
-        if !(self.error[i] <= wanted) {
-            self.attention[i] = 1.0;
-        } else if self.attention[i] == 0.0 {
-            self.largest[0] = self.largest[0].max(self.error[i]);
         }
     }
 
@@ -131,8 +112,6 @@ pub struct Together<'a> {
     pub uncounted: u64,
     /// Whether to count the vertices for which a step of twice the length would not be accurate enough.
     pub count_near: bool,
-    /// Which vertices may have passed a kink of the force with a noticeable effect.
-    pub kinks: kinks::Limit,
     /// Buffer, reused.
     pub pulls: &'a mut Vec<Pull>,
     /// Results for the vertices that need attention.
@@ -184,7 +163,7 @@ impl Together<'_> {
             Some(local) => Vector::load(simd, local.accelerations, first),
             None => Vector::splat(simd, DVec3::ZERO),
         };
-        let Near { rims: near, passing, distance } = self.find_pulls(simd, first, rest + x, travel);
+        let Near { rims: near, passing } = self.find_pulls(simd, first, rest + x, travel);
 
         let zero = Vector::splat(simd, DVec3::ZERO);
         let end = if self.pulls.is_empty() {
@@ -199,7 +178,6 @@ impl Together<'_> {
                 bend: zero,
                 error: Reals::splat(simd, 0.0),
                 bent: Reals::splat(simd, 0.0),
-                passed: Reals::splat(simd, 0.0),
             }
         } else {
             Group { simd, course, step, rest, local, pulls: &*self.pulls }.collocate(x, u, self.wanted)
@@ -229,11 +207,9 @@ impl Together<'_> {
         }
         let settled = attention.select(Reals::splat(simd, 0.0), end.error);
         Reals::load(simd, &outcomes.largest, 0).larger(settled).store(&mut outcomes.largest, 0);
-        let kinked = self.kinks.exceeded(simd, end.passed, distance);
-        if attention.or(kinked).any() {
+        if attention.any() {
             end.error.store(&mut outcomes.error, first);
             attention.select(Reals::splat(simd, 1.0), Reals::splat(simd, 0.0)).store(&mut outcomes.attention, first);
-            kinked.select(Reals::splat(simd, 1.0), Reals::splat(simd, 0.0)).store(&mut outcomes.kinked, first);
             let results = &mut outcomes.results.all_mut()[block].0;
             x.into_block(&mut results[START[0]], lane);
             u.into_block(&mut results[START[1]], lane);
@@ -261,7 +237,7 @@ impl Together<'_> {
         let Together { course, step, .. } = *self;
         let zero = Reals::splat(simd, 0.0);
         let (mut near, mut passing) = (Mask::none(simd), Mask::none(simd));
-        let (mut pulled, mut nearest) = (zero, Reals::splat(simd, f64::INFINITY));
+        let mut pulled = zero;
         let count = self.outcomes.count;
         self.pulls.clear();
         for (j, sphere) in course.spheres.iter().enumerate() {
@@ -292,7 +268,6 @@ impl Together<'_> {
                 passing = passing.or(reach.at_most(rim).negated().and(reached));
                 pulled = pulled + reached.select(Reals::splat(simd, 1.0), zero);
             }
-            nearest = nearest.smaller(distance * sphere.inverse_radius);
             self.pulls.push(pull);
         }
         if !self.pulls.is_empty() {
@@ -302,7 +277,7 @@ impl Together<'_> {
             let lanes = Reals::<S, W>::COUNT.min(self.active_set.vertices.len() - first);
             self.uncounted += PULL * of_lanes[..lanes].iter().sum::<f64>() as u64;
         }
-        Near { rims: near, passing, distance: nearest }
+        Near { rims: near, passing }
     }
 }
 
@@ -312,8 +287,6 @@ struct Near<S: Simd, const W: usize> {
     rims: Mask<S, W>,
     /// Vertices that may be inside a sphere between the nodes of the step but at none of them.
     passing: Mask<S, W>,
-    /// The least distance from a centre at the start [radii of the sphere].
-    distance: Reals<S, W>,
 }
 
 /// The vertices that may cross a rim between two positions, at the ends of a step. The squared distance to a centre

@@ -3,6 +3,7 @@
 use crate::{
     model::oscillator::{Oscillator, Propagator},
     sim::numerics::{
+        control::{ASIDE, RESOLVED},
         dense::responses,
         lagrange::{THROUGH, cubic},
         nodes::NODES,
@@ -32,20 +33,14 @@ pub struct Weights {
     pub h: f64,
     /// Weights for the displacement at each node; the first node is the start and is not used.
     pub nodes: [Stage; 4],
-    /// Whether the step is sampled a sixth time, to estimate its error: where more than one time scale of the
-    /// oscillator or of the influence passes in it, or where an estimate without that sample could be too conservative
-    /// for the tolerance.
-    pub is_sampled_aside: bool,
     /// Weights for the displacement in the middle.
     pub middle: Stage,
-    /// Weights for the displacement at [`ASIDE`], if the step is sampled there.
+    /// Weights for the displacement at `ASIDE`.
     pub aside: Stage,
     /// Weight of each node's force in the polynomial's value in the middle [–].
     pub polynomial: [f64; 4],
-    /// Like [`Weights::polynomial`], at [`ASIDE`].
+    /// Like [`Weights::polynomial`], at `ASIDE`.
     pub polynomial_aside: [f64; 4],
-    /// Weight at [`ASIDE`] of the bend, which is 1 in the middle and 0 at the nodes [–].
-    pub bend_aside: f64,
     /// Weight of the displacement at the start in the velocity at the end [1/s].
     pub ux: f64,
     /// Weight of the velocity at the start in the velocity at the end [–].
@@ -61,13 +56,8 @@ pub struct Weights {
     pub ringing: Option<Ringing>,
 }
 
-/// Time of the sixth sample, as a fraction of the step [–]: near an extremum of the quintic that vanishes at the nodes
-/// and in the middle.
-pub const ASIDE: f64 = 0.13;
-/// See [`Weights::bend_aside`].
+/// Value at `ASIDE` of the quartic that is 1 in the middle and 0 at the nodes [–].
 pub const BEND_ASIDE: f64 = 80.0 * ASIDE * (ASIDE - 1.0) * (ASIDE * ASIDE - ASIDE + 0.2);
-/// See [`Weights::ringing`].
-const RESOLVED: f64 = 2.0;
 
 /// The amplitudes of the free oscillation or decay about the cubic motion under a cubic force [scene unit]. An
 /// oscillation has two, and so has a decay at two rates.
@@ -122,8 +112,8 @@ impl Mode {
 }
 
 impl Weights {
-    /// The weights of a step of length `h` > 0 [s], sampled at [`ASIDE`] or not.
-    pub fn new(oscillator: Oscillator, h: f64, is_sampled_aside: bool) -> Weights {
+    /// The weights of a step of length `h` > 0 [s].
+    pub fn new(oscillator: Oscillator, h: f64) -> Weights {
         let whole = oscillator.propagator(h);
         let stage = |theta: f64, n: usize, p: &Propagator| Stage {
             xx: p.xx,
@@ -142,11 +132,9 @@ impl Weights {
                 stage(1.0, 3, &whole),
             ],
             middle: stage(0.5, 4, &at(0.5)),
-            is_sampled_aside,
-            aside: if is_sampled_aside { stage(ASIDE, 4, &at(ASIDE)) } else { Stage::default() },
+            aside: stage(ASIDE, 4, &at(ASIDE)),
             polynomial: cubic(0.5),
             polynomial_aside: cubic(ASIDE),
-            bend_aside: BEND_ASIDE,
             ux: whole.ux,
             uu: whole.uu,
             velocity: responses(&THROUGH[4], 1.0, &whole.u),
@@ -165,17 +153,15 @@ const MAX_WEIGHTS: usize = 24;
 pub struct KnownWeights(Vec<Weights>);
 
 impl KnownWeights {
-    /// The weights for a step of length `h` [s], sampled at [`ASIDE`] or not.
-    pub fn get(&mut self, oscillator: Oscillator, h: f64, is_sampled_aside: bool) -> &Weights {
-        let is_same = |known: &Weights| {
-            known.h == h && known.oscillator == oscillator && known.is_sampled_aside == is_sampled_aside
-        };
+    /// The weights for a step of length `h` [s].
+    pub fn get(&mut self, oscillator: Oscillator, h: f64) -> &Weights {
+        let is_same = |known: &Weights| known.h == h && known.oscillator == oscillator;
         let known = self.0.iter().position(is_same);
         let index = known.unwrap_or_else(|| {
             if self.0.len() == MAX_WEIGHTS {
                 self.0.clear();
             }
-            self.0.push(Weights::new(oscillator, h, is_sampled_aside));
+            self.0.push(Weights::new(oscillator, h));
             self.0.len() - 1
         });
         &self.0[index]
@@ -185,7 +171,7 @@ impl KnownWeights {
 /// Response to the residual of the cubic, which has hardly an effect at the end of a step, but one within it.
 ///
 /// With q = 80 θ(θ − 1)(θ² − θ + 1/5), which vanishes at the nodes and is 1 in the middle, the residual is
-/// a q + b (θ − ½) q and higher terms: a is the bend, b follows from the residual of the quartic at [`ASIDE`], the skew.
+/// a q + b (θ − ½) q and higher terms: a is the bend, b follows from the residual of the quartic at `ASIDE`, the skew.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Residual {
     /// Weight of the bend in the displacement [s²].
@@ -196,7 +182,7 @@ pub struct Residual {
     pub skew_u: f64,
 }
 
-/// (θ − ½) q at [`ASIDE`], see [`Residual`].
+/// (θ − ½) q at `ASIDE`, see [`Residual`].
 pub const SKEW_ASIDE: f64 = (ASIDE - 0.5) * BEND_ASIDE;
 
 impl Residual {
@@ -274,7 +260,7 @@ mod tests {
 
     #[test]
     fn without_an_oscillator_the_weights_are_lobatto_quadrature() {
-        let weights = Weights::new(Oscillator { omega: 0.0, damping: 0.0 }, 2.0, false);
+        let weights = Weights::new(Oscillator { omega: 0.0, damping: 0.0 }, 2.0);
         for (weight, lobatto) in weights.velocity.into_iter().zip([1.0, 5.0, 5.0, 1.0]) {
             assert!((weight - 2.0 * lobatto / 12.0).abs() < 1e-14);
         }

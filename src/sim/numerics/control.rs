@@ -1,0 +1,78 @@
+//! The constants that decide how accurate a step is, or how long. All others in `sim` limit work or memory, or choose
+//! between two ways to the same result.
+//!
+//! Most are bounds, or what a textbook advises. Where it says "by `bench error`", errors of its scenes (with and without
+//! `--random`) stay within the tolerance, and not far below it; they change little around the value.
+
+// Both solvers
+
+/// A step that has not converged after this many corrections of the force on a vertex is rejected, or goes on with the
+/// next sweep. A correction reduces a change by s h²/2 or more, a factor of 0.014 for a strength s = 100 1/s² and h = 1/60 s:
+/// six reach rounding.
+pub const MAX_CORRECTIONS: usize = 6;
+/// The mean force that the cubic through the nodes leaves out, over its residual in the middle. At most 0.45, where a force
+/// acts at once; by `bench error` for one that acts by a spring.
+pub const RESIDUAL: f64 = 0.1;
+
+// Bodies on paths
+
+/// Ratio of the error per unit of time of a step to that of a step of half the length: the order of the error is five.
+pub const SHORTER: f64 = 32.0;
+/// Time of the sixth sample, as a fraction of the step [–]: near an extremum of the quintic that vanishes at the nodes
+/// and in the middle.
+pub const ASIDE: f64 = 0.13;
+/// Number of time scales of an oscillation that pass in a step up to which its samples resolve it: about a sixth of a turn.
+pub const RESOLVED: f64 = 1.0;
+/// Factor from a bound on an error to the usual error: 0.15 to 0.4 over the vertices of the scenes of `bench error`.
+pub const USUAL: f64 = 0.3;
+/// The error that an oscillation usually causes, over the strongest pull, the time that it lasts, and the fifth power of the
+/// number of time scales that pass in the step: the residual of a cubic is at most h⁴/384 times the fourth derivative, of
+/// which a thirty-second counts by `bench error`. Larger errors come from kinks.
+pub const OSCILLATION: f64 = RESIDUAL / 384.0 / 32.0;
+/// Relative error after a few roundings.
+pub const ROUNDING: f64 = 8.0 * f64::EPSILON;
+
+// Free bodies
+
+/// Factor on the step length that is expected to meet the tolerance (Hairer, Nørsett & Wanner, Solving Ordinary
+/// Differential Equations I, II.4: 0.8 to 0.9).
+pub const SAFETY: f64 = 0.9;
+/// Largest ratio by which the expected step length grows from one step to the next (ibid.: 1.5 to 5).
+pub const MAX_GROWTH: f64 = 4.0;
+/// Largest number of sweeps of a step before a shorter one is tried: those of a step that converges as slowly as pays off,
+/// by half in each.
+pub const MAX_SWEEPS: u32 = 24;
+/// Largest rotation of a body's frame in a step [rad]: the rate of a rotation vector is singular at a full turn.
+pub const MAX_TURN: f64 = 1.0;
+/// Share of the tolerance that what is left out on purpose may take: corrections, and the deformation of a body that
+/// counts as undeformed.
+pub const NEGLIGIBLE: f64 = 0.1;
+/// Larger tolerances than this make steps longer, but do not allow to leave out more [radii/s]. Otherwise what corrections
+/// leave, which is of low order, would dominate the error of steps much shorter than the tolerance requires.
+pub const NEGLIGIBLE_TOLERANCE: f64 = 1e-6;
+/// Distances within this fraction of a threshold, and instants within this fraction of a step, are the same: a few
+/// thousand roundings.
+pub const STANDING: f64 = 1e-12;
+/// The reported sum of estimates is meant to bound the error: it allows for errors that grow after their step, and for
+/// residuals that are larger between the midpoints. `bench error --random` counts errors beyond it.
+pub const GROWTH: f64 = 2.0;
+
+// Rest
+
+/// Share of the tolerance that the motion of a slow body, which may come to rest, may take: the rest is left to the errors
+/// of its steps.
+pub const SLOW: f64 = 0.5;
+/// Shortest time for which a body must be slow before it rests [s], as in game engines (Box2D: `b2_timeToSleep`).
+pub const SLOW_TIME: f64 = 0.5;
+/// Larger tolerances than this do not let bodies rest any sooner [radii/s], nor do steps of fixed length: half a per cent of
+/// the radius in a second is not seen (Box2D: 0.05 m/s). Motion lost by resting is an error that shorter steps do not
+/// reduce.
+pub const MAX_SLOW_TOLERANCE: f64 = 1e-2;
+
+// Steps of fixed length
+
+/// Largest angle by which the stiffest oscillation advances in a substep [rad]: velocity Verlet is stable up to 2, and its
+/// frequency is off by 1 % here (1/24 of the square).
+pub const MAX_ANGLE: f64 = 0.5;
+/// Largest way of a vertex in a substep [radii of the smallest body]: it is in a sphere for a few substeps.
+pub const MAX_WAY: f64 = 0.25;
