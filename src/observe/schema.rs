@@ -378,6 +378,12 @@ impl From<(&'static str, f64, Rgb)> for Threshold {
     }
 }
 
+/// An event and its pair in words. After a name of several words stands a colon: the pair could seem to belong to it.
+pub(crate) fn titled(event: &str, pair: &str) -> String {
+    let colon = if event.contains(' ') { ":" } else { "" };
+    format!("{event}{colon} {pair}")
+}
+
 impl TermSchema {
     /// A force term that can always act and is visible.
     pub fn new(name: &'static str, label: &'static str, color: Rgb) -> TermSchema {
@@ -451,10 +457,8 @@ impl Schema {
         let pair = self.pair_name(event.a, event.b);
         let energy = event.energy.filter(|&energy| energy != 0.0);
         let energy = energy.map_or_else(String::new, |energy| format!(", energy {energy:+.4}"));
-        // a name of several words could begin with that of a body
-        let colon = if event.name.contains(' ') { ":" } else { "" };
         let PairEvent { name, time, q, step, .. } = event;
-        format!("{name}{colon} {pair} at t = {time:.9} s, q = {q:.6}, step {step}{energy}")
+        format!("{} at t = {time:.9} s, q = {q:.6}, step {step}{energy}", titled(name, &pair))
     }
 
     /// The words that select events of pairs: the first word of each kind.

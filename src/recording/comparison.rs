@@ -33,6 +33,7 @@ use crate::{
         settings::file_stem,
         sinks::{Destinations, Saved, SinkError, Sinks},
     },
+    text::{counted, significant},
 };
 
 /// Upper limit on the number of bodies shown.
@@ -52,8 +53,8 @@ pub struct Plan {
     pub labels: [String; 2],
     /// Bodies to show, in descending order of difference.
     pub bodies: Vec<usize>,
-    /// The vertex at whose instant the viewer opens, and what it is.
-    pub focus: Option<(Worst, &'static str)>,
+    /// Vertices to be listed with the events, and what they are. The viewer opens at the instant of the first.
+    pub listed: Vec<(Worst, &'static str)>,
     /// Differences up to this size are ignored [radii].
     pub tolerance: f64,
 }
@@ -91,7 +92,7 @@ impl Comparison {
         let radius =
             shown.iter().filter_map(|&(i, ..)| schema.bodies.get(i)).map(|body| body.radius).fold(0.0, f64::max);
         let second: Vec<_> = shown.iter().map(|(_, name, _)| (COMPARED_SURFACE.of(&["b", name]), COLORS[1])).collect();
-        let first = plan.focus.as_ref().map(|(first, _)| first.time);
+        let first = plan.listed.first().map(|(first, _)| first.time);
         for message in blueprint::of_comparison(spheres, &second, first, &store) {
             sinks.send(message)?;
         }
@@ -138,7 +139,7 @@ impl Comparison {
             .with_colors([color(ERROR)])
             .with_show_labels(true);
         chunks.log_static(COMPARED_WORST.path, &worst);
-        if let Some((Worst { step, time, body, vertex, difference, .. }, what)) = &plan.focus {
+        for (Worst { step, time, body, vertex, difference, .. }, what) in &plan.listed {
             let line = format!("{what}: {body}:{vertex}, {difference:.3e} R");
             let at = Instant { step: *step, time: *time };
             chunks.log(EVENTS.path, at, &TextLog::new(line).with_color(color(ERROR)));
@@ -191,7 +192,10 @@ impl Comparison {
         let vectors = apart.iter().map(|apart| (LONGEST * self.radius / longest * *apart).as_vec3());
         let arrows = Arrows3D::update_fields().with_origins(origins).with_vectors(vectors);
         self.chunks.log(COMPARED_ERROR.path, at, &arrows);
-        let worst = worst.map(|(_, position, label)| (position.as_vec3(), label));
+        let times = LONGEST * self.radius / longest;
+        let worst = worst.map(|(_, position, label)| {
+            (position.as_vec3(), format!("{label}, arrows {} times as long", significant(times)))
+        });
         let (position, label): (Vec<_>, Vec<_>) = worst.into_iter().unzip();
         let worst = Points3D::update_fields().with_positions(position).with_labels(label);
         self.chunks.log(COMPARED_WORST.path, at, &worst);
@@ -218,7 +222,7 @@ impl Comparison {
         if self.changes == 0 {
             let line = match events {
                 0 => "the same: neither run has events".to_owned(),
-                n => format!("the same: {} in both runs", crate::text::counted(n as u64, "event")),
+                n => format!("the same: {} in both runs", counted(n as u64, "event")),
             };
             self.chunks.log(EVENTS.path, Instant::default(), &TextLog::new(line));
         }

@@ -247,9 +247,13 @@ pub fn save(
     let plan = Plan {
         labels: recorded.map(|recorded| {
             let name = recorded.path.file_name().unwrap_or_default().to_string_lossy();
-            format!("{name} ({}, Δt = {} s)", recorded.schema.integrator, step_size(recorded.schema.dt))
+            let Schema { integrator, dt, .. } = &recorded.schema;
+            format!("{name} ({integrator}, Δt = {} s{})", step_size(*dt), recorded.overridden())
         }),
-        focus: difference.first_beyond.clone().map(|first| (first, "first beyond tolerance")),
+        listed: [(difference.first_beyond.as_ref(), "first beyond tolerance"), (difference.bodies.first(), "largest")]
+            .into_iter()
+            .filter_map(|(worst, what)| Some((worst?.clone(), what)))
+            .collect(),
         bodies,
         tolerance,
     };

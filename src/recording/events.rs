@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use super::recorded::RecordedEvent;
-use crate::observe::{PairEvent, Schema};
+use crate::observe::{PairEvent, Schema, schema::titled};
 
 /// Times of an event that are at most this far apart are equal [s].
 pub const SAME_TIME: f64 = 1e-6;
@@ -50,7 +50,7 @@ impl fmt::Display for Change {
 
 impl fmt::Display for RecordedEvent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} {} at t = {:.9} s (step {})", self.name, self.pair, self.time, self.step)
+        write!(f, "{} at t = {:.9} s (step {})", titled(&self.name, &self.pair), self.time, self.step)
     }
 }
 

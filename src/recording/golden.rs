@@ -426,7 +426,7 @@ fn show(
     }
     let plan = Plan {
         labels: ["the golden recording".to_owned(), "this run".to_owned()],
-        focus: worst.map(|worst| (worst.clone(), "largest difference")),
+        listed: worst.map(|worst| (worst.clone(), "largest")).into_iter().collect(),
         bodies,
         tolerance: schema.tolerance,
     };

@@ -113,6 +113,11 @@ struct Properties {
 }
 
 impl Recorded {
+    /// What the run overrode of its scene, to follow other settings in a line; empty if nothing.
+    pub fn overridden(&self) -> String {
+        self.overrides.lines().filter(|line| !line.trim().is_empty()).map(|line| format!(", {line}")).collect()
+    }
+
     /// Reads the recording of a scene in a file, complete or truncated.
     ///
     /// # Errors

@@ -10,13 +10,13 @@ use super::{
     contract::{
         ABOUT, ALONG, BODY, BODY_FORCE, BODY_SCALAR, BODY_SURFACE, DEFORMING, DIAGNOSTIC, DRAWN, EVENTS, Entity, FORCE,
         GROUP_LINE, INFLUENCE, LAG, LARGEST, LEGEND, LOG_DIFFERENCE, MAP, MARKS_AT_Q, MARKS_ON_AXIS, MEASURE, MERGED,
-        MERGED_SURFACE, PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_LEVEL, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE,
+        MERGED_SURFACE, NAMES, PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_LEVEL, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE,
         PAIR_SCALAR, PLANE, RESTING, SIM_TIME, SLICE, SPEED, STAGE, STAGES, STEP, TRAILS, VOLUME, WORLD,
     },
     focus::Focus,
     light, palette,
     parts::{
-        heat, net_forces, numbers,
+        body_forces, heat, net_forces, numbers,
         pairs::{self, MEASURES},
         trails,
     },
@@ -84,7 +84,7 @@ pub struct Measured<'a> {
     /// Stages and the medians of their durations [ms].
     pub medians: Vec<(&'static str, f64)>,
     /// Typical total duration of a step and of its recording [ms]: the upper ends of the timing plots.
-    pub typical: [Option<f64>; 2],
+    pub typical: [f64; 2],
     /// Smallest and largest plotted q [–], if any.
     pub distances: Option<[f64; 2]>,
     /// Smallest and largest plotted value of each scalar of the schema.
@@ -93,6 +93,8 @@ pub struct Measured<'a> {
     pub pairs: Vec<String>,
     /// The initial focus of the viewer.
     pub focus: Option<&'a Focus>,
+    /// The times between which a flight recorder has frames [s], if there is one and it has some.
+    pub kept: Option<[f64; 2]>,
     /// Whether each force term has acted on any body; empty if forces were not recorded.
     pub have_acted: &'a [bool],
 }
@@ -108,7 +110,8 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     layout.finish(root); // already sent; the new ids continue after its own
     for (plot, stages) in std::mem::take(&mut layout.timings) {
         let is_recording = stages.iter().any(|stage| numbers::RECORDING.contains(stage));
-        if let Some(typical) = measured.typical[usize::from(is_recording)].filter(|&typical| typical > 0.0) {
+        let typical = measured.typical[usize::from(is_recording)];
+        if typical > 0.0 {
             let axis = ScalarAxis::new().with_range(Range1D::new(-0.02 * typical, HEADROOM * typical));
             layout.log(&format!("{}/ScalarAxis", plot.path), &axis);
         }
@@ -148,14 +151,19 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             && measured.duration > 0.0
             && let Some((view, name)) = view
         {
-            layout.log(&view, &ViewBlueprint::update_fields().with_display_name(format!("{name} (never acted)")));
+            layout.log(&view, &ViewBlueprint::update_fields().with_display_name(format!("{name} (none)")));
         }
+    }
+    if let Some(kept) = measured.kept {
+        layout.open_at(kept);
     }
     if let Some(focus) = measured.focus {
         if tab != Tab::Stages {
             layout.open_at(focus.interval(measured.duration));
         }
-        for (view, aspect) in std::mem::take(&mut layout.spaces) {
+        // among many bodies, a camera near the pair would see little else, and the pair perhaps not
+        let is_near = subject.settings.entities == Entities::Body;
+        for (view, aspect) in std::mem::take(&mut layout.spaces).into_iter().filter(|_| is_near) {
             let camera = camera_past(&focus.spheres, &focus.pair, &focus.others, aspect);
             layout.log(&format!("{view}/EyeControls3D"), &camera);
         }
@@ -493,8 +501,8 @@ impl Layout {
         let mut parts = Vec::new();
         if pairs::has_named_pairs(schema) {
             let titles = [
-                "Gap (below 0: depth of the overlap) and neck [radii of the smaller body]",
-                "Overlap: volume in both bodies [cubed radii of the smaller body]",
+                "Gap, below 0 the depth of overlap, and neck (thin) [R of the smaller]",
+                "Overlap: volume in both bodies [R³ of the smaller]",
             ];
             for (title, measures) in titles.into_iter().zip([[&PAIR_GAP, &PAIR_NECK].as_slice(), &[&PAIR_OVERLAP]]) {
                 let lines = measures.iter().flat_map(|measure| pairs::named(schema, measure));
@@ -503,14 +511,12 @@ impl Layout {
                 parts.push(self.plot(title, "/", &contents, Corner2D::RightTop));
             }
         }
-        let title = "Phases, and whether the surfaces touch (red, yellow: the two disagree)";
+        let title = "Phase, and whether surfaces touch (red, yellow: they disagree)";
         parts.push(self.view("StateTimeline", title, PAIR_PHASE.family(), &[&family(&PAIR_PHASE)], &[]));
         if pairs::has_named_pairs(schema) {
-            let volumes = schema.bodies.iter().map(|body| including(&GROUP_LINE.of(&[&body.name, "volume"])));
-            let contents: Vec<String> = std::iter::once(including(VOLUME.path)).chain(volumes).collect();
-            let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
-            let title = "Volume [unit³]: of all surfaces, and of each group, named by its first body";
-            parts.push(self.plot(title, "/", &contents, Corner2D::RightTop));
+            // no marks of events, which are at 0: a change of a hundredth is visible
+            let title = "Volume [unit³]: what merging loses lies between the lines";
+            parts.push(self.time_series(title, "/", &[&family(&VOLUME)], Corner2D::LeftBottom));
         } else {
             parts.push(self.plot("Groups: volume, bodies, genus", "/", &[&family(&GROUP_LINE)], Corner2D::RightTop));
         }
@@ -524,8 +530,8 @@ impl Layout {
     fn surface_view(&mut self, framing: Framing<'_>, schema: &Schema, settings: &Settings) -> Part {
         // a seam lies inside the smooth surface and would show through in places
         let merged = if schema.blend > 0.0 { including(MERGED_SURFACE.path) } else { family(&MERGED) };
-        let contents = [&BODY, &DEFORMING, &RESTING].map(family);
-        let contents = [&contents[0], &contents[1], &contents[2], &merged].map(String::as_str);
+        let contents = [&BODY, &DEFORMING, &RESTING, &PLANE, &NAMES].map(family);
+        let contents: Vec<&str> = contents.iter().chain([&merged]).map(String::as_str).collect();
         let view = self.space(framing, "One surface per group", &contents);
         for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
             // a batch has a colour per vertex
@@ -557,7 +563,7 @@ impl Layout {
             views.push(view);
         }
         let causes = self.container(ContainerKind::Tabs, "Causes", views, &[]);
-        if !pairs::has_named_pairs(schema) {
+        if schema.bodies.len() > body_forces::MOST_BODIES {
             return self.container(ContainerKind::Vertical, "Forces", vec![causes], &[1.0]);
         }
         let plots = schema.bodies.iter().enumerate().map(|(index, body)| {
@@ -585,7 +591,7 @@ impl Layout {
         settings: &Settings,
     ) -> Part {
         const WHITE: palette::Rgb = [0xFF; 3];
-        let bodies = [&BODY, &DEFORMING, &PLANE].map(family);
+        let bodies = [&BODY, &DEFORMING, &PLANE, &NAMES].map(family);
         let contents: Vec<&str> = bodies.iter().chain(arrows).map(String::as_str).collect();
         let view = self.space((framing, NARROW), name, &contents);
         if schema.bodies.len() <= MAX_SHEER || settings.entities == Entities::Batch {
@@ -601,8 +607,8 @@ impl Layout {
 
     /// Surfaces coloured by displacement, with selectable vertices, above the colour scale.
     fn displacement_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
-        let contents = [&BODY, &DEFORMING, &PLANE, &LARGEST].map(family);
-        let contents = [&contents[0], &contents[1], &contents[2], &contents[3]].map(String::as_str);
+        let contents = [&BODY, &DEFORMING, &PLANE, &LARGEST, &NAMES].map(family);
+        let contents = contents.each_ref().map(String::as_str);
         let title = "Displacement from rest; select a vertex to see its numbers";
         let view = self.space((framing, WIDE), title, &contents);
         let white = sdk::Rgba32::WHITE;
@@ -1016,8 +1022,8 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
         schema.dt,
         schema.law,
     );
-    let warnings = schema.warnings.iter().map(|warning| format!("**Warning**: {warning}.\n\n"));
-    let head = head + &warnings.collect::<String>();
+    let warnings = schema.warnings.iter().map(|warning| format!("\n**Warning**: {warning}.\n"));
+    let warnings = warnings.collect::<String>();
     if settings.frames == Frames::Thin {
         return head
             + "\nThis recording is thin: it holds the scene, the events beside this text, and a checksum of the exact state after \
@@ -1032,7 +1038,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
         _ if schema.bodies.iter().all(|body| body.reach == 0.0) => format!("- **Lines, lanes**: {phases}\n"),
         Entities::Body => format!("- **Spheres, lines, lanes**: {phases}; grey reaches no body\n"),
         Entities::Batch => {
-            format!("- **Spheres** (hidden at first), **lines, lanes**: {phases}; grey reaches no body\n")
+            format!("- **Spheres** (only of bodies that reach another), **lines, lanes**: {phases}\n")
         }
     };
     let arrows = match settings.detail {
@@ -1107,5 +1113,5 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
         false => String::new(),
     };
     let credit = if schema.credit.is_empty() { String::new() } else { format!("\nAfter {}.\n", schema.credit) };
-    head + &spheres + &springs + &merged + &arrows + &net_forces + &trails + &bound + &credit
+    head + &spheres + &springs + &merged + &arrows + &net_forces + &trails + &bound + &warnings + &credit
 }

@@ -104,7 +104,7 @@ entities! {
     INFLUENCE = "/world/influence" ["Ellipsoids3D"]
         "All influence spheres, coloured by the deepest phase of their body.";
     PAIR_LINES = "/world/pairs" ["LineStrips3D; with more than 64 bodies Ellipsoids3D"]
-        "Lines between the centres of the closest pairs within reach, up to three labelled with q; with many bodies also the influence spheres that reach another body.";
+        "Lines between the centres of the closest pairs within reach, up to three labelled with the pair and q; with many bodies also the influence spheres that reach another body.";
     RECENT = "/world/recent" ["LineStrips3D"]
         "The pair that had the last event, for 24 frames, labelled with the event and q.";
     NAMES = "/world/names" ["Points3D"]
@@ -114,7 +114,7 @@ entities! {
     FORCE = "/world/forces/CAUSE" ["Arrows3D"]
         "Accelerations of vertices and of points of contact by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre.";
     BODY_FORCE = "/forces/NAME/CAUSE" ["Scalars"]
-        "Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, and of that by forces at points [scene unit/s²]; with at most 5 bodies, from the first frame in which it acts.";
+        "Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, and of that by forces at points [scene unit/s²]; with at most 6 bodies, from the first frame in which it acts.";
     POINTS = "/world/points" ["Ellipsoids3D"]
         "The influence spheres of force points, while they act.";
     SPRINGS = "/world/springs/NAME" ["LineStrips3D"]
@@ -169,14 +169,14 @@ entities! {
         "How far a run in real time is behind [ms].";
     DIAGNOSTIC = "/diagnostics/SCALAR" ["Scalars"]
         "Energy, error, counts.";
-    VOLUME = "/volume" ["Scalars"]
-        "The volume that all surfaces enclose: of each group that of its sharp union, of every other body its own [scene unit³]; with at most 5 bodies.";
+    VOLUME = "/volume/OF" ["Scalars"]
+        "The volume that all surfaces enclose, of each group that of its sharp union, and the sum of the volumes of the bodies one by one [scene unit³]; with at most 16 bodies.";
     OVERLAPPING = "/diagnostics/overlapping_groups" ["Scalars"]
         "Groups that could not be united in time and are drawn as overlapping meshes.";
     LEGEND = "/legend/PART" ["Image; Points2D"]
         "The colour scale of displacements, and its numbers at the instant.";
     LARGEST = "/largest" ["Points3D"]
-        "The vertex with the largest displacement of those that lie in no other body, labelled.";
+        "The vertex with the largest displacement of those that lie in no other body, labelled; also with the largest of all.";
     STAGES = "/stages" ["TextLog"]
         "One line per stage of the steps recorded in detail, with the largest displacement and how far vertices moved since the stage before, on the timeline stage, which the entities under /world have too.";
     CHECKSUM = "/checksum" ["checksum"]

@@ -70,6 +70,11 @@ impl FlightRecorder {
         ended
     }
 
+    /// The instants of the first and the last frame that are kept now.
+    pub fn range(&self) -> Option<[Instant; 2]> {
+        Some([self.frames.front()?.0, self.frames.back()?.0])
+    }
+
     /// A note if not all requested frames fit.
     pub fn note(&self) -> Option<String> {
         let limit = bytes(self.max_bytes);

@@ -41,12 +41,12 @@
 //! | `/world/merged/surface` | Mesh3D, vertex, lit_colors, unlit_normals | The surfaces of all groups (two or more bodies connected by joined pairs), as one mesh in world coordinates. |
 //! | `/world/merged/seams` | LineStrips3D | The lines along which bodies meet. |
 //! | `/world/influence` | Ellipsoids3D | All influence spheres, coloured by the deepest phase of their body. |
-//! | `/world/pairs` | LineStrips3D; with more than 64 bodies Ellipsoids3D | Lines between the centres of the closest pairs within reach, up to three labelled with q; with many bodies also the influence spheres that reach another body. |
+//! | `/world/pairs` | LineStrips3D; with more than 64 bodies Ellipsoids3D | Lines between the centres of the closest pairs within reach, up to three labelled with the pair and q; with many bodies also the influence spheres that reach another body. |
 //! | `/world/recent` | LineStrips3D | The pair that had the last event, for 24 frames, labelled with the event and q. |
 //! | `/world/names` | Points3D | The names of up to 8 bodies. |
 //! | `/world/forces` | AnnotationContext | Names of the pairs of bodies between which forces act, as classes of arrows. |
 //! | `/world/forces/CAUSE` | Arrows3D | Accelerations of vertices and of points of contact by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre. |
-//! | `/forces/NAME/CAUSE` | Scalars | Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, and of that by forces at points [scene unit/s²]; with at most 5 bodies, from the first frame in which it acts. |
+//! | `/forces/NAME/CAUSE` | Scalars | Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, and of that by forces at points [scene unit/s²]; with at most 6 bodies, from the first frame in which it acts. |
 //! | `/world/points` | Ellipsoids3D | The influence spheres of force points, while they act. |
 //! | `/world/springs/NAME` | LineStrips3D | The springs of a body, blue where they are shorter than at rest, red where longer; with forces, and of at most 64 cells. |
 //! | `/world/trails` | LineStrips3D | The path of the centre of each free body, one segment per frame; not with more than 64 bodies. |
@@ -74,10 +74,10 @@
 //! | `/timings/speed` | Scalars | Steps per second. |
 //! | `/timings/lag` | Scalars | How far a run in real time is behind [ms]. |
 //! | `/diagnostics/SCALAR` | Scalars | Energy, error, counts. |
-//! | `/volume` | Scalars | The volume that all surfaces enclose: of each group that of its sharp union, of every other body its own [scene unit³]; with at most 5 bodies. |
+//! | `/volume/OF` | Scalars | The volume that all surfaces enclose, of each group that of its sharp union, and the sum of the volumes of the bodies one by one [scene unit³]; with at most 16 bodies. |
 //! | `/diagnostics/overlapping_groups` | Scalars | Groups that could not be united in time and are drawn as overlapping meshes. |
 //! | `/legend/PART` | Image; Points2D | The colour scale of displacements, and its numbers at the instant. |
-//! | `/largest` | Points3D | The vertex with the largest displacement of those that lie in no other body, labelled. |
+//! | `/largest` | Points3D | The vertex with the largest displacement of those that lie in no other body, labelled; also with the largest of all. |
 //! | `/stages` | TextLog | One line per stage of the steps recorded in detail, with the largest displacement and how far vertices moved since the stage before, on the timeline stage, which the entities under /world have too. |
 //! | `/checksum` | checksum | A hash of the exact state after every step; a thin recording has several steps per row, at the time of the last one. |
 //! | `/about` | TextDocument | The text of the panel. |

@@ -73,6 +73,8 @@ pub struct Recorder {
     first: u64,
     /// Number of those frames that are in the recording.
     written: u64,
+    /// The first and the last of them, of a flight recorder.
+    kept: Option<[Instant; 2]>,
     /// The parts that show stages inside steps.
     stages: Option<StateParts>,
     /// Number of stages shown.
@@ -175,6 +177,7 @@ impl Recorder {
             frames: 0,
             first: simulation.steps_taken(),
             written: 0,
+            kept: None,
             stages: matches!(settings.detail, Detail::Stages { .. })
                 .then(|| StateParts::new(&schema, &settings, simulation.interrupt(), &mut chunks)),
             stage_count: 0,
@@ -252,6 +255,7 @@ impl Recorder {
             scalars: parts.numbers.plotted().collect(),
             pairs: parts.pairs.names(&self.schema),
             focus: parts.focus.focus().filter(|_| self.flight.is_none()), // a flight recorder may have dropped it
+            kept: self.kept.map(|kept| kept.map(|at| at.time)),
             have_acted: parts.body_forces.as_ref().map_or(&[], BodyForces::have_acted),
         };
         blueprint::measured(&self.subject(simulation), tab, self.chunks.store(), &measured)
@@ -346,11 +350,9 @@ impl Recorder {
             self.stage_count += 1;
             let bodies = self.schema.bodies.iter().zip(&stage.frame.bodies);
             let largest = bodies.map(|(body, now)| now.max_displacement / body.radius).fold(0.0, f64::max);
-            let mut line = format!("step {}: {} — displaced up to {largest:.4} R", at.step, stage.name);
             let moved = before.map_or(0.0, |before| furthest_move(&self.schema, [&before.frame, &stage.frame]));
-            if moved > 0.0 {
-                line += &format!(", moved up to {moved:.1e} R");
-            }
+            let moved = if moved > 0.0 { format!("moved up to {moved:.1e} R, ") } else { String::new() };
+            let line = format!("step {}: {} — {moved}displaced up to {largest:.4} R", at.step, stage.name);
             before = Some(stage);
             self.chunks.log(STAGES.path, at, &TextLog::new(line).with_level("stage"));
             state.log(FrameView { schema: &self.schema, frame: &stage.frame, at }, &[], &mut self.chunks);
@@ -413,6 +415,9 @@ impl Recorder {
     /// Writes the contents of the flight recorder.
     fn write_kept(&mut self) {
         if let Some(flight) = &mut self.flight {
+            if let Some([first, last]) = flight.range() {
+                self.kept = Some([self.kept.map_or(first, |[first, _]| first), last]);
+            }
             let (chunks, frames) = flight.take();
             chunks.into_iter().for_each(|chunk| self.chunks.send(chunk));
             self.written += frames;
@@ -464,14 +469,25 @@ impl Recorder {
                 }
             }
         }
+        let mut about = blueprint::about(&self.schema, &self.settings, self.first);
+        let length = about.len();
+        if self.flight.is_some() {
+            let kept = match self.kept {
+                Some([first, last]) => format!(
+                    "**Frames: only between steps {} and {}.** At other steps, 3D views show the one before, or a part of it.",
+                    first.step, last.step
+                ),
+                None => "**No frames**: what they are kept for did not happen. Ignore the 3D views.".to_owned(),
+            };
+            about = format!("{kept}\n\n{about}");
+        }
         let approaches = self.approaches();
         if !approaches.is_empty() {
-            let about = blueprint::about(&self.schema, &self.settings, self.first);
             let lines = approaches.iter().take(MOST_APPROACHES).map(|line| format!("- {line}\n"));
-            log_about(
-                format!("{about}\nNearest without a change of phase:\n{}", lines.collect::<String>()),
-                &mut self.chunks,
-            );
+            about += &format!("\nNearest without a change of phase:\n{}", lines.collect::<String>());
+        }
+        if about.len() > length {
+            log_about(about, &mut self.chunks);
         }
         self.checksums.log(&mut self.chunks, true);
         self.log_property(DIGEST, &format!("{:016x}", self.checksums.digest()));

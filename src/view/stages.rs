@@ -77,7 +77,7 @@ fn intervals(
     let frame = |t: f64, phases_at: f64, states: Vec<States>| frame_of(recomputed, before, world, t, phases_at, states);
     let mut states: Vec<States> = (0..world.body_count()).map(|index| states_before(before, world, index)).collect();
     let flown = states.iter().enumerate().map(|(index, states)| recomputed.flow(index, states)).collect();
-    stages.push(StageFrame { name: "end if no influence acted".to_owned(), frame: frame(end, start, flown) });
+    stages.push(StageFrame { name: "hypothetical end without influence".to_owned(), frame: frame(end, start, flown) });
     match world.scene().integrator {
         Integrator::Exponential => {
             let breaks = recomputed.breaks();

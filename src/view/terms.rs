@@ -7,7 +7,7 @@ use crate::{
         phase::{Phase, Thresholds},
     },
     observe::schema::TermSchema,
-    scene::Scene,
+    scene::{Model, Scene},
     sim::Cause,
 };
 
@@ -86,7 +86,7 @@ fn law_at_start(scene: &Scene) -> String {
     let spheres = if least == most { format!("{least:.3}") } else { format!("{least:.3} to {most:.3}") };
     format!(
         "Bodies merge at q = {} and split at {}{}; q is the distance of their centres over the sum of their radii. α = {}/s², \
-         β = {}/s², spheres {spheres} R.{}",
+         β = {}/s², spheres {spheres} R.{}{}",
         thresholds.merge_at,
         thresholds.split_at,
         if thresholds.core_at > 0.0 { format!(", with a core below {}", thresholds.core_at) } else { String::new() },
@@ -96,6 +96,11 @@ fn law_at_start(scene: &Scene) -> String {
             0 => String::new(),
             1 => " One `[[pair]]` has another law.".to_owned(),
             n => format!(" {n} `[[pair]]`s have other laws."),
+        },
+        match scene.model {
+            Model::Oscillators =>
+                " Nothing joins neighbouring vertices: spikes after a split are how they swing, no error.",
+            Model::Metaballs | Model::Lattice | Model::Fem => "",
         },
     )
 }

@@ -475,7 +475,9 @@ impl Run {
         let depends =
             |path: &String| path.starts_with("/groups/") || path.starts_with("/forces/") || path == "/events/surfaces";
         entities.extend(self.recording.entities().iter().map(ToString::to_string).filter(depends));
-        entities.extend((2..=5).contains(&self.scene.bodies.len()).then(|| "/volume".to_owned()));
+        if (2..=16).contains(&self.scene.bodies.len()) {
+            entities.extend(["/volume/surfaces", "/volume/bodies"].map(str::to_owned));
+        }
         entities.extend(TIMINGS.map(|stage| format!("/timings/{stage}")));
         let stacked = TIMINGS.iter().filter(|&&stage| stage != "wait").rev().zip(1..);
         entities.extend(stacked.map(|(stage, number)| format!("/timings/stacked/{number}_{stage}")));
@@ -786,7 +788,7 @@ impl Run {
 
     /// Verifies the mean force on each body by each cause, from the first frame in which it acts.
     fn verify_body_forces(&self) {
-        if !(1..=5).contains(&self.scene.bodies.len()) {
+        if !(1..=6).contains(&self.scene.bodies.len()) {
             assert!(self.recording.entities().iter().all(|path| !path.to_string().starts_with("/forces/")));
             return;
         }
@@ -832,33 +834,36 @@ impl Run {
                     .map(|(_, body)| (body.centre() - at).length() / body.scene().radius)
                     .fold(f64::INFINITY, f64::min)
             };
-            let mut largest: Option<(f64, String)> = None;
+            let (mut largest, mut of_all): (Option<(f64, String)>, f64) = (None, 0.0);
             for (index, body) in world.bodies().enumerate() {
                 for vertex in 0..body.vertex_count() {
                     let displacement = body.displacement(vertex).length() / body.scene().radius;
+                    of_all = of_all.max(displacement);
                     let is_visible = hides(body.position(vertex), index) >= 0.95;
                     if is_visible && displacement > largest.as_ref().map_or(0.0, |(largest, _)| *largest) {
                         let name = &body.scene().name;
-                        largest = Some((displacement, format!("largest: {name}:{vertex}, {displacement:.3} R")));
+                        largest =
+                            Some((displacement, format!("largest visible: {name}:{vertex}, {displacement:.3} R")));
                     }
                 }
             }
-            if let Some((_, label)) = largest {
-                assert_eq!(track.held[frame].texts("Points3D:labels"), [label], "step {}", world.steps_taken());
+            if let Some((displacement, label)) = largest {
+                let logged = track.held[frame].texts("Points3D:labels").concat();
+                let (visible, hidden) = logged.split_once("; inside another body: ").unwrap_or((&logged, ""));
+                assert_eq!(visible, label, "step {}", world.steps_taken());
+                let is_complete = of_all == displacement || hidden.ends_with(&format!(", {of_all:.3} R"));
+                assert!(is_complete, "step {}: {logged}, but {of_all}", world.steps_taken());
             }
         });
     }
 
-    /// Verifies the volume of all surfaces while no bodies share one.
+    /// Verifies the volume of the bodies one by one, which is that of all surfaces while no bodies share one.
     fn verify_volume(&self) {
-        if !(2..=5).contains(&self.scene.bodies.len()) {
+        if !(2..=16).contains(&self.scene.bodies.len()) {
             return;
         }
-        let track = self.track("/volume");
+        let tracks = ["surfaces", "bodies"].map(|of| self.track(&format!("/volume/{of}")));
         self.walk_frames(|frame, world| {
-            if world.pairs().any(|pair| pair.phase != Phase::Apart) {
-                return;
-            }
             let volume = |body: BodyView<'_>| {
                 let mesh = body.scene().shape.mesh();
                 let six_times = mesh.triangles().iter().map(|corners| {
@@ -868,8 +873,11 @@ impl Run {
                 six_times.sum::<f64>() / 6.0
             };
             let expected: f64 = world.bodies().map(volume).sum();
-            let logged = track.held[frame].scalar().expect("a volume");
-            assert!((logged - expected).abs() <= 1e-12 * expected, "step {}: {logged}", world.steps_taken());
+            let [surfaces, bodies] = tracks.each_ref().map(|track| track.held[frame].scalar().expect("a volume"));
+            assert!((bodies - expected).abs() <= 1e-12 * expected, "step {}: {bodies}", world.steps_taken());
+            if world.pairs().all(|pair| pair.phase == Phase::Apart) {
+                assert_eq!(surfaces, bodies, "step {}", world.steps_taken());
+            }
         });
     }
 
@@ -930,7 +938,8 @@ impl Run {
             let free = 3 - highlighted.len();
             let plain = plain.min(free);
             let labelled = if plain == 1 && pairs.len() > 1 { 0 } else { plain };
-            let labels: Vec<String> = pairs[..labelled].iter().map(|pair| format!("q = {:.3}", pair.q)).collect();
+            let label = |pair: &PairView| format!("{} q = {:.3}", self.pair_name((pair.a, pair.b)), pair.q);
+            let labels: Vec<String> = pairs[..labelled].iter().map(label).collect();
             assert_eq!(held.texts("LineStrips3D:labels"), labels, "step {}", world.steps_taken());
             let colors: Vec<Rgba32> = pairs.iter().map(|pair| color(phase_color(pair.phase))).collect();
             assert_eq!(held.colors("LineStrips3D:colors"), colors);
@@ -1447,7 +1456,7 @@ fn stages_within_steps_are_recorded() {
             lines.iter().filter(|(_, line)| line.starts_with(&format!("step {step}: "))).collect();
         let names = of_step.iter().filter_map(|(_, line)| line.split(": ").nth(1)?.split(" — ").next());
         let names: Vec<&str> = names.collect();
-        assert_eq!(names[..3], ["start", "influence forces", "end if no influence acted"]);
+        assert_eq!(names[..3], ["start", "influence forces", "hypothetical end without influence"]);
         assert_eq!(names[names.len() - 1], "end");
         assert_eq!(names.iter().any(|name| name.starts_with("merge a~b")), step == 84, "{names:?}");
         // the values at the first stage and at the last are the frames before and after

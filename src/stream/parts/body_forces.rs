@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::{FrameView, pairs::has_named_pairs};
+use super::FrameView;
 use crate::{
     observe::{Schema, frame::TermFrame, schema::TermSchema},
     stream::{
@@ -12,9 +12,12 @@ use crate::{
     },
 };
 
+/// Upper limit on the number of bodies with plots, which are shown one above the other.
+pub const MOST_BODIES: usize = 6;
+
 /// The plots, each from the first frame in which its force acts.
 pub struct BodyForces {
-    /// By body and term; none if the layout does not name every body.
+    /// By body and term; none if there are too many bodies.
     lines: Vec<Vec<Option<LineId>>>,
     /// Whether a term has acted on any body.
     has_acted: Vec<bool>,
@@ -24,7 +27,7 @@ impl BodyForces {
     /// Starts without lines.
     pub fn new(schema: &Schema) -> BodyForces {
         let terms = schema.terms.len();
-        let bodies = if has_named_pairs(schema) { schema.bodies.len() } else { 0 };
+        let bodies = if schema.bodies.len() <= MOST_BODIES { schema.bodies.len() } else { 0 };
         BodyForces { lines: vec![vec![None; terms]; bodies], has_acted: vec![false; terms] }
     }
 

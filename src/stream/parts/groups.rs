@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use super::{FrameView, pairs::has_named_pairs};
 use crate::{
     analysis::surface::Merged,
+    colors::GREY,
     geometry::Vectors,
     observe::{Schema, surface::Group},
     sdk::{AnyValues, components::Text},
@@ -24,8 +25,8 @@ pub struct GroupPlots {
     known: BTreeMap<usize, GroupPlot>,
     /// Plot of the number of groups without a surface; `None` until there is one.
     overlapping: Option<LineId>,
-    /// Plot of the volume of all surfaces, if there is one.
-    volume: Option<LineId>,
+    /// Plots of the volume of all surfaces and of the bodies one by one, if there are some.
+    volumes: Option<[LineId; 2]>,
     /// Volume of each body at rest [scene unit³].
     at_rest: Vec<f64>,
     /// Scratch storage, reused.
@@ -62,9 +63,14 @@ impl GroupPlots {
     /// Starts without groups; at most `max_groups` get plots.
     pub fn new(schema: &Schema, max_groups: usize, series: &mut Series, chunks: &mut Chunks) -> GroupPlots {
         let has_volume = has_named_pairs(schema) && schema.bodies.len() > 1;
-        let volume = has_volume.then(|| {
-            Series::style(chunks, VOLUME.path, "all surfaces", palette::BODY_LINE, 2.5, Interpolation::Linear);
-            series.line(chunks, VOLUME.path, Interpolation::Linear)
+        let volumes = has_volume.then(|| {
+            let styles =
+                [("surfaces", "all surfaces", palette::BODY_LINE, 2.5), ("bodies", "bodies one by one", GREY, 1.5)];
+            styles.map(|(of, label, rgb, width)| {
+                let entity = VOLUME.of(&[of]);
+                Series::style(chunks, &entity, label, rgb, width, Interpolation::Linear);
+                series.line(chunks, &entity, Interpolation::Linear)
+            })
         });
         let bodies = if has_volume { schema.bodies.as_slice() } else { &[] };
         let at_rest = bodies.iter().map(|body| {
@@ -72,7 +78,7 @@ impl GroupPlots {
             body.radius.powi(3) * enclosed(mesh.triangles(), mesh.positions())
         });
         let at_rest = at_rest.collect();
-        GroupPlots { max_groups, known: BTreeMap::new(), overlapping: None, volume, at_rest, is_grouped: Vec::new() }
+        GroupPlots { max_groups, known: BTreeMap::new(), overlapping: None, volumes, at_rest, is_grouped: Vec::new() }
     }
 
     /// Logs changed values.
@@ -119,23 +125,28 @@ impl GroupPlots {
 
 impl GroupPlots {
     fn log_volume(&mut self, view: FrameView<'_>, merged: &Merged, series: &mut Series, chunks: &mut Chunks) {
-        let Some(line) = self.volume else { return };
-        if merged.overlapping > 0 {
-            return series.interrupt(chunks, line, view.at);
-        }
+        let Some([of_surfaces, of_bodies]) = self.volumes else { return };
         self.is_grouped.clear();
         self.is_grouped.resize(self.at_rest.len(), false);
         for &body in merged.groups.iter().flat_map(|group| &group.bodies) {
             self.is_grouped[body] = true;
         }
-        let alone = view.bodies().zip(&self.at_rest).zip(&self.is_grouped).filter(|(_, is_grouped)| !**is_grouped);
-        let volumes = alone.map(|(((body, now), at_rest), _)| match (now.is_absent, now.is_at_rest) {
-            (true, _) => 0.0,
-            (_, true) => *at_rest,
-            _ => enclosed(now.mesh_of(body).triangles(), &now.positions),
-        });
-        let volume = volumes.sum::<f64>() + merged.groups.iter().map(|group| group.volume).sum::<f64>();
-        series.log(chunks, line, volume, view.at);
+        let volumes =
+            view.bodies().zip(&self.at_rest).map(|((body, now), at_rest)| match (now.is_absent, now.is_at_rest) {
+                (true, _) => 0.0,
+                (_, true) => *at_rest,
+                _ => enclosed(now.mesh_of(body).triangles(), &now.positions),
+            });
+        let mut sums = [merged.groups.iter().map(|group| group.volume).sum::<f64>(), 0.0];
+        for (volume, is_grouped) in volumes.zip(&self.is_grouped) {
+            sums[0] += if *is_grouped { 0.0 } else { volume };
+            sums[1] += volume;
+        }
+        series.log(chunks, of_bodies, sums[1], view.at);
+        match merged.overlapping {
+            0 => series.log(chunks, of_surfaces, sums[0], view.at),
+            _ => series.interrupt(chunks, of_surfaces, view.at),
+        }
     }
 }
 

@@ -78,7 +78,7 @@ impl Heat {
 
     /// Adapts the range to the largest displacement that is visible in a frame, and marks its vertex.
     pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
-        let largest = largest_visible(view);
+        let [largest, of_all] = largest(view);
         let displacement = largest.map_or(0.0, |largest| largest.displacement);
         let fits =
             |share: f64| RANGES.iter().position(|range| displacement <= share * range).unwrap_or(RANGES.len() - 1);
@@ -87,10 +87,11 @@ impl Heat {
             self.range = range;
             self.log_range(view.at, chunks);
         }
-        let mark =
-            largest.filter(|largest| largest.displacement > 0.0).map(|Largest { body, vertex, position, .. }| {
-                (position, format!("largest: {}:{vertex}, {displacement:.3} R", view.schema.bodies[body].name))
-            });
+        let mark = largest.filter(|largest| largest.displacement > 0.0).map(|largest| {
+            let hidden = of_all.filter(|of_all| of_all.displacement > largest.displacement);
+            let hidden = hidden.map(|hidden| format!("; inside another body: {}", hidden.text(view)));
+            (largest.position, format!("largest visible: {}{}", largest.text(view), hidden.unwrap_or_default()))
+        });
         if mark != self.last {
             let position: Vec<_> = mark.iter().map(|(position, _)| position.as_vec3().to_array()).collect();
             let label: Vec<_> = mark.iter().map(|(_, label)| label.clone()).collect();
@@ -136,8 +137,14 @@ struct Largest {
     position: DVec3,
 }
 
-/// The vertex with the largest displacement of those that lie in no other body; of all if there is none.
-fn largest_visible(view: FrameView<'_>) -> Option<Largest> {
+impl Largest {
+    fn text(&self, view: FrameView<'_>) -> String {
+        format!("{}:{}, {:.3} R", view.schema.bodies[self.body].name, self.vertex, self.displacement)
+    }
+}
+
+/// The vertex with the largest displacement of those that lie in no other body, and of all.
+fn largest(view: FrameView<'_>) -> [Option<Largest>; 2] {
     let (mut visible, mut any): (Option<Largest>, Option<Largest>) = (None, None);
     for (index, (body, now)) in view.bodies().enumerate() {
         let is_larger =
@@ -163,5 +170,5 @@ fn largest_visible(view: FrameView<'_>) -> Option<Largest> {
             }
         }
     }
-    visible.or(any)
+    [visible.or(any), any]
 }

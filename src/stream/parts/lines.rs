@@ -5,7 +5,7 @@ use glam::DVec3;
 
 use super::{FrameView, MAX_LABELS};
 use crate::{
-    observe::{PairEvent, PairFrame, Schema},
+    observe::{PairEvent, PairFrame, Schema, schema::titled},
     sdk::{self, LineStrips3D, Points3D},
     stream::{
         chunks::{Chunks, TrackId},
@@ -99,8 +99,7 @@ impl Lines {
 
     /// Adds an event, before the first frame that it affects.
     pub fn event(&mut self, schema: &Schema, event: &PairEvent) {
-        let colon = if event.name.contains(' ') { ":" } else { "" };
-        let label = format!("{}{colon} {}", event.name, schema.pair_name(event.a, event.b));
+        let label = titled(event.name, &schema.pair_name(event.a, event.b));
         let color = schema.phases[event.to].color;
         self.recent.event = Some(RecentEvent { pair: (event.a, event.b), label, color, age: 0 });
     }
@@ -130,7 +129,8 @@ impl Lines {
         colors.clear();
         colors.extend(self.closest.iter().map(|pair| color(view.schema.phases[pair.phase].color).to_u32()));
         labels.clear();
-        labels.extend(self.closest[..labelled].iter().map(|pair| format!("q = {:.3}", pair.q)));
+        let label = |pair: &PairFrame| format!("{} q = {:.3}", view.schema.pair_name(pair.a, pair.b), pair.q);
+        labels.extend(self.closest[..labelled].iter().map(label));
         if self.last.as_ref() != Some(&self.next) {
             let LineRows { segments, colors, labels } = &self.next;
             let cells: [&dyn Cell; _] = [segments, colors, labels];

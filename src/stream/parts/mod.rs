@@ -10,7 +10,7 @@
 //! | `/forces/NAME/CAUSE` | [`body_forces`] |
 //! | `/world/forces/net_force`, `…/torque` | [`net_forces`] |
 //! | `/world/merged/surface`, `/world/merged/seams` | [`merged`] |
-//! | `/groups/A/…`, `/volume` | [`groups`] |
+//! | `/groups/A/…`, `/volume/…` | [`groups`] |
 //! | `/world/trails` | [`trails`] |
 //! | `/world/planes/N` | [`planes`] |
 //! | `/world/points` | [`points`] |

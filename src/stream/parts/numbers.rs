@@ -203,10 +203,15 @@ impl FrameNumbers {
         self.timings.iter().filter_map(|timing| Some((timing.name, timing.spread.quantile(0.5)?))).collect()
     }
 
-    /// The 90th percentile of the duration of a step, and that of its recording [ms]; `None` or 0 if there were no frames.
-    pub fn typical(&self) -> [Option<f64>; 2] {
-        let recording: f64 = self.timings.iter().rev().take(2).filter_map(|timing| timing.spread.quantile(0.9)).sum();
-        [self.total.quantile(0.9), Some(recording)]
+    /// A duration that most steps, and their recordings, do not exceed [ms]; 0 if there were no frames: the 90th
+    /// percentile, but not more than four times the median.
+    pub fn typical(&self) -> [f64; 2] {
+        let at = |quantile: f64| {
+            let recording = self.timings.iter().rev().take(2).filter_map(|timing| timing.spread.quantile(quantile));
+            [self.total.quantile(quantile).unwrap_or_default(), recording.sum::<f64>()]
+        };
+        let [medians, most] = [at(0.5), at(0.9)];
+        [0, 1].map(|i| f64::min(most[i], 4.0 * medians[i]))
     }
 
     /// Logs the timings since the last frame [ms per step].

@@ -351,8 +351,11 @@ impl PairPlot {
             .with_colors(schema.phases.iter().map(|phase| color(phase.color)));
         chunks.log_static(&entity(&PAIR_PHASE), &lane);
         let distance = series.line(chunks, &entity(&PAIR_DISTANCE), Interpolation::Linear);
-        let measures = MEASURES.map(|(measure, label, rgb)| {
-            Series::style(chunks, &entity(measure), &format!("{label} {name}"), rgb, 1.5, Interpolation::Linear);
+        let measures = MEASURES.map(|(measure, label, of_measure)| {
+            // of several pairs, each has the colour of its q
+            let rgb = if schema.bodies.len() > 2 { rgb } else { of_measure };
+            let width = if std::ptr::eq(measure, &PAIR_NECK) { 1.0 } else { 2.0 };
+            Series::style(chunks, &entity(measure), &format!("{label} {name}"), rgb, width, Interpolation::Linear);
             if !has_named_pairs(schema) {
                 chunks.log_static(&entity(measure), &SeriesLines::update_fields().with_visible_series([false]));
             }
