@@ -162,7 +162,9 @@ impl Shared {
         let mut text = self.text();
         loop {
             let wait = next.saturating_duration_since(Instant::now()).min(REWRITTEN);
-            text = self.changed.wait_timeout(text, wait).unwrap_or_else(PoisonError::into_inner).0;
+            // checked before waiting too: short work has ended before this thread starts
+            let waited = self.changed.wait_timeout_while(text, wait, |text| !text.has_ended);
+            text = waited.unwrap_or_else(PoisonError::into_inner).0;
             if text.has_ended {
                 return;
             }
