@@ -204,14 +204,14 @@ impl FrameNumbers {
     }
 
     /// A duration that most steps, and their recordings, do not exceed [ms]; 0 if there were no frames: the 90th
-    /// percentile, but not more than four times the median.
+    /// percentile, but not more than twice the 75th.
     pub fn typical(&self) -> [f64; 2] {
         let at = |quantile: f64| {
             let recording = self.timings.iter().rev().take(2).filter_map(|timing| timing.spread.quantile(quantile));
             [self.total.quantile(quantile).unwrap_or_default(), recording.sum::<f64>()]
         };
-        let [medians, most] = [at(0.5), at(0.9)];
-        [0, 1].map(|i| f64::min(most[i], 4.0 * medians[i]))
+        let [many, most] = [at(0.75), at(0.9)];
+        [0, 1].map(|i| f64::min(most[i], 2.0 * many[i]))
     }
 
     /// Logs the timings since the last frame [ms per step].
