@@ -463,7 +463,7 @@ mod tests {
     use super::*;
     use crate::{
         World,
-        geometry::{shape::Solid as _, sphere::Sphere},
+        geometry::{mesh::signed_volume, shape::Solid as _, sphere::Sphere},
         observe::{Simulation as _, Want},
         scene,
     };
@@ -480,11 +480,7 @@ mod tests {
     }
 
     fn volume(group: &Group) -> f64 {
-        let of = |corners: &[u32; 3]| {
-            let [a, b, c] = corners.map(|v| group.positions[v as usize]);
-            a.dot(b.cross(c)) / 6.0
-        };
-        group.triangles.iter().map(of).sum()
+        signed_volume(group.triangles.iter().map(|corners| corners.map(|v| group.positions[v as usize])))
     }
 
     #[test]

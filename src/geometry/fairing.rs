@@ -10,6 +10,8 @@
 use glam::{DVec3, Vec3A};
 use rustc_hash::FxHashMap;
 
+use super::mesh::signed_volume;
+
 /// Default blend distance [radii].
 pub const BLEND: f64 = 0.25;
 
@@ -402,11 +404,7 @@ impl<T: Copy> Seamed<T> {
 
     /// Signed volume between some triangles and a point [scene unit³].
     fn volume(&self, band: &[u32], origin: DVec3) -> f64 {
-        let of = |&t: &u32| {
-            let [a, b, c] = self.triangles[t as usize].map(|v| self.positions[v as usize] - origin);
-            a.dot(b.cross(c)) / 6.0
-        };
-        band.iter().map(of).sum()
+        signed_volume(band.iter().map(|&t| self.triangles[t as usize].map(|v| self.positions[v as usize] - origin)))
     }
 
     /// Removes vertices that no triangle has.

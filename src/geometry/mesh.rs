@@ -22,6 +22,12 @@ pub struct Mesh {
     rings: Option<Rings>,
 }
 
+/// The volume of a closed mesh, given the corners of its triangles, counter-clockwise seen from outside; of an open one that
+/// between it and the origin [cubed unit of the corners].
+pub fn signed_volume(corners: impl Iterator<Item = [DVec3; 3]>) -> f64 {
+    corners.map(|[a, b, c]| a.dot(b.cross(c)) / 6.0).sum()
+}
+
 /// Structure of a mesh that consists of a pole, rings of vertices, and a pole, with triangles as in [`super::Sphere`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rings {

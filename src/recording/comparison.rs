@@ -91,9 +91,9 @@ impl Comparison {
             .collect();
         let radius =
             shown.iter().filter_map(|&(i, ..)| schema.bodies.get(i)).map(|body| body.radius).fold(0.0, f64::max);
-        let second: Vec<_> = shown.iter().map(|(_, name, _)| (COMPARED_SURFACE.of(&["b", name]), COLORS[1])).collect();
+        let second: Vec<_> = shown.iter().map(|(_, name, _)| COMPARED_SURFACE.of(&["b", name])).collect();
         let first = plan.listed.first().map(|(first, _)| first.time);
-        for message in blueprint::of_comparison(spheres, &second, first, &store) {
+        for message in blueprint::of_comparison(spheres, (&second, COLORS[1]), first, &store) {
             sinks.send(message)?;
         }
         let mut chunks = Chunks::new(store);
@@ -161,7 +161,7 @@ impl Comparison {
         mut positions: impl FnMut(usize) -> [Option<Vec<DVec3>>; 2],
     ) -> Result<(), SinkError> {
         let (mut origins, mut apart, light) = (Vec::new(), Vec::new(), Light::in_world());
-        let mut worst: Option<(f64, DVec3, String)> = None;
+        let mut worst: Option<(f64, DVec3, &str, usize)> = None;
         for (index, name, mesh) in &self.shown {
             let both = positions(*index);
             for (side, positions) in ["a", "b"].into_iter().zip(&both) {
@@ -180,7 +180,7 @@ impl Comparison {
                     let difference = a.distance(b) / radius;
                     largest = f64::max(largest, difference);
                     if worst.as_ref().is_none_or(|(worst, ..)| difference > *worst) {
-                        worst = Some((difference, a, format!("{name}:{vertex} {difference:.3e} R")));
+                        worst = Some((difference, a, name, vertex));
                     }
                     origins.push(a.as_vec3());
                     apart.push(b - a);
@@ -189,12 +189,13 @@ impl Comparison {
             }
         }
         let longest = apart.iter().map(|apart| apart.length()).fold(0.0, f64::max);
-        let vectors = apart.iter().map(|apart| (LONGEST * self.radius / longest * *apart).as_vec3());
+        let times = LONGEST * self.radius / longest;
+        let vectors = apart.iter().map(|apart| (times * *apart).as_vec3());
         let arrows = Arrows3D::update_fields().with_origins(origins).with_vectors(vectors);
         self.chunks.log(COMPARED_ERROR.path, at, &arrows);
-        let times = LONGEST * self.radius / longest;
-        let worst = worst.map(|(_, position, label)| {
-            (position.as_vec3(), format!("{label}, arrows {} times as long", significant(times)))
+        let worst = worst.map(|(difference, position, name, vertex)| {
+            let label = format!("{name}:{vertex} {difference:.3e} R, arrows {} times as long", significant(times));
+            (position.as_vec3(), label)
         });
         let (position, label): (Vec<_>, Vec<_>) = worst.into_iter().unzip();
         let worst = Points3D::update_fields().with_positions(position).with_labels(label);

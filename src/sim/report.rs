@@ -202,7 +202,7 @@ pub struct Strain {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
     "step {step} (t = {time:.6} s): {bodies} bodies that act on each other, among them \"{body}\", cannot be followed at tolerance \
-     {tolerance:e} with reasonable work; they take steps of {substep:.1e} s for a while, and their estimated errors \
+     {tolerance:e} with reasonable work; they take steps of {substep:.1e} s until they are calmer, and their estimated errors \
      are recorded"
 )]
 pub struct Fallback {

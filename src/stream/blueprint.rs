@@ -211,10 +211,10 @@ pub fn beside_controls(subject: &Subject<'_>, recording: &StoreId) -> Vec<LogMsg
 
 /// The layout of a comparison of two runs: surfaces and error arrows, differences over time, events.
 ///
-/// `second` are the surfaces of the second run, drawn as dots; the viewer opens at `first` [s], if there is one.
+/// `second` are the surfaces of the second run, drawn as dots in a colour; the viewer opens at `first` [s], if there is one.
 pub fn of_comparison(
     spheres: &[(DVec3, f64)],
-    second: &[(String, palette::Rgb)],
+    (second, rgb): (&[String], palette::Rgb),
     first: Option<f64>,
     recording: &StoreId,
 ) -> Vec<LogMsg> {
@@ -225,9 +225,9 @@ pub fn of_comparison(
     let mut layout = Layout::of(recording);
     layout.ground = Ground::under(spheres);
     let surfaces = layout.space((spheres, WIDE), "Both surfaces, and arrows between them", &[&family(&WORLD)]);
-    for (surface, rgb) in second {
-        let dots =
-            Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(2.0)]).with_colors([palette::color(*rgb)]);
+    let dots =
+        Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(2.0)]).with_colors([palette::color(rgb)]);
+    for surface in second {
         layout.visualize(&surfaces, surface, &[("Points3D", &[VERTICES], &dots)]);
     }
     let about = layout.view("TextDocument", "What is what", ABOUT.path, &[&including(ABOUT.path)], &[]);

@@ -469,25 +469,24 @@ impl Recorder {
                 }
             }
         }
-        let mut about = blueprint::about(&self.schema, &self.settings, self.first);
-        let length = about.len();
-        if self.flight.is_some() {
-            let kept = match self.kept {
-                Some([first, last]) => format!(
-                    "**Frames: only between steps {} and {}.** At other steps, 3D views show the one before, or a part of it.",
-                    first.step, last.step
-                ),
-                None => "**No frames**: what they are kept for did not happen. Ignore the 3D views.".to_owned(),
-            };
-            about = format!("{kept}\n\n{about}");
+        let kept = match (&self.flight, self.kept) {
+            (None, _) => String::new(),
+            (Some(_), Some([first, last])) => format!(
+                "**Frames: only between steps {} and {}.** At other steps, 3D views show the one before, or a part of it.\n\n",
+                first.step, last.step
+            ),
+            (Some(_), None) => {
+                "**No frames**: what they are kept for did not happen. Ignore the 3D views.\n\n".to_owned()
+            }
+        };
+        let mut nearest = String::new();
+        for (number, line) in self.approaches().iter().take(MOST_APPROACHES).enumerate() {
+            let head = if number == 0 { "\nNearest without a change of phase:\n" } else { "" };
+            nearest += &format!("{head}- {line}\n");
         }
-        let approaches = self.approaches();
-        if !approaches.is_empty() {
-            let lines = approaches.iter().take(MOST_APPROACHES).map(|line| format!("- {line}\n"));
-            about += &format!("\nNearest without a change of phase:\n{}", lines.collect::<String>());
-        }
-        if about.len() > length {
-            log_about(about, &mut self.chunks);
+        if !(kept.is_empty() && nearest.is_empty()) {
+            let about = blueprint::about(&self.schema, &self.settings, self.first);
+            log_about(kept + &about + &nearest, &mut self.chunks);
         }
         self.checksums.log(&mut self.chunks, true);
         self.log_property(DIGEST, &format!("{:016x}", self.checksums.digest()));

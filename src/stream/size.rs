@@ -76,15 +76,14 @@ pub fn project(experiment: &dyn Experiment, settings: &Settings, min_size: u64) 
     if settings.detail != Detail::Surface {
         probes.push(Probe::new(&*simulation, sampled(Detail::Surface))?);
     }
-    let (mut frame, mut vertices, mut last_vertices, mut samples_taken) = (Frame::default(), 0, 0, 0);
+    let (mut frame, mut vertices, mut samples_taken) = (Frame::default(), 0, 0);
     let mut run = Run::new(simulation, Some(last));
     while matches!(run.valid_step(), Ok(true)) {
         let simulation = &*run.simulation;
         if simulation.steps_taken().is_multiple_of(stride) {
             simulation.observe(Want::default(), &mut frame);
             let deformed = schema.bodies.iter().zip(&frame.bodies).filter(|(_, now)| !now.is_at_rest);
-            last_vertices = deformed.map(|(body, _)| body.vertex_count() as u64).sum();
-            vertices += last_vertices;
+            vertices += deformed.map(|(body, _)| body.vertex_count() as u64).sum::<u64>();
             samples_taken += 1;
             probes.iter_mut().try_for_each(|probe| probe.recorder.observe(simulation)).ok()?;
         }
@@ -94,17 +93,13 @@ pub fn project(experiment: &dyn Experiment, settings: &Settings, min_size: u64) 
     }
     let simulation = &*run.simulation;
     let seen = simulation.steps_taken();
-    let mean = vertices / u64::max(samples_taken, 1);
-    // frames that were not seen are as large as the last one that was, if that is larger than the mean: scenes fill up
-    let seen_frames = (seen / settings.every + 1).min(frames);
-    let growth = if mean > 0 { f64::max(last_vertices as f64 / mean as f64, 1.0) } else { 1.0 };
-    let equivalent = seen_frames + (growth * (frames - seen_frames) as f64) as u64;
-    let sizes: Option<Vec<u64>> = probes.into_iter().map(|probe| probe.finish(simulation, equivalent)).collect();
+    let sizes: Option<Vec<u64>> = probes.into_iter().map(|probe| probe.finish(simulation, frames)).collect();
     let (bytes, without_forces) = match sizes?[..] {
         [bytes] => (bytes, None),
         [bytes, without] => (bytes, Some(without)),
         _ => return None,
     };
+    let mean = vertices / u64::max(samples_taken, 1);
     let min_bytes = frames.saturating_mul(mean).saturating_mul(MIN_VERTEX_BYTES);
     Some(Projection { bytes: bytes.max(min_bytes), without_forces, frames, seen })
 }
@@ -129,7 +124,7 @@ impl Probe {
         Some(Probe { recorder, encoder, head, first })
     }
 
-    /// The size of a recording with as much in it as this many frames like the samples [bytes].
+    /// The size of a recording with this many frames [bytes].
     fn finish(self, simulation: &dyn Simulation, frames: u64) -> Option<u64> {
         let Probe { mut recorder, mut encoder, head, first } = self;
         let seen = recorder.frames() - first;

@@ -5,6 +5,7 @@ use crate::{
     scene::Scene,
     sim::{
         free,
+        numerics::control::CALM,
         report::{Failure, Fallback, Overworked, Shortfall, StepReport, Toil},
         solver::Step,
         span::Span,
@@ -27,9 +28,10 @@ impl Coupled {
         let before = self.fixed_steps_of(bodies);
         let allowed = scene.tolerance * span.length();
         let (error, body) = (job.report.error, job.report.shortest.map_or(0, |(_, body)| body as usize));
+        let is_calm = error <= CALM * allowed;
         let fixed = match before.left {
             0 => before.begin(),
-            left => FixedSteps { left: left - 1, ..before },
+            left => FixedSteps { left: left - u16::from(is_calm), ..before },
         };
         bodies.iter().for_each(|&body| self.members[body as usize].fixed = fixed);
         if error > allowed && report.shortfall.is_none_or(|worst| worst.error < error) {

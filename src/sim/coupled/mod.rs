@@ -18,7 +18,7 @@
 //!
 //! In a heap, contacts make all bodies one island, and its adaptive steps become very short. Where they are too much work,
 //! the island takes steps of fixed length ([`free`]'s velocity Verlet) and reports their estimated error. Work is counted,
-//! not timed, so it is the same step in every run. Adaptive steps are tried again, each time later.
+//! not timed, so it is the same step in every run. Adaptive steps are tried again after calm steps, each time later.
 //!
 //! How far a free body moves is known only after the step. Islands are built for the expected motion; those with a body
 //! that moved farther are rebuilt and advanced again from the start of the step.

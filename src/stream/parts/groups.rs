@@ -7,7 +7,7 @@ use super::{FrameView, pairs::has_named_pairs};
 use crate::{
     analysis::surface::Merged,
     colors::GREY,
-    geometry::Vectors,
+    geometry::{Vectors, mesh::signed_volume},
     observe::{Schema, surface::Group},
     sdk::{AnyValues, components::Text},
     stream::{
@@ -152,11 +152,7 @@ impl GroupPlots {
 
 /// The volume that a closed mesh encloses, in the unit of its positions cubed.
 fn enclosed(triangles: &[[u32; 3]], positions: &Vectors) -> f64 {
-    let six_times = triangles.iter().map(|corners| {
-        let [a, b, c] = corners.map(|corner| positions.get(corner as usize));
-        a.dot(b.cross(c))
-    });
-    six_times.sum::<f64>() / 6.0
+    signed_volume(triangles.iter().map(|corners| corners.map(|corner| positions.get(corner as usize))))
 }
 
 impl GroupPlot {
