@@ -118,7 +118,7 @@ def check(page, folder):
 
 def main():
     folder = tempfile.mkdtemp()
-    command = [sys.argv[1], "live", "two", "--web-port", "0", "--save", f"{folder}/two-live.rrd"]
+    command = [sys.argv[1], "live", "two", "--bind", "127.0.0.1:0", "--save", f"{folder}/two-live.rrd"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     address = process.stdout.readline().strip()
     if not re.fullmatch(r"http://127\.0\.0\.1:\d+/[0-9a-f]{32}/", address):

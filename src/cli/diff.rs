@@ -9,13 +9,13 @@ use super::{
     sink_failure,
 };
 use crate::{
-    recording::{contents::Contents, diff, existing::Existing},
+    recording::{diff, existing::Existing},
     text::{bytes, counted},
 };
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// A recording of the scene.
+    /// A recording of the scene; of a file that holds several, one by its name: A.rrd/NAME.
     #[arg(value_name = "A.rrd")]
     first: PathBuf,
     /// Another recording of it, made with a different integrator, step size or version of the program.
@@ -24,9 +24,6 @@ pub struct Arguments {
     /// Record both side by side, with arrows between corresponding vertices and their distances.
     #[arg(long, value_name = "D.rrd")]
     save: Option<PathBuf>,
-    /// The recording to take from each file that holds several: the name of its scene, or its id.
-    #[arg(long = "recording", value_name = "NAME")]
-    name: Option<String>,
     /// Ignore differences up to this, in radii [default: the larger tolerance of the two scenes].
     #[arg(long, value_name = "R", value_parser = parse_radii)]
     within: Option<f64>,
@@ -39,17 +36,12 @@ fn parse_radii(text: &str) -> Result<f64, String> {
 
 /// Compares two recordings. The exit status is 0 if no difference exceeds the tolerance, 1 otherwise.
 pub fn diff(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> {
-    [&arguments.first, &arguments.second].into_iter().try_for_each(|path| may_print(path))?;
-    let open = |path| {
-        let contents = Contents::read(path)?;
-        let name = arguments.name.as_deref().filter(|_| contents.names().len() > 1);
-        program.recreate(&contents, contents.index(name)?)
-    };
-    let (a, b) = (open(&arguments.first)?, open(&arguments.second)?);
+    let (a, b) = (program.recorded(&arguments.first)?, program.recorded(&arguments.second)?);
+    [&a, &b].into_iter().try_for_each(|recorded| may_print(&recorded.path))?;
     let tolerance = arguments.within.unwrap_or_else(|| a.schema.tolerance.max(b.schema.tolerance));
     if let Some(save) = &arguments.save {
         let what = "one of the recordings to be compared";
-        may_save(save, &[(&arguments.first, what), (&arguments.second, what)], &Existing::comparison())?;
+        may_save(save, &[(&a.path, what), (&b.path, what)], &Existing::comparison())?;
         announce(save, &Existing::comparison())?;
     }
     let progress = Progress::new("comparing", Work::Uncounted);

@@ -5,7 +5,7 @@ use std::{fmt::Write as _, path::Path};
 use glam::DVec3;
 
 use super::{
-    Failure, interrupt, not_of_scene,
+    Failure, interrupt,
     overrides::Overrides,
     print, print_lines,
     program::Program,
@@ -24,11 +24,9 @@ const LISTED: usize = 12;
 #[derive(clap::Args)]
 pub struct Arguments {
     /// A recording, a scene file, or the name of a built-in scene. It is simulated again, so a thin recording will do.
+    /// Of a file that holds several, one by its name: F.rrd/NAME.
     #[arg(value_name = "F.rrd|SCENE")]
     subject: String,
-    /// The recording to take from a file that holds several: the name of its scene, or its id.
-    #[arg(long = "recording", value_name = "NAME")]
-    name: Option<String>,
     /// The step to explain; 0 is the initial state.
     #[arg(long, value_name = "N")]
     step: u64,
@@ -47,10 +45,9 @@ pub struct Arguments {
 pub fn explain(program: Program<'_>, arguments: &Arguments) -> Result<(), Failure> {
     let path = Path::new(&arguments.subject);
     let (simulation, last) = if Existing::is_recording(path) {
-        let recorded = program.recorded(path, arguments.name.as_deref())?;
+        let recorded = program.recorded(path)?;
         (recorded.start().map_err(Failure::input)?, recorded.last())
     } else {
-        not_of_scene(arguments.name.as_deref())?;
         let subject = program.subject(&arguments.subject, &Overrides::default())?;
         let simulation = subject.experiment(Some(&interrupt::STOP)).start().map_err(Failure::Input)?;
         let last = simulation.schema().steps;

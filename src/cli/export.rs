@@ -11,7 +11,7 @@ use std::{
 };
 
 use super::{
-    Failure, expense, is_marked, not_of_scene, one_of,
+    Failure, expense, is_marked, one_of,
     overrides::Overrides,
     print,
     program::{self, Program},
@@ -36,11 +36,8 @@ const TABLE: &str = "F.csv|F.json|F.parquet";
 #[derive(clap::Args)]
 #[command(group = clap::ArgGroup::new("what").required(true).multiple(true))]
 pub struct Arguments {
-    /// A scene file, the name of a built-in scene, or a recording.
+    /// A scene file, the name of a built-in scene, or a recording; of a file that holds several, F.rrd/NAME.
     scene: String,
-    /// The recording to take from a file that holds several: the name of its scene, or its id.
-    #[arg(long = "recording", value_name = "NAME")]
-    name: Option<String>,
     /// Another value for a key of the scene, such as model=lattice; may be repeated.
     #[arg(long, value_name = "KEY=VALUE", value_parser = Override::parse)]
     set: Vec<Override>,
@@ -215,11 +212,10 @@ fn source(program: Program<'_>, arguments: &Arguments) -> Result<Source, Failure
         if !arguments.set.is_empty() {
             return Err(Failure::Input("--set is for scenes: a recording is exported as it was made".to_owned()));
         }
-        let recorded = program.recorded(path, arguments.name.as_deref())?;
+        let recorded = program.recorded(path)?;
         let (simulation, last) = (recorded.start()?, recorded.last());
         return Ok(Source { run: Run::new(simulation, Some(last)), last, recorded: Some(recorded) });
     }
-    not_of_scene(arguments.name.as_deref())?;
     let overrides = Overrides { set: arguments.set.clone(), ..Overrides::default() };
     let subject = program.subject(&arguments.scene, &overrides)?;
     if let Some(scene) = subject.scene() {

@@ -1,7 +1,6 @@
 //! `meldscope live`: sliders beside the viewer.
 
 use std::{
-    net::{IpAddr, Ipv4Addr},
     path::{Path, PathBuf},
     sync::{
         Arc,
@@ -21,7 +20,7 @@ use crate::{
     live::{self, Live, change::Problem},
     observe::Experiment,
     scene::{Scene, template::Override},
-    stream::sinks::{Host, Serve},
+    stream::sinks::Serve,
 };
 
 /// A watched file is checked at this interval.
@@ -38,15 +37,10 @@ pub(super) struct Arguments {
     /// Update the page whenever the scene file changes.
     #[arg(long)]
     watch: bool,
-    /// The port of the page; 0 for any free port.
-    #[arg(long, value_name = "PORT", default_value_t = 9090)]
-    web_port: u16,
-    /// The address to listen on. At any but this machine's own, others who know the page's address can use it.
-    #[arg(long, value_name = "IP", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST))]
-    bind: IpAddr,
-    /// Also accept requests under this host name or address, not only this machine's own; may be repeated.
-    #[arg(long, value_name = "HOST")]
-    allow_host: Vec<Host>,
+    /// The address to listen on, or a name of this machine, and the port of the page, 0 for any free one. At any but this
+    /// machine's own, others who know the page's address can use it.
+    #[arg(long, value_name = "HOST[:PORT]", default_value = "127.0.0.1")]
+    bind: Serve,
     /// Another value for a key of the scene, such as influence.merge_at=1.1; may be repeated.
     #[arg(long, value_name = "KEY=VALUE", value_parser = Override::parse)]
     set: Vec<Override>,
@@ -84,14 +78,13 @@ pub(super) fn live(program: Program<'_>, arguments: Arguments) -> Result<(), Fai
     };
     let name = path.file_stem().map_or(first.schema().name, |stem| stem.to_string_lossy().into_owned());
     let save = arguments.save.unwrap_or_else(|| PathBuf::from(format!("{name}-live.rrd")));
-    let serve =
-        Serve { bind: arguments.bind, web_port: arguments.web_port, allow: arguments.allow_host, ..Serve::default() };
+    let is_loopback = arguments.bind.bind.is_loopback();
     interrupt::raise_stop()?;
-    let options = live::Options { serve, save, interrupt: &OUTDATED };
+    let options = live::Options { serve: arguments.bind, save, interrupt: &OUTDATED };
     let live = Live::start(first, options).map_err(sink_failure)?;
     print_always(&live.address);
     say("Open this address in a browser. Ctrl-C ends.");
-    if !arguments.bind.is_loopback() {
+    if !is_loopback {
         say("Whoever has this address can change the scene, and save files here; nothing is encrypted.");
     }
     while !interrupt::STOP.load(Ordering::Relaxed) {

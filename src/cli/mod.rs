@@ -362,16 +362,6 @@ fn may_save(path: &Path, inputs: &[(&Path, &str)], new: &Existing) -> Result<(),
     existing::replace(path, new).map(drop).map_err(sink_failure)
 }
 
-/// Rejects the name of a recording where the subject is a scene.
-fn not_of_scene(name: Option<&str>) -> Result<(), Failure> {
-    match name {
-        Some(name) => {
-            Err(Failure::Input(format!("--recording {name}: it is for a file of recordings, not for a scene")))
-        }
-        None => Ok(()),
-    }
-}
-
 /// Rejects an input file that is also standard output.
 fn may_print(input: &Path) -> Result<(), Failure> {
     let is_stdout = || Ok::<_, io::Error>(same_file::Handle::stdout()? == same_file::Handle::from_path(input)?);

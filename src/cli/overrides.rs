@@ -32,41 +32,38 @@ fn parse_integrator(text: &str) -> Result<Integrator, String> {
 }
 
 impl Overrides {
-    /// Whether the scene stays as it is.
-    pub fn is_empty(&self) -> bool {
-        self.set.is_empty() && self.integrator.is_none() && self.model.is_none()
-    }
-
     /// The scene with these changes; `file` is its name in errors.
     pub fn apply(&self, scene: Scene, file: &str) -> Result<Scene, Failure> {
-        let mut scene = scene.with(&self.set, file).map_err(|error| Failure::Input(format!("--set: {error}")))?;
+        let mut scene = with(scene, &self.set, file)?;
         scene.integrator = self.integrator.unwrap_or(scene.integrator);
         scene.model = self.model.unwrap_or(scene.model);
         Ok(scene)
     }
+}
 
-    /// The scene of a recording with these changes.
-    pub fn rerun(&self, recorded: &Recorded) -> Result<Arc<dyn Experiment>, Failure> {
-        let (was, mut settings) = (&recorded.schema, recorded.run.clone());
-        let scene = Scene::parse(&was.source, &was.name).map_err(Failure::input)?;
-        let scene = self.apply(scene, &was.name)?;
-        let sets = |key: &str| self.set.iter().any(|one| one.key() == key);
-        if self.integrator.is_some() || sets("integrator") {
-            settings.insert("integrator".to_owned(), scene.integrator.name().into());
+fn with(scene: Scene, set: &[Override], file: &str) -> Result<Scene, Failure> {
+    scene.with(set, file).map_err(|error| Failure::Input(format!("--set: {error}")))
+}
+
+/// The scene of a recording with these changes.
+pub fn rerun(set: &[Override], recorded: &Recorded) -> Result<Arc<dyn Experiment>, Failure> {
+    let (was, mut settings) = (&recorded.schema, recorded.run.clone());
+    let scene = Scene::parse(&was.source, &was.name).map_err(Failure::input)?;
+    let scene = with(scene, set, &was.name)?;
+    let values: [(&str, toml::Value); 4] = [
+        ("integrator", scene.integrator.name().into()),
+        ("model", scene.model.name().into()),
+        ("dt", scene.dt.into()),
+        ("tolerance", scene.tolerance.into()),
+    ];
+    for (key, value) in values {
+        if set.iter().any(|one| one.key() == key) {
+            settings.insert(key.to_owned(), value);
         }
-        if self.model.is_some() || sets("model") {
-            settings.insert("model".to_owned(), scene.model.name().into());
-        }
-        for (key, number) in [("dt", scene.dt), ("tolerance", scene.tolerance)] {
-            if sets(key) {
-                settings.insert(key.to_owned(), number.into());
-            }
-        }
-        let set = settings.entry("set").or_insert_with(|| toml::Value::Array(Vec::new()));
-        if let toml::Value::Array(set) = set {
-            set.extend(self.set.iter().map(|one| one.to_string().into()));
-        }
-        models::read(&was.name, &was.source, &settings)
-            .map_err(|(Refusal::Source(what) | Refusal::Run(what))| Failure::Input(what))
     }
+    if let toml::Value::Array(all) = settings.entry("set").or_insert_with(|| toml::Value::Array(Vec::new())) {
+        all.extend(set.iter().map(|one| one.to_string().into()));
+    }
+    models::read(&was.name, &was.source, &settings)
+        .map_err(|(Refusal::Source(what) | Refusal::Run(what))| Failure::Input(what))
 }

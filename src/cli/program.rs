@@ -5,12 +5,15 @@ use std::{
     sync::{Arc, OnceLock, atomic::AtomicBool},
 };
 
-use super::{Failure, load, overrides::Overrides};
+use super::{
+    Failure, load,
+    overrides::{self, Overrides},
+};
 use crate::{
     models::{self, SceneRun},
     observe::{Experiment, Refusal, Schema, Variation, simulation::FindExperiment},
     recording::{ReadError, Recorded, contents::Contents},
-    scene::Scene,
+    scene::{Scene, template::Override},
     sim::Options,
     stream::settings::file_stem,
     text::did_you_mean,
@@ -82,7 +85,7 @@ pub(super) fn described(command: clap::Command, name: &str) -> clap::Command {
             without(named(live, "scene", NAME), &["watch"])
         })
         .mut_subcommand("replay", |replay| {
-            without(replay, &["integrator", "model"])
+            replay
                 .about("Simulate a recording's experiment again and verify every step")
         })
         .mut_subcommand("check", |check| {
@@ -118,15 +121,21 @@ impl Program<'_> {
                          it: let Schema::name be a name that it knows, of letters, digits, - and _"
                     )));
                 }
-                Ok(Subject::Own(vary(experiment, overrides)?))
+                let foreign =
+                    [("--integrator", overrides.integrator.is_some()), ("--model", overrides.model.is_some())];
+                if let Some((option, _)) = foreign.into_iter().find(|&(_, is_used)| is_used) {
+                    return Err(Failure::Input(format!("{option} is for scenes: use --set with a parameter")));
+                }
+                Ok(Subject::Own(vary(experiment, &overrides.set)?))
             }
         }
     }
 
-    /// Opens a recording: of a file that holds several, the one of this name.
-    pub fn recorded(&self, path: &Path, name: Option<&str>) -> Result<Recorded, ReadError> {
+    /// Opens the only recording of a file, or one of several: `F.rrd/NAME`.
+    pub fn recorded(&self, path: &Path) -> Result<Recorded, ReadError> {
         let contents = Contents::read(path)?;
-        self.recreate(&contents, contents.index(name)?)
+        contents.only()?;
+        self.recreate(&contents, 0)
     }
 
     /// Opens one of the recordings of a file.
@@ -144,10 +153,10 @@ impl Program<'_> {
     }
 
     /// A recorded experiment with changes.
-    pub fn varied(&self, recorded: &Recorded, overrides: &Overrides) -> Result<Arc<dyn Experiment>, Failure> {
+    pub fn varied(&self, recorded: &Recorded, set: &[Override]) -> Result<Arc<dyn Experiment>, Failure> {
         match self {
-            Program::Scenes => overrides.rerun(recorded),
-            Program::Own(_) => vary(Arc::clone(&recorded.experiment), overrides),
+            Program::Scenes => overrides::rerun(set, recorded),
+            Program::Own(_) => vary(Arc::clone(&recorded.experiment), set),
         }
     }
 }
@@ -157,27 +166,21 @@ fn unknown(name: &str, why: &str) -> String {
 }
 
 /// An experiment with other values of its parameters.
-fn vary(experiment: Arc<dyn Experiment>, overrides: &Overrides) -> Result<Arc<dyn Experiment>, Failure> {
-    for (option, is_used) in [("--integrator", overrides.integrator.is_some()), ("--model", overrides.model.is_some())]
-    {
-        if is_used {
-            return Err(Failure::Input(format!("{option} is for scenes: use --set with a parameter")));
-        }
-    }
-    if overrides.is_empty() {
+fn vary(experiment: Arc<dyn Experiment>, set: &[Override]) -> Result<Arc<dyn Experiment>, Failure> {
+    if set.is_empty() {
         return Ok(experiment);
     }
     let parameters = experiment.parameters();
     let mut variation = Variation::default();
-    for set in &overrides.set {
-        let key = set.key();
+    for one in set {
+        let key = one.key();
         if !parameters.iter().any(|parameter| parameter.key == key) {
             let keys = || parameters.iter().map(|parameter| parameter.key.as_str());
             let (hint, known) = (did_you_mean(key, keys()), keys().collect::<Vec<_>>().join(", "));
             let known = if known.is_empty() { "it has none".to_owned() } else { format!("its parameters are {known}") };
             return Err(Failure::Input(format!("--set: the experiment has no parameter {key:?}{hint} ({known})")));
         }
-        let number = set.number().ok_or_else(|| Failure::Input(format!("--set {set}: expected a number")))?;
+        let number = one.number().ok_or_else(|| Failure::Input(format!("--set {one}: expected a number")))?;
         variation.values.insert(key.to_owned(), number);
     }
     experiment.varied(&variation).map_err(|error| Failure::Input(format!("--set: {error}")))

@@ -3,9 +3,7 @@
 use std::path::PathBuf;
 
 use super::{
-    Failure, announce, may_print, may_save, one_of,
-    overrides::Overrides,
-    print,
+    Failure, announce, may_print, may_save, print,
     program::Program,
     progress::{Progress, Work},
     say, sink_failure, vector,
@@ -19,12 +17,13 @@ use crate::{
         read::End,
         replay::{self, Verdict},
     },
+    scene::template::Override,
     stream::{
         Recorder,
         blueprint::Tab,
         machine,
         pipeline::send,
-        settings::{Detail, Frames, Settings, application},
+        settings::{DETAILS, Detail, Frames, Settings, application},
         sinks::{Destinations, Sinks},
     },
     text::{bytes, counted, thousands},
@@ -35,11 +34,9 @@ const FRAMES_PER_CHUNK: u64 = 64;
 
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// The recording: from `run`, `run --thin` or `replay --save`, or left by a killed run (F.rrd.partial).
+    /// The recording: from `run`, `run --thin` or `replay --save`, or left by a killed run (F.rrd.partial). Of a file that
+    /// holds several, all are verified; F.rrd/NAME is one, by the name of its scene or its id.
     recording: PathBuf,
-    /// The only recording to replay of a file that holds several: the name of its scene, or its id [default: all of them].
-    #[arg(long = "recording", value_name = "NAME")]
-    name: Option<String>,
     /// Record the replay with every frame, including those that the original recording lacks.
     #[arg(long, value_name = "G.rrd")]
     save: Option<PathBuf>,
@@ -50,23 +47,26 @@ pub struct Arguments {
     #[arg(long, value_name = "STEP", requires = "save")]
     to: Option<u64>,
     /// Level of detail of each frame.
-    #[arg(long, default_value = Detail::Forces.name(), value_parser = one_of(&Detail::ALL, Detail::name), requires = "save")]
+    #[arg(long, value_name = DETAILS, default_value_t = Detail::Forces, requires = "save")]
     detail: Detail,
-    #[command(flatten)]
-    overrides: Overrides,
+    /// Run the scene with another value for one of its keys, such as integrator=rk4 or influence.merge_at=1.1, and verify
+    /// nothing; may be repeated.
+    #[arg(long, value_name = "KEY=VALUE", value_parser = Override::parse)]
+    set: Vec<Override>,
 }
 
 /// Replays and verifies a recording or all of a file, or runs a recording's scene with other settings and verifies
 /// nothing.
 pub fn replay(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> {
-    may_print(&arguments.recording)?;
     let contents = Contents::read(&arguments.recording)?;
-    let is_one_run = arguments.name.is_some() || arguments.save.is_some() || !arguments.overrides.is_empty();
+    may_print(contents.path())?;
+    let is_one_run = arguments.save.is_some() || !arguments.set.is_empty();
     if contents.names().len() > 1 && !is_one_run {
         return verify_all(program, &arguments, &contents);
     }
-    let recorded = program.recreate(&contents, contents.index(arguments.name.as_deref())?)?;
-    match arguments.overrides.is_empty() {
+    contents.only()?;
+    let recorded = program.recreate(&contents, 0)?;
+    match arguments.set.is_empty() {
         true => verify(&arguments, &recorded, &recorded.path.display().to_string()),
         false => vary(program, &arguments, &recorded),
     }
@@ -74,7 +74,7 @@ pub fn replay(program: Program<'_>, arguments: Arguments) -> Result<(), Failure>
 
 /// Verifies each recording of a file. The exit status is that of the worst.
 fn verify_all(program: Program<'_>, arguments: &Arguments, contents: &Contents) -> Result<(), Failure> {
-    let (path, names) = (arguments.recording.display(), contents.names());
+    let (path, names) = (contents.path().display(), contents.names());
     let (mut failed, mut is_input) = (0, false);
     for (index, name) in names.iter().enumerate() {
         let recorded = program.recreate(contents, index).map_err(Failure::from);
@@ -216,7 +216,7 @@ fn vary(program: Program<'_>, arguments: &Arguments, recorded: &Recorded) -> Res
         None => schema.integrator.clone(),
         Some(model) => format!("{} of {model}", schema.integrator),
     };
-    let experiment = program.varied(recorded, &arguments.overrides)?;
+    let experiment = program.varied(recorded, &arguments.set)?;
     let simulation = experiment.start().map_err(Failure::Input)?;
     let schema = experiment.schema();
     let steps = (recorded.last() as f64 * was.dt / schema.dt).round() as u64;
@@ -302,7 +302,7 @@ impl Saver {
     ) -> Result<Saver, Failure> {
         let new = Existing { application: application(&schema.name), kind: Some(Kind::Run) };
         if let Some(save) = &arguments.save {
-            may_save(save, &[(&arguments.recording, "the recording to be replayed")], &new)?;
+            may_save(save, &[(&recorded.path, "the recording to be replayed")], &new)?;
         }
         let destinations = Destinations { save: arguments.save.clone(), ..Destinations::default() };
         let sinks = arguments.save.as_ref().map(|_| Sinks::open(&destinations)).transpose().map_err(sink_failure)?;

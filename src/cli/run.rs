@@ -6,7 +6,6 @@ mod simulate;
 mod watch;
 
 use std::{
-    net::{IpAddr, SocketAddr},
     path::{Path, PathBuf},
     sync::atomic::Ordering,
     time::Duration,
@@ -27,8 +26,8 @@ use crate::{
     sdk,
     stream::{
         blueprint::Tab,
-        settings::{self, Around, Detail, Entities, Frames, Settings, Trigger, application, file_stem},
-        sinks::{Destinations, Host, Serve, Sinks, Spawn},
+        settings::{self, Around, DETAILS, Detail, Entities, Frames, Settings, Trigger, application, file_stem},
+        sinks::{Destinations, Serve, Sinks, Spawn},
     },
     text::thousands,
 };
@@ -38,8 +37,6 @@ use watch::watch;
 
 pub(super) use watch::changed;
 
-/// The port of the page with the web viewer.
-const PAGE: u16 = 9090;
 /// Notes are printed, and a watched file is checked, at this interval.
 const CHECK_INTERVAL: Duration = Duration::from_millis(50);
 
@@ -63,15 +60,17 @@ pub struct Arguments {
     /// Write the recording to standard output.
     #[arg(long, help_heading = "Destinations")]
     stdout: bool,
-    /// The address that --serve listens on, and the port of its page, 0 for any free one. The data is on port 9876, or with
-    /// a port, on the next one. Beyond this machine's own addresses, others can read all that is served, unencrypted.
-    #[arg(long, value_name = "IP[:PORT]", default_value = "127.0.0.1", value_parser = parse_bind, requires = "serve",
-          help_heading = "Destinations")]
-    bind: Bind,
-    /// Also accept requests to --serve under this host name or address, not only this machine's own; may be repeated.
-    #[arg(long, value_name = "HOST", requires = "serve", help_heading = "Destinations")]
-    allow_host: Vec<Host>,
-
+    /// The address that --serve listens on, or a name of this machine, and the port of its page, 0 for any free one. The
+    /// data is on port 9876, or with a port, on the next one. Beyond this machine's own addresses, others can read all that
+    /// is served, unencrypted.
+    #[arg(
+        long,
+        value_name = "HOST[:PORT]",
+        default_value = "127.0.0.1",
+        requires = "serve",
+        help_heading = "Destinations"
+    )]
+    bind: Serve,
     #[command(flatten)]
     overrides: Overrides,
     /// Number of steps, instead of the scene's duration; 0: run until Ctrl-C.
@@ -80,17 +79,10 @@ pub struct Arguments {
     /// Record every Nth step [default: 1, or the smallest N that keeps the file of a large scene below 200 MB].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "What to record")]
     every: Option<u64>,
-    /// Level of detail of each frame. `stages` also records the states within a step; it cannot be combined with
-    /// --thin or --keep.
-    #[arg(long, default_value = Detail::Forces.name(), value_parser = one_of(&Detail::ALL, Detail::name),
-          help_heading = "What to record")]
+    /// Level of detail of each frame. `stages` also records the states within each step, or those from FROM to TO; it
+    /// cannot be combined with --thin or --keep.
+    #[arg(long, value_name = DETAILS, default_value_t = Detail::Forces, help_heading = "What to record")]
     detail: Detail,
-    /// The first step that --detail stages records [default: the first].
-    #[arg(long, value_name = "STEP", help_heading = "What to record")]
-    from: Option<u64>,
-    /// The last step that --detail stages records [default: the last].
-    #[arg(long, value_name = "STEP", help_heading = "What to record")]
-    to: Option<u64>,
     /// Log one entity per body, or batch all bodies into a few entities [default: batch above 64 bodies].
     #[arg(long, value_parser = one_of(&Entities::ALL, Entities::name), help_heading = "What to record")]
     entities: Option<Entities>,
@@ -109,9 +101,10 @@ pub struct Arguments {
     /// Record only the scene and checksums, about ten bytes per step; `replay --save` restores the frames.
     #[arg(long, conflicts_with_all = ["every", "detail", "entities", "keep"], help_heading = "What to record")]
     thin: bool,
-    /// Flight recorder: keep the last N frames in memory; write them at the end, or when an --on event occurs.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "Flight recorder")]
-    keep: Option<u64>,
+    /// Flight recorder: keep the last N frames in memory; write them at the end, or when an --on event occurs, then with the
+    /// M frames that follow.
+    #[arg(long, value_name = "N[+M]", value_parser = parse_kept, help_heading = "Flight recorder")]
+    keep: Option<Kept>,
     /// Write the frames held by --keep whenever one of these events occurs, instead of at the end.
     #[arg(
         long,
@@ -121,9 +114,6 @@ pub struct Arguments {
         help_heading = "Flight recorder"
     )]
     on: Vec<String>,
-    /// After such an event, also write the N frames that follow.
-    #[arg(long, requires = "on", value_name = "N", default_value_t = 0, help_heading = "Flight recorder")]
-    after: u64,
     /// Run no faster than real time.
     #[arg(long, help_heading = "Viewer")]
     realtime: bool,
@@ -136,27 +126,22 @@ pub struct Arguments {
     tab: Tab,
 }
 
-/// What a server listens on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Bind {
-    address: IpAddr,
-    /// Port of the page with the web viewer.
-    page: u16,
-    /// Port of the data.
-    data: u16,
+/// What a flight recorder keeps.
+#[derive(Clone, Copy, Debug)]
+struct Kept {
+    /// Frames up to an event or the end.
+    most: u64,
+    /// Frames that follow an event.
+    after: u64,
 }
 
-fn parse_bind(text: &str) -> Result<Bind, String> {
-    if let Ok(address) = text.parse() {
-        return Ok(Bind { address, page: PAGE, data: sdk::DEFAULT_SERVER_PORT });
-    }
-    let address: Option<SocketAddr> = text.parse().ok();
-    let of = |address: SocketAddr| {
-        let page = address.port();
-        let data = if page == 0 { 0 } else { page.checked_add(1)? };
-        Some(Bind { address: address.ip(), page, data })
-    };
-    address.and_then(of).ok_or_else(|| "expected an IP address, and a port below 65535 after a colon".to_owned())
+fn parse_kept(text: &str) -> Result<Kept, String> {
+    let (most, after) = text.split_once('+').unwrap_or((text, "0"));
+    let kept = most.parse().ok().zip(after.parse().ok()).filter(|&(most, _)| most > 0);
+    let kept = kept.map(|(most, after)| Kept { most, after });
+    kept.ok_or_else(|| {
+        "expected a number of frames, 1 or more, such as 60, or 60+30 with those after an event".to_owned()
+    })
 }
 
 /// Simulates a scene and records it.
@@ -173,10 +158,10 @@ pub fn run(program: Program<'_>, mut arguments: Arguments) -> Result<(), Failure
     let schema = simulation.schema();
     let destinations = destinations(&arguments, &schema.name);
     let settings = settings(&arguments, &schema)?;
-    if let (Some(from), Some(steps)) = (arguments.from, settings.steps)
+    if let (Detail::Stages { from, .. }, Some(steps)) = (arguments.detail, settings.steps)
         && from > steps
     {
-        return Err(Failure::Input(format!("--from {from} is beyond the last step, {steps}")));
+        return Err(Failure::Input(format!("--detail {}: step {from} is beyond the last, {steps}", arguments.detail)));
     }
     let new = Existing { application: application(&schema.name), kind: Some(Kind::of(&settings)) };
     if let Some(save) = &destinations.save {
@@ -225,7 +210,6 @@ pub fn run(program: Program<'_>, mut arguments: Arguments) -> Result<(), Failure
 /// Rejects contradictory options.
 fn check(program: Program<'_>, arguments: &Arguments) -> Result<(), Failure> {
     let is_viewed = arguments.spawn || arguments.connect.is_some() || arguments.serve;
-    let has_range = arguments.from.is_some() || arguments.to.is_some();
     let reject = |what: &str| Err(Failure::Input(what.to_owned()));
     match arguments.detail {
         _ if arguments.watch && !matches!(program, Program::Scenes) => reject("--watch is for scene files"),
@@ -233,10 +217,9 @@ fn check(program: Program<'_>, arguments: &Arguments) -> Result<(), Failure> {
         _ if arguments.watch && !Path::new(&arguments.scene).is_file() => {
             reject(&format!("--watch needs a scene file, and there is no file {:?}", arguments.scene))
         }
-        Detail::Surface | Detail::Forces if has_range => {
-            reject("--from and --to select the steps that --detail stages records: add it")
+        _ if arguments.keep.is_some_and(|kept| kept.after > 0) && arguments.on.is_empty() => {
+            reject("--keep N+M: the M frames follow an event that --on names: add it")
         }
-        _ if arguments.from > arguments.to && arguments.to.is_some() => reject("--from is after --to"),
         Detail::Surface | Detail::Forces if arguments.tab == Tab::Stages => {
             reject("--tab stages shows the states within steps, which --detail stages records: add it")
         }
@@ -278,16 +261,11 @@ fn settings(arguments: &Arguments, schema: &Schema) -> Result<Settings, Failure>
             some => some,
         },
         every: arguments.every.unwrap_or(own.every),
-        detail: match arguments.detail {
-            Detail::Stages { from, to } => {
-                Detail::Stages { from: arguments.from.unwrap_or(from), to: arguments.to.unwrap_or(to) }
-            }
-            detail => detail,
-        },
+        detail: arguments.detail,
         entities: arguments.entities.unwrap_or(own.entities),
         frames: match (arguments.thin, arguments.keep) {
             (true, _) => Frames::Thin,
-            (false, Some(most)) => Frames::Last { most, on, after: arguments.after },
+            (false, Some(Kept { most, after })) => Frames::Last { most, on, after },
             (false, None) => own.frames,
         },
         pairs: arguments.plots.map_or(own.pairs, |plots| plots as usize),
@@ -307,12 +285,7 @@ fn destinations(arguments: &Arguments, name: &str) -> Destinations {
         stdout: arguments.stdout,
         spawn: arguments.spawn.then(Spawn::default),
         connect: arguments.connect.clone(),
-        serve: arguments.serve.then(|| Serve {
-            bind: arguments.bind.address,
-            web_port: arguments.bind.page,
-            grpc_port: arguments.bind.data,
-            allow: arguments.allow_host.clone(),
-        }),
+        serve: arguments.serve.then(|| arguments.bind.clone()),
         ..Destinations::default()
     }
 }

@@ -1,4 +1,5 @@
 //! The recordings in a file: one, or several one after the other, as `bench thesis --save` and `rerun rrd merge` make.
+//! The path `F.rrd/NAME` is that of one of them.
 
 use std::{
     collections::HashMap,
@@ -18,17 +19,25 @@ use crate::{
 /// The recordings in a file, whose scenes are not parsed yet.
 pub struct Contents {
     path: PathBuf,
-    /// In the order in which they begin.
-    found: Vec<Found>,
-    end: End,
+    /// In the order in which they begin, each with the way it ends.
+    found: Vec<(Found, End)>,
+}
+
+/// Splits the path of one recording of a file, `F.rrd/NAME`, into the file and the name.
+pub(crate) fn file_and_name(path: &Path) -> (&Path, Option<&str>) {
+    match (path.parent(), path.file_name().and_then(|name| name.to_str())) {
+        (Some(file), Some(name)) if !path.exists() && file.is_file() => (file, Some(name)),
+        _ => (path, None),
+    }
 }
 
 impl Contents {
-    /// Reads a file.
+    /// Reads a file, or one recording of it: `F.rrd/NAME`, the name of its scene or its id.
     ///
     /// # Errors
-    /// The file cannot be read, is not a recording, or is damaged.
+    /// The file cannot be read, is not a recording, is damaged, or has no recording of this name.
     pub fn read(path: &Path) -> Result<Contents, ReadError> {
+        let (path, name) = file_and_name(path);
         let mut reader = Reader::open(path)?;
         let (mut found, mut indices) = (Vec::<Found>::new(), HashMap::new());
         while let Some(chunk) =
@@ -45,45 +54,49 @@ impl Contents {
         if found.is_empty() {
             found.push(Found::default());
         }
-        Ok(Contents { path: path.to_owned(), found, end: reader.end().unwrap_or(End::Cut) })
+        let end = reader.end().unwrap_or(End::Cut);
+        let last = found.len() - 1;
+        // what another recording follows has ended before the file was cut
+        let ended = |(index, one): (usize, Found)| {
+            let end = if index < last && one.has_end() { End::Whole } else { end };
+            (one, end)
+        };
+        let found = found.into_iter().enumerate().map(ended).collect();
+        let mut contents = Contents { path: path.to_owned(), found };
+        if let Some(name) = name {
+            let is_wanted = |(known, of): (&&str, &(Found, End))| **known == *name || of.0.id == name;
+            let index = contents.names().iter().zip(&contents.found).position(is_wanted);
+            let index = index.ok_or_else(|| contents.several(&format!("there is no {name:?} among its")))?;
+            contents.found = vec![contents.found.swap_remove(index)];
+        }
+        Ok(contents)
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
     }
 
     /// The name of each recording: that of its scene, or its id where several have that name.
     pub fn names(&self) -> Vec<&str> {
         let mut counts = HashMap::new();
-        self.found.iter().for_each(|recording| *counts.entry(recording.name()).or_insert(0) += 1);
+        let all = || self.found.iter().map(|(recording, _)| recording);
+        all().for_each(|recording| *counts.entry(recording.name()).or_insert(0) += 1);
         let name = |recording| if counts[Found::name(recording)] == 1 { recording.name() } else { &recording.id };
-        self.found.iter().map(name).collect()
+        all().map(name).collect()
     }
 
-    /// The recording of this name or id; without one, the only recording.
+    /// Checks that there is only one recording.
     ///
     /// # Errors
-    /// There is no such recording, the file holds several and none is named, or it is not a valid recording.
-    pub fn only(self, name: Option<&str>, read: &ReadExperiment<'_>) -> Result<Recorded, ReadError> {
-        self.recorded(self.index(name)?, read)
-    }
-
-    /// The place of the recording of this name or id among the [names](Contents::names); without one, that of the only
-    /// recording.
-    ///
-    /// # Errors
-    /// There is no such recording, or the file holds several and none is named.
-    pub fn index(&self, name: Option<&str>) -> Result<usize, ReadError> {
-        let names = self.names();
-        match name {
-            None if names.len() == 1 => Ok(0),
-            None => Err(self.several("it holds")),
-            Some(name) => {
-                let index = names.iter().zip(&self.found).position(|(known, of)| *known == name || of.id == name);
-                index.ok_or_else(|| self.several(&format!("there is no {name:?} among its")))
-            }
-        }
+    /// There are several.
+    pub fn only(&self) -> Result<(), ReadError> {
+        if self.found.len() == 1 { Ok(()) } else { Err(self.several("it holds")) }
     }
 
     /// The name of the scene of a recording; several may have the same.
     pub fn scene(&self, index: usize) -> &str {
-        self.found[index].name()
+        self.found[index].0.name()
     }
 
     /// Recreates a recording; `index` is its place among the [names](Contents::names).
@@ -91,11 +104,8 @@ impl Contents {
     /// # Errors
     /// It is not a valid recording of this program.
     pub fn recorded(&self, index: usize, read: &ReadExperiment<'_>) -> Result<Recorded, ReadError> {
-        let recording = &self.found[index];
-        // what another recording follows has ended before the file was cut
-        let is_followed = index + 1 < self.found.len() && recording.has_end();
-        let end = if is_followed { End::Whole } else { self.end };
-        recording.clone().into_recorded(&self.path, read, end)
+        let (recording, end) = &self.found[index];
+        recording.clone().into_recorded(&self.path, read, *end)
     }
 
     fn several(&self, what: &str) -> ReadError {

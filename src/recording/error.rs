@@ -26,7 +26,7 @@ pub enum ReadError {
         what: String,
     },
     /// The file holds several recordings, and no single one of them was asked for.
-    #[error("{}: {what} {count} recordings: choose one with --recording: {names}", path.display())]
+    #[error("{}: {what} {count} recordings: choose one, as {}/NAME: {names}", path.display(), path.display())]
     Several {
         /// The file.
         path: PathBuf,

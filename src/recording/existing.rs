@@ -7,7 +7,7 @@
 use std::fmt;
 use std::path::Path;
 
-use super::{read::Reader, recorded::cell};
+use super::{contents::file_and_name, read::Reader, recorded::cell};
 use crate::sdk::datatypes::Utf8;
 use crate::stream::{
     contract::{BLESSED, Component, PROPERTIES, SETTINGS},
@@ -72,7 +72,8 @@ pub struct Existing {
 impl Existing {
     /// Whether a file begins like a recording.
     pub fn is_recording(path: &Path) -> bool {
-        path.is_file() && Reader::open(path).is_ok()
+        let (file, _) = file_and_name(path);
+        file.is_file() && Reader::open(file).is_ok()
     }
 
     /// The recording at `path`; `None` if there is no readable one.

@@ -131,7 +131,9 @@ impl Recorded {
     /// # Errors
     /// As for [`Recorded::open`].
     pub fn open_as(path: &Path, read: &ReadExperiment<'_>) -> Result<Recorded, ReadError> {
-        Contents::read(path)?.only(None, read)
+        let contents = Contents::read(path)?;
+        contents.only()?;
+        contents.recorded(0, read)
     }
 
     /// Starts the recorded experiment.

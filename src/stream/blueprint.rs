@@ -1030,7 +1030,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
                every step, from which everything else can be made again:\n\n\
                - `meldscope replay F.rrd` verifies every step,\n\
                - `meldscope replay F.rrd --save full.rrd` makes all frames, `--from STEP --to STEP` those of some steps,\n\
-               - `meldscope replay F.rrd --integrator rk4` tries it another way.\n";
+               - `meldscope replay F.rrd --set integrator=rk4` tries it another way.\n";
     }
     let phases = schema.phases.iter().map(|phase| format!("{} {}", colors::name(phase.color), phase.name));
     let phases = phases.collect::<Vec<_>>().join(", ");

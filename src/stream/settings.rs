@@ -1,6 +1,6 @@
 //! Recording settings. Together with the scene they determine a recording.
 
-use std::fmt;
+use std::{fmt, str::FromStr};
 
 use crate::{
     observe::{Experiment, PairEvent, Schema, StepSummary, Want},
@@ -30,10 +30,41 @@ pub enum Detail {
     },
 }
 
-impl Detail {
-    /// All levels, in ascending order; `Stages` covers every step.
-    pub const ALL: [Detail; 3] = [Detail::Surface, Detail::Forces, Detail::Stages { from: 0, to: u64::MAX }];
+/// The forms of a [`Detail`] on the command line.
+pub const DETAILS: &str = "surface|forces|stages[=FROM..TO]";
 
+/// The form on the command line; `stages` alone covers every step.
+impl FromStr for Detail {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Detail, String> {
+        let range = |text: &str| {
+            let (from, to) = text.split_once("..")?;
+            let (from, to) = (from.parse().ok()?, to.parse().ok()?);
+            (from <= to).then_some(Detail::Stages { from, to })
+        };
+        match text {
+            "surface" => Ok(Detail::Surface),
+            "forces" => Ok(Detail::Forces),
+            "stages" => Ok(Detail::Stages { from: 0, to: u64::MAX }),
+            _ => text
+                .strip_prefix("stages=")
+                .and_then(range)
+                .ok_or_else(|| format!("expected {DETAILS}, where FROM and TO are steps, FROM not after TO")),
+        }
+    }
+}
+
+impl fmt::Display for Detail {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Detail::Stages { from, to } if (from, to) != (0, u64::MAX) => write!(f, "stages={from}..{to}"),
+            detail => f.write_str(detail.name()),
+        }
+    }
+}
+
+impl Detail {
     /// The name on the command line and in recordings.
     pub fn name(self) -> &'static str {
         match self {

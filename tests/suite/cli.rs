@@ -407,20 +407,25 @@ fn usage_errors_have_status_2_and_leave_nothing() {
         "--connect=http://127.0.0.1:1/proxy",
         "--connect=nonsense",
         "--connect rerun+http://127.0.0.1:1/proxy",
-        "--serve --bind localhost",
-        "--serve --allow-host http://studio.example",
-        "--serve --allow-host *",
+        "--serve --bind http://localhost",
+        "--serve --bind *",
+        "--serve --bind nowhere.invalid",
         "--serve --bind 127.0.0.1:70000",
         "--serve --bind 127.0.0.1:65535",
+        "--serve --bind localhost:x",
         "--bind 127.0.0.1",
-        "--allow-host studio.example",
         "--quiet=yes",
         "--realtime 2",
         "--watch",
         "--watch --save x.rrd",
         "--watch --serve",
-        "--from 3",
-        "--detail stages --from 5 --to 2",
+        "--detail forces=3..4",
+        "--detail stages=5..2",
+        "--detail stages=5",
+        "--detail stages=-1..2",
+        "--keep 0",
+        "--keep 3+",
+        "--keep 3+5",
         "--tab other",
         "--plots 1001",
     ] {
@@ -998,7 +1003,7 @@ fn the_help_lists_the_accepted_names() {
         let output = Command::new(env!("CARGO_BIN_EXE_meldscope")).args([command, "--help"]).output().expect("starts");
         String::from_utf8(output.stdout).expect("text")
     };
-    let details = "[possible values: surface, forces, stages]";
+    let details = "--detail <surface|forces|stages[=FROM..TO]>";
     let run = help("run");
     for values in [details, "body, batch]", "scene, surface, forces, displacement, pairs, timings, energy, stages]"] {
         assert!(run.contains(values), "{values}: {run}");
@@ -1139,11 +1144,11 @@ fn options_without_effect_are_rejected_with_the_missing_option() {
         let error = run(&dir, arguments).failed(2);
         assert!(error.contains(what), "{arguments:?}: {error}");
     };
-    rejected(&["run", "small.toml", "--detail", "stages", "--from", "121"], "beyond the last step, 120");
-    rejected(&["run", "small.toml", "--detail", "stages", "--from", "4", "--steps", "3"], "beyond the last step, 3");
+    rejected(&["run", "small.toml", "--detail", "stages=121..130"], "beyond the last, 120");
+    rejected(&["run", "small.toml", "--detail", "stages=4..9", "--steps", "3"], "beyond the last, 3");
     rejected(&["run", "small.toml", "--tab", "stages"], "--detail stages");
     rejected(&["run", "small.toml", "--tab", "forces", "--detail", "surface"], "--detail surface");
-    run(&dir, &["run", "small.toml", "--detail", "stages", "--from", "120", "--tab", "stages", "--quiet"]).succeeded();
+    run(&dir, &["run", "small.toml", "--detail", "stages=120..120", "--tab", "stages", "--quiet"]).succeeded();
     // a recording where a scene is expected
     rejected(&["run", "small.rrd"], "`meldscope replay small.rrd`");
     rejected(&["bench", "error", "small.rrd"], "`meldscope replay small.rrd`");
@@ -1216,7 +1221,7 @@ fn thin_recordings_say_that_they_hold_events() {
     let dir = Dir::new();
     let printed = run(&dir, &["run", "two", "--thin", "--save", "x.rrd"]).succeeded().out;
     assert!(printed.contains("the scene, ") && printed.contains(" events and 301 checksums"), "{printed}");
-    let printed = run(&dir, &["replay", "x.rrd", "--integrator", "rk4"]).succeeded().out;
+    let printed = run(&dir, &["replay", "x.rrd", "--set", "integrator=rk4"]).succeeded().out;
     assert!(printed.contains("2 phase changes, 2 recorded:"), "{printed}");
 }
 
@@ -1470,7 +1475,7 @@ fn selected_pairs_and_events_survive_a_replay() {
 #[test]
 fn a_flight_recorder_writes_frames_after_its_trigger() {
     let dir = Dir::new();
-    let keep = ["--keep", "3", "--on", "merge", "--after", "5"];
+    let keep = ["--keep", "3+5", "--on", "merge"];
     run(&dir, &[&["run", "two", "--save", "x.rrd"][..], &keep].concat()).succeeded();
     let recording = Recording::open(&dir.file("x.rrd"));
     let frames = recording.changes("/timings/log").iter().map(|row| row.step).collect::<Vec<_>>();
@@ -1478,7 +1483,7 @@ fn a_flight_recorder_writes_frames_after_its_trigger() {
     // lines end where the frame after the window is dropped
     assert_eq!(frames, (merge - 2..=merge + 6).collect::<Vec<_>>());
     run(&dir, &["replay", "x.rrd"]).succeeded();
-    let error = run(&dir, &["run", "two", "--keep", "3", "--after", "5"]).failed(2);
+    let error = run(&dir, &["run", "two", "--keep", "3+5"]).failed(2);
     assert!(error.contains("--on"), "{error}");
 }
 

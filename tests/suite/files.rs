@@ -466,8 +466,8 @@ fn every_option_that_a_run_accepts_replays() {
     let dir = scene_dir();
     for options in [
         &["--detail", "stages"] as &[&str],
-        &["--detail", "stages", "--from", "8"],
-        &["--detail", "stages", "--from", "8", "--to", "9"],
+        &["--detail", "stages"],
+        &["--detail", "stages=8..9"],
         &["--every", "9223372036854775808"],
         &["--every", "18446744073709551615"],
         &["--keep", "9223372036854775808"],

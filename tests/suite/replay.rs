@@ -177,7 +177,7 @@ fn every_recording_of_a_file_is_replayed_and_one_can_be_chosen() {
     let line = |name: &str, steps: u64| format!("{name}: identical, {steps} steps (run with steps = {steps})\n");
     let lines = [("x.rrd, push", 30), ("x.rrd, two", 100), ("x.rrd, three", 20)].map(|(name, steps)| line(name, steps));
     assert_eq!(succeeds(&dir, &["replay", "x.rrd"]), lines.concat());
-    assert_eq!(succeeds(&dir, &["replay", "x.rrd", "--recording", "two"]), line("x.rrd", 100));
+    assert_eq!(succeeds(&dir, &["replay", "x.rrd/two"]), line("x.rrd", 100));
 
     // what makes one recording of one needs to know which
     for arguments in [
@@ -188,29 +188,26 @@ fn every_recording_of_a_file_is_replayed_and_one_can_be_chosen() {
         &["export", "x.rrd", "--events", "e.csv"],
     ] {
         let text = fails(&dir, 2, arguments);
-        let expected = "error: x.rrd: it holds 3 recordings: choose one with --recording: push, two, three\n";
+        let expected = "error: x.rrd: it holds 3 recordings: choose one, as x.rrd/NAME: push, two, three\n";
         assert_eq!(text, expected, "{arguments:?}");
     }
     assert!(!dir.file("y.rrd").exists() && !dir.file("e.csv").exists());
-    let text = fails(&dir, 2, &["replay", "x.rrd", "--recording", "tow"]);
+    let text = fails(&dir, 2, &["replay", "x.rrd/tow"]);
     assert!(
         text.contains("there is no \"tow\" among its 3 recordings: ") && text.contains("push, two, three"),
         "{text}"
     );
-    for scene in [&["explain", "two", "--step", "9"] as &[&str], &["export", "two", "--events", "e.csv"]] {
-        let text = fails(&dir, 2, &[scene, &["--recording", "two"]].concat());
-        assert!(text.contains("--recording two: it is for a file of recordings"), "{text}");
-    }
+    let text = fails(&dir, 2, &["replay", "x.rrd/two", "--save", "x.rrd"]);
+    assert!(text.contains("x.rrd is the recording to be replayed"), "{text}");
 
-    let chosen = |arguments: &[&str]| succeeds(&dir, &[arguments, &["--recording", "two"]].concat());
-    chosen(&["replay", "x.rrd", "--save", "y.rrd"]);
+    succeeds(&dir, &["replay", "x.rrd/two", "--save", "y.rrd"]);
     assert!(succeeds(&dir, &["replay", "y.rrd"]).starts_with("y.rrd: identical, 100 steps"));
-    assert!(chosen(&["replay", "x.rrd", "--set", "influence.alpha=150"]).contains("not verified"));
+    assert!(succeeds(&dir, &["replay", "x.rrd/two", "--set", "influence.alpha=150"]).contains("not verified"));
     // the frames of the others are left aside
-    let text = chosen(&["diff", "x.rrd", "y.rrd"]);
+    let text = succeeds(&dir, &["diff", "x.rrd/two", "y.rrd"]);
     assert!(text.contains("101 instants in common") && text.contains("no body differs"), "{text}");
-    assert!(chosen(&["explain", "x.rrd", "--step", "90"]).starts_with("two, step 90 of 100"));
-    chosen(&["export", "x.rrd", "--events", "e.csv"]);
+    assert!(succeeds(&dir, &["explain", "x.rrd/two", "--step", "90"]).starts_with("two, step 90 of 100"));
+    succeeds(&dir, &["export", "x.rrd/two", "--events", "e.csv"]);
     assert!(fs::read_to_string(dir.file("e.csv")).expect("written").contains("merge"));
 }
 
@@ -224,7 +221,7 @@ fn the_worst_recording_of_a_file_decides() {
     }
     assert!(text.contains("error: two: x.rrd is not reproduced from step 84 on\n"), "{text}");
     assert!(text.ends_with("error: x.rrd: 1 of 3 recordings failed\n"), "{text}");
-    assert!(succeeds(&dir, &["replay", "x.rrd", "--recording", "push"]).starts_with("x.rrd: identical, 30 steps"));
+    assert!(succeeds(&dir, &["replay", "x.rrd/push"]).starts_with("x.rrd: identical, 30 steps"));
 
     // only the last recording of a file that was cut has lost its end
     three_in_one(&dir.file("x.rrd"), two().influence.alpha);
@@ -247,11 +244,11 @@ fn recordings_of_one_name_go_by_their_ids() {
     other.dt /= 2.0;
     let of = |scene: &Scene| Settings { steps: Some(5), ..Settings::of(scene) };
     record_all(&dir.file("x.rrd"), &[(&scene, of(&scene)), (&other, of(&other))]);
-    let text = fails(&dir, 2, &["replay", "x.rrd", "--recording", "two"]);
-    let (_, names) = text.trim_end().split_once("--recording: ").expect("the names");
+    let text = fails(&dir, 2, &["replay", "x.rrd/two"]);
+    let (_, names) = text.trim_end().split_once("/NAME: ").expect("the names");
     for id in names.split(", ") {
         assert!(id.starts_with("two-"), "{text}");
-        let found = succeeds(&dir, &["replay", "x.rrd", "--recording", id]);
+        let found = succeeds(&dir, &["replay", &format!("x.rrd/{id}")]);
         assert!(found.starts_with("x.rrd: identical, 5 steps"), "{found}");
     }
     assert_eq!(names.split(", ").count(), 2, "{text}");
@@ -334,7 +331,7 @@ fn a_thin_recording_leads_to_the_steps_in_question() {
     assert!(output.contains(with), "{output}");
     let output = succeeds(&dir, &["replay", "set.rrd", "--set", "dt=0.01"]);
     assert!(output.contains("500 steps of 0.01 s") && output.contains("instead of 250 of 0.02 s"), "{output}");
-    let output = succeeds(&dir, &["replay", "bug.rrd", "--integrator", "rk4"]);
+    let output = succeeds(&dir, &["replay", "bug.rrd", "--set", "integrator=rk4"]);
     assert!(output.contains("with rk4") && output.contains("merge a~b") && output.contains("not verified"), "{output}");
 }
 

@@ -16,8 +16,9 @@
 //! much memory as a request asks for.
 
 use std::ffi::OsString;
-use std::net::{IpAddr, Ipv4Addr};
+use std::net::{IpAddr, Ipv4Addr, ToSocketAddrs as _};
 use std::path::PathBuf;
+use std::str::FromStr;
 use std::time::Duration;
 
 use crate::sdk::re_uri::{Origin, ProxyUri, Scheme};
@@ -100,6 +101,33 @@ impl Default for Serve {
     fn default() -> Self {
         let bind = Ipv4Addr::LOCALHOST.into();
         Serve { bind, web_port: 9090, grpc_port: sdk::DEFAULT_SERVER_PORT, allow: Vec::new() }
+    }
+}
+
+/// `HOST[:PORT]`: an address or a name of this machine, and the port of the page; the data is on the next port. Requests
+/// may use the name.
+impl FromStr for Serve {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Serve, String> {
+        let wrong = || "expected an address or a name of this machine, and a port below 65535 after a colon".to_owned();
+        let with_port = || {
+            let (host, port) = text.rsplit_once(':')?;
+            let port: u16 = port.parse().ok()?;
+            Some((host.parse::<Host>().ok()?, port, if port == 0 { 0 } else { port.checked_add(1)? }))
+        };
+        let own = Serve::default();
+        let alone = text.parse::<Host>().ok().map(|host| (host, own.web_port, own.grpc_port));
+        let (host, web_port, grpc_port) = alone.or_else(with_port).ok_or_else(wrong)?;
+        let (bind, allow) = match host {
+            Host::Ip(ip) => (ip, Vec::new()),
+            Host::Name(name) => {
+                let found = (name.as_str(), 0).to_socket_addrs().ok().and_then(|mut found| found.next());
+                let found = found.ok_or_else(|| format!("there is no host {name:?}"))?;
+                (found.ip(), vec![Host::Name(name)])
+            }
+        };
+        Ok(Serve { bind, web_port, grpc_port, allow })
     }
 }
 

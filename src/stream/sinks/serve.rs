@@ -230,7 +230,7 @@ fn listen(what: &'static str, ip: IpAddr, port: u16) -> Result<(TcpListener, Soc
     let listen_error = |source: io::Error| {
         let help = match source.kind() {
             io::ErrorKind::AddrInUse => {
-                let other = "maybe another run or viewer: end it, or give others with --bind IP:PORT (0: any)";
+                let other = "maybe another run or viewer: end it, or give others with --bind HOST:PORT (0: any)";
                 format!("something else is using port {port}, {other}")
             }
             io::ErrorKind::AddrNotAvailable => format!("{ip} is not an address of this machine: give one with --bind"),
@@ -283,7 +283,7 @@ fn exposure(bind: IpAddr, page: &str) -> Option<String> {
     };
     Some(format!(
         "anyone who can reach {who} can read everything that the run shows, its scene and settings too, without a password \
-         and unencrypted; nobody can write: {page} (for HOST {host}, or a name that --allow-host gives)"
+         and unencrypted; nobody can write: {page} (for HOST {host}, or the name that --bind gives)"
     ))
 }
 
@@ -331,7 +331,7 @@ mod tests {
         assert_eq!([exposure("127.0.0.1"), exposure("::1")], [None, None]);
         for (bind, who) in [("0.0.0.0", "this machine"), ("::", "this machine"), ("192.168.1.5", "that address")] {
             let note = exposure(bind).expect("a note");
-            for part in [who, "can read everything", "nobody can write", "http://HOST:9090/?url=x", "--allow-host"] {
+            for part in [who, "can read everything", "nobody can write", "http://HOST:9090/?url=x", "--bind"] {
                 assert!(note.contains(part), "{bind}: {note}");
             }
         }

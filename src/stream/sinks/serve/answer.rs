@@ -72,7 +72,8 @@ impl Site for OfRun {
 
     async fn answer(&self, guard: &Guard, request: Request<Incoming>, at: IpAddr) -> Response<Content> {
         if let Err(name) = guard.admits(request.uri(), request.headers(), at) {
-            let help = format!("this program does not serve {name}: allow a host with `--allow-host NAME`\n");
+            let help =
+                format!("this program does not serve {name}: a name of its machine is allowed by `--bind NAME`\n");
             return text(StatusCode::FORBIDDEN, help);
         }
         match self {

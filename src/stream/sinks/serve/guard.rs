@@ -115,8 +115,7 @@ impl Guard {
         let [unfinished, unread] = [&self.unfinished, &self.unread].map(count);
         let name = self.foreign_name.lock().unwrap_or_else(PoisonError::into_inner).clone().unwrap_or_default();
         let part = |n: u64, what: &str| (n > 0).then(|| format!("{} {what}", thousands(n)));
-        let foreign =
-            part(foreign, &format!("for or from another host than this one ({name} first; see --allow-host)"));
+        let foreign = part(foreign, &format!("for or from another host than this one ({name} first; see --bind)"));
         let requests: Vec<String> =
             [foreign, part(writes, "to write"), part(invalid, "that are invalid")].into_iter().flatten().collect();
         let connections: Vec<String> =
@@ -233,7 +232,7 @@ mod tests {
         assert_eq!(
             guard.summary().as_deref(),
             Some(
-                "refused 3 requests: 2 for or from another host than this one (evil.example first; see --allow-host) \
+                "refused 3 requests: 2 for or from another host than this one (evil.example first; see --bind) \
                  and 1 to write; closed 300 connections: 300 without a complete request"
             )
         );
