@@ -163,8 +163,8 @@ mod tests {
         let mut approaches = Approaches::new(&world, &schema);
         let mut summary = crate::observe::StepSummary::default();
         for _ in 0..world.scene().steps() {
-            world.step();
-            world.summary(&mut summary);
+            summary.clear();
+            Simulation::step(&mut world, &mut summary);
             approaches.step(&world, &schema, &summary.events);
         }
         (approaches.closest(), schema)

@@ -399,8 +399,8 @@ mod tests {
         let (mut all, mut of_step) = (Vec::new(), Vec::new());
         let (mut summary, mut frame) = (crate::observe::StepSummary::default(), Frame::default());
         for _ in 0..steps {
-            world.step();
-            world.summary(&mut summary);
+            summary.clear();
+            Simulation::step(&mut world, &mut summary);
             world.observe(Want::default(), &mut frame);
             touches.step(&world, &frame, &summary.events, &mut of_step);
             all.append(&mut of_step);
@@ -450,8 +450,8 @@ mod tests {
             let (mut touches, mut all, mut of_step) = (Touches::new(&*simulation), Vec::new(), Vec::new());
             let (mut summary, mut frame) = (crate::observe::StepSummary::default(), Frame::default());
             for _ in 0..steps {
-                simulation.step();
-                simulation.summary(&mut summary);
+                summary.clear();
+                simulation.step(&mut summary);
                 simulation.observe(Want::default(), &mut frame);
                 touches.step(&*simulation, &frame, &summary.events, &mut of_step);
                 all.extend(of_step.drain(..).filter(SurfaceEvent::is_contact));

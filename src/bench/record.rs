@@ -15,7 +15,7 @@ use super::report::{Cell, Column, Report, Table};
 use crate::{
     atomic,
     models::SceneRun,
-    observe::{BodyFrame, Experiment as _, Frame, Schema},
+    observe::{BodyFrame, Experiment as _, Frame, Schema, Simulation, StepSummary},
     recording::{
         Recorded,
         read::Reader,
@@ -162,11 +162,11 @@ impl Bench<'_> {
         let (mut world, mut kept) = (world(scene)?, 0);
         let mut watch = StepWatch::new(&world, &bench.settings);
         for _ in 0..scene.steps() {
-            if let Some(failure) = &world.step().failure {
+            let (mut frame, mut step) = (Frame::default(), StepRecord::default());
+            Simulation::step(&mut world, &mut step.summary);
+            if let Some(failure) = &step.summary.failure {
                 return Err(failure.to_string());
             }
-            let mut frame = Frame::default();
-            let mut step = StepRecord::default();
             watch.step(&world, &bench.settings, &mut step, Some(&mut frame))?;
             kept += frame.memory();
             bench.payload += payload_of(&frame);
@@ -226,9 +226,11 @@ impl Bench<'_> {
     fn simulate(&self, world: &mut World, sinks: Sinks) -> Result<Sinks, String> {
         let recorder = Recorder::new(world, self.settings.clone())?;
         let mut pipeline = Pipeline::start(world, recorder, sinks, Tab::Scene).map_err(|error| error.to_string())?;
+        let mut summary = StepSummary::default();
         for _ in 0..self.frames.len() {
-            world.step();
-            pipeline.observe(world, None)?;
+            summary.clear();
+            Simulation::step(world, &mut summary);
+            pipeline.observe(world, &summary, None)?;
         }
         let mut recorded = pipeline.finish()?;
         recorded.finish(world, None).map_or(Ok(()), Err)?;

@@ -236,7 +236,7 @@ fn torn(name: &'static str, cells: u32) -> Result<Torn, MeasureError> {
     let mut run = models::start(&scene).map_err(MeasureError::Model)?;
     let (mut cut, mut split) = (0, 0);
     while models::step(&mut run).map_err(MeasureError::Model)? {
-        let events = run.simulation.body_events();
+        let events = &run.summary.body_events;
         cut += events.iter().filter(|event| event.name == "cut cell").count();
         split += events.iter().filter(|event| event.name == "split node").count();
     }

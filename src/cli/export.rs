@@ -172,10 +172,10 @@ pub fn export(program: Program<'_>, arguments: Arguments) -> Result<(), Failure>
             break;
         }
         if let (Some(table), Some(touches)) = (&mut events, &mut touches) {
-            let (simulation, phases) = (&*run.simulation, &run.summary.events);
+            let (simulation, summary) = (&*run.simulation, &run.summary);
             simulation.observe(Want::default(), &mut frame);
-            touches.step(simulation, &frame, phases, &mut surfaces);
-            let all = rows(phases, &surfaces, simulation.body_events());
+            touches.step(simulation, &frame, &summary.events, &mut surfaces);
+            let all = rows(&summary.events, &surfaces, &summary.body_events);
             all.iter().filter(|row| (from..=to).contains(&row.step())).try_for_each(|row| table.add(&schema, row))?;
         }
     }

@@ -9,7 +9,7 @@ use super::{
     say, sink_failure, vector,
 };
 use crate::{
-    observe::{Frame, Run, Schema, Simulation, Want},
+    observe::{Frame, Run, Schema, Want},
     recording::{
         Recorded,
         contents::Contents,
@@ -97,9 +97,9 @@ fn verify(arguments: &Arguments, recorded: &Recorded, name: &str) -> Result<(), 
     let (from, to) = range(arguments, recorded.last())?;
     let mut saver = Saver::open(arguments, recorded, &recorded.schema, from..=to)?;
     let progress = Progress::new("", Work::Units("step", Some(recorded.last())));
-    let verdict = replay::verify(recorded, |simulation| {
-        progress.step(simulation.steps_taken(), simulation.time());
-        saver.observe(simulation)
+    let verdict = replay::verify(recorded, |run| {
+        progress.step(run.simulation.steps_taken(), run.simulation.time());
+        saver.observe(run)
     })?;
     drop(progress);
     if let Some(failure) = saver.failure.take() {
@@ -238,7 +238,7 @@ fn vary(program: Program<'_>, arguments: &Arguments, recorded: &Recorded) -> Res
             }
         }
         events.extend(run.summary.events.iter().map(|event| schema.describe(event)));
-        if !saver.observe(simulation) || !run.step() {
+        if !saver.observe(&run) || !run.step() {
             break;
         }
     }
@@ -327,14 +327,15 @@ impl Saver {
     }
 
     /// Records a step; returns `false` if the replay need not continue.
-    fn observe(&mut self, simulation: &dyn Simulation) -> bool {
+    fn observe(&mut self, run: &Run) -> bool {
+        let simulation = &*run.simulation;
         let Some(sinks) = &mut self.sinks else { return true };
         if !self.steps.contains(&simulation.steps_taken()) {
             return true;
         }
         match &mut self.recorder {
             Some(recorder) => {
-                self.failure = recorder.observe(simulation).err();
+                self.failure = recorder.observe(simulation, &run.summary).err();
                 if self.failure.is_none() && recorder.frames() - self.sent >= FRAMES_PER_CHUNK {
                     self.sent = recorder.frames();
                     self.failure = send(sinks, recorder.take());

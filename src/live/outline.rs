@@ -78,7 +78,6 @@ pub struct Outline {
     pub simulated_ms: f64,
     /// Why the run ended early.
     pub failure: Option<String>,
-    summary: StepSummary,
 }
 
 impl Outline {
@@ -94,21 +93,19 @@ impl Outline {
             steps: 0,
             simulated_ms: 0.0,
             failure: None,
-            summary: StepSummary::default(),
         }
     }
 
-    /// Takes in a step; returns whether it is an instant of the curves.
-    pub fn step(&mut self, simulation: &dyn Simulation) -> bool {
-        simulation.summary(&mut self.summary);
-        if let Some(failure) = &self.summary.failure {
+    /// Takes in what happened in a step; returns whether it is an instant of the curves.
+    pub fn step(&mut self, simulation: &dyn Simulation, summary: &StepSummary) -> bool {
+        if let Some(failure) = &summary.failure {
             self.failure = Some(failure.to_string());
             if !failure.is_whole_step() {
                 return false;
             }
         }
-        self.events.append(&mut self.summary.events);
-        self.bodies.extend_from_slice(simulation.body_events());
+        self.events.extend_from_slice(&summary.events);
+        self.bodies.extend_from_slice(&summary.body_events);
         self.steps = simulation.steps_taken();
         self.steps.is_multiple_of(self.every)
     }

@@ -23,7 +23,7 @@ use super::{
 use crate::{
     atomic,
     colors::hex,
-    observe::{BodyFrame, Experiment, Frame, Schema, Want, schema::BodySchema},
+    observe::{BodyFrame, Experiment, Frame, Schema, StepSummary, Want, schema::BodySchema},
     sdk::LogMsg,
     stream::{
         self, Recorder, Settings,
@@ -334,7 +334,7 @@ impl Runs {
         let settings = Settings::of(experiment);
         let mut outline = Outline::new(simulation.schema());
         let mut frame = Frame::default();
-        let mut at_cursor = Frame::default();
+        let (mut at_cursor, mut summary) = (Frame::default(), StepSummary::default());
         simulation.observe(Want::default(), &mut frame);
         outline.frame(&frame);
         let steps = outline.schema.steps;
@@ -342,8 +342,9 @@ impl Runs {
             if simulation.steps_taken() == cursor {
                 simulation.observe(settings.want(), &mut at_cursor);
             }
-            simulation.step();
-            if outline.step(&*simulation) {
+            summary.clear();
+            simulation.step(&mut summary);
+            if outline.step(&*simulation, &summary) {
                 simulation.observe(Want::default(), &mut frame);
                 outline.frame(&frame);
             }
@@ -368,12 +369,12 @@ impl Runs {
         let (mut records, mut frames, mut contacts) = (Vec::new(), Vec::new(), Vec::new());
         let (last, mut every) = (outline.steps, 1);
         while simulation.steps_taken() < last {
-            simulation.step();
+            let mut step = StepRecord::default();
+            simulation.step(&mut step.summary);
             if !self.is_current(number) {
                 return Ok(());
             }
             let taken = simulation.steps_taken();
-            let mut step = StepRecord::default();
             let mut frame = taken.is_multiple_of(every).then(Frame::default);
             watch.step(&*simulation, &settings, &mut step, frame.as_mut()).map_err(Problem::new)?;
             contacts.extend(step.surfaces.iter().filter(|found| found.is_contact()).copied());

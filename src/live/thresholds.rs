@@ -70,8 +70,8 @@ fn outcome(experiment: &dyn Experiment, variation: &Variation, is_current: &dyn 
         if !is_current() {
             return None;
         }
-        simulation.step();
-        simulation.summary(&mut summary);
+        summary.clear();
+        simulation.step(&mut summary);
         events.append(&mut summary.events);
         if summary.failure.is_some() {
             return Some(Outcome::None);

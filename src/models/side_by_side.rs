@@ -3,7 +3,7 @@
 
 use std::{
     sync::{Arc, Mutex, PoisonError, atomic::AtomicBool},
-    time::{Duration, Instant as Clock},
+    time::Instant as Clock,
 };
 
 use glam::DVec3;
@@ -205,7 +205,7 @@ impl Experiment for SideBySide {
         let parts = self.runs().zip(&places).map(|(run, place)| {
             let simulation = run.start()?;
             let touches = simulation.contacts().is_none().then(|| Touches::new(&*simulation));
-            Ok(Part { simulation, touches, place: place.clone(), took: Duration::ZERO })
+            Ok(Part { simulation, touches, place: place.clone() })
         });
         let parts = parts.collect::<Result<Vec<_>, String>>()?;
         if parts.is_empty() {
@@ -217,7 +217,6 @@ impl Experiment for SideBySide {
             scene,
             parts,
             contacts: Vec::new(),
-            body_events: Vec::new(),
             frame: Frame::default(),
         }))
     }
@@ -234,8 +233,6 @@ struct SideBySideRun {
     parts: Vec<Part>,
     /// Touch and part events of the last step.
     contacts: Vec<SurfaceEvent>,
-    /// Events of single bodies in the last step.
-    body_events: Vec<BodyEvent>,
     /// Scratch storage, reused.
     frame: Frame,
 }
@@ -245,8 +242,6 @@ struct Part {
     /// Finds touch and part events, if the model does not find them itself.
     touches: Option<Touches>,
     place: Place,
-    /// Duration of its last step.
-    took: Duration,
 }
 
 impl Simulation for SideBySideRun {
@@ -266,17 +261,14 @@ impl Simulation for SideBySideRun {
         self.parts.first().map_or(0.0, |part| part.simulation.time())
     }
 
-    fn step(&mut self) {
+    fn step(&mut self, summary: &mut StepSummary) {
         self.contacts.clear();
-        self.body_events.clear();
-        let mut summary = StepSummary::default();
-        for Part { simulation, touches, place, took } in &mut self.parts {
-            let start = Clock::now();
-            simulation.step();
-            *took = start.elapsed();
+        for Part { simulation, touches, place } in &mut self.parts {
+            let (start, mut one) = (Clock::now(), StepSummary::default());
+            simulation.step(&mut one);
+            summary.timings.push(start.elapsed());
             let mut found = Vec::new();
             if let Some(touches) = touches {
-                simulation.summary(&mut summary);
                 simulation.observe(Want::default(), &mut self.frame);
                 touches.step(&**simulation, &self.frame, &[], &mut found);
             }
@@ -290,33 +282,23 @@ impl Simulation for SideBySideRun {
                 place: event.place + place.offset,
                 ..*event
             };
-            self.body_events.extend(simulation.body_events().iter().map(shifted));
-        }
-        self.body_events.sort_by(|x, y| x.time.total_cmp(&y.time).then(x.body.cmp(&y.body)));
-        self.contacts.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
-    }
-
-    fn summary(&self, summary: &mut StepSummary) {
-        let mut all =
-            StepSummary { at: Instant { step: self.steps_taken(), time: self.time() }, ..StepSummary::default() };
-        let mut one = StepSummary::default();
-        for Part { simulation, place, took, .. } in &self.parts {
-            simulation.summary(&mut one);
+            summary.body_events.extend(one.body_events.iter().map(shifted));
             let shifted =
                 |event: &PairEvent| PairEvent { a: event.a + place.first, b: event.b + place.first, ..*event };
-            all.events.extend(one.events.iter().map(shifted));
-            all.timings.push(*took);
-            all.scalars.push(0.0);
+            summary.events.extend(one.events.iter().map(shifted));
+            summary.scalars.push(0.0);
             let named = |why: &String| format!("{}: {why}", place.schema.model);
             let failure = one.failure.take().map(|failure| match &failure {
                 StepFailure::Diverged(why) => StepFailure::Diverged(named(why)),
                 StepFailure::NotTaken(why) => StepFailure::NotTaken(named(why)),
                 StepFailure::Interrupted(why) => StepFailure::Interrupted(named(why)),
             });
-            all.failure = all.failure.take().or(failure);
+            summary.failure = summary.failure.take().or(failure);
         }
-        all.events.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
-        *summary = all;
+        summary.at = Instant { step: self.steps_taken(), time: self.time() };
+        summary.events.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
+        summary.body_events.sort_by(|x, y| x.time.total_cmp(&y.time).then(x.body.cmp(&y.body)));
+        self.contacts.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
     }
 
     fn account(&self) -> Option<String> {
@@ -389,10 +371,6 @@ impl Simulation for SideBySideRun {
 
     fn contacts(&self) -> Option<&[SurfaceEvent]> {
         Some(&self.contacts)
-    }
-
-    fn body_events(&self) -> &[BodyEvent] {
-        &self.body_events
     }
 
     fn framing(&self, only_what_happens: bool) -> Vec<(DVec3, f64)> {

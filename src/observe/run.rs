@@ -8,7 +8,7 @@ use super::{Simulation, StepFailure, StepSummary};
 pub struct Run {
     /// The simulation.
     pub simulation: Box<dyn Simulation>,
-    /// What its last step did, without the [failure](Run::failure).
+    /// What happened in its last step.
     pub summary: StepSummary,
     /// Why the last step failed, or was not taken.
     pub failure: Option<StepFailure>,
@@ -43,9 +43,9 @@ impl Run {
             self.failure = Some(StepFailure::Interrupted(format!("interrupted after step {step}")));
             return false;
         }
-        self.simulation.step();
-        self.simulation.summary(&mut self.summary);
-        self.failure = self.summary.failure.take();
+        self.summary.clear();
+        self.simulation.step(&mut self.summary);
+        self.failure.clone_from(&self.summary.failure);
         self.failure.as_ref().is_none_or(StepFailure::is_whole_step)
     }
 

@@ -2,6 +2,7 @@
 
 use std::{
     fmt::Debug,
+    mem::take,
     sync::{Arc, atomic::AtomicBool},
     time::Duration,
 };
@@ -40,11 +41,8 @@ pub trait Simulation {
     /// Simulated time [s].
     fn time(&self) -> f64;
 
-    /// Takes one step.
-    fn step(&mut self);
-
-    /// Writes a summary of the last step to `summary` (reused).
-    fn summary(&self, summary: &mut StepSummary);
+    /// Takes one step, and writes what happened in it to `summary`, which is empty. If the step fails, so do all later ones.
+    fn step(&mut self, summary: &mut StepSummary);
 
     /// The causes of energy changes since the start, in a few words; `None` if unknown.
     fn account(&self) -> Option<String> {
@@ -111,11 +109,6 @@ pub trait Simulation {
     /// the simulation take their place.
     fn contacts(&self) -> Option<&[SurfaceEvent]> {
         None
-    }
-
-    /// Events of single bodies in the last step, in order of time.
-    fn body_events(&self) -> &[BodyEvent] {
-        &[]
     }
 
     /// Spheres (centre and radius) for the camera to frame: everything visible during the run, or only the regions in
@@ -252,7 +245,7 @@ pub enum Refusal {
     Run(String),
 }
 
-/// Summary of a step. Reused from one step to the next.
+/// What happened in a step. Reused from one step to the next.
 #[derive(Clone, Debug, Default)]
 #[non_exhaustive]
 pub struct StepSummary {
@@ -260,6 +253,8 @@ pub struct StepSummary {
     pub at: Instant,
     /// Phase changes within the step, in order of time.
     pub events: Vec<PairEvent>,
+    /// Events of single bodies within the step, in order of time.
+    pub body_events: Vec<BodyEvent>,
     /// Duration of each stage, in the order of the schema.
     pub timings: Vec<Duration>,
     /// Scalars in the order of the schema; entries of scalars that do not describe a step are ignored.
@@ -270,6 +265,20 @@ pub struct StepSummary {
     pub warning: Option<String>,
     /// Why the run should end here, if it should.
     pub failure: Option<StepFailure>,
+}
+
+impl StepSummary {
+    /// Empties it for the next step; its lists keep their memory.
+    pub fn clear(&mut self) {
+        let StepSummary { events, body_events, timings, scalars, .. } = self;
+        let (mut events, mut body_events) = (take(events), take(body_events));
+        let (mut timings, mut scalars) = (take(timings), take(scalars));
+        events.clear();
+        body_events.clear();
+        timings.clear();
+        scalars.clear();
+        *self = StepSummary { events, body_events, timings, scalars, ..StepSummary::default() };
+    }
 }
 
 /// A body whose estimated error exceeds the tolerance.

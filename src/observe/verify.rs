@@ -45,9 +45,9 @@ pub fn verify(experiment: &dyn Experiment, steps: u64) -> Result<(), Vec<String>
     mistakes.instant(&*one, &frame);
     mistakes.checksums(&*one, &*other);
     while one.steps_taken() < steps && mistakes.found.is_empty() {
-        one.step();
-        other.step();
-        one.summary(&mut summary);
+        summary.clear();
+        one.step(&mut summary);
+        other.step(&mut StepSummary::default());
         if summary.failure.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
             break;
         }
@@ -58,7 +58,7 @@ pub fn verify(experiment: &dyn Experiment, steps: u64) -> Result<(), Vec<String>
             });
             break;
         }
-        mistakes.summary(&schema, &summary, one.body_events());
+        mistakes.summary(&schema, &summary);
         let events = summary.events.iter().map(|event| event.time);
         for time in events.filter(|time| !(before.time..=now.time).contains(time)) {
             mistakes.add(|| {
@@ -84,9 +84,9 @@ pub(crate) fn schema(schema: &Schema) -> Result<(), String> {
 
 /// Checks what a simulation says of its last step, as [`verify`] does. The error is the first mistake.
 #[cfg(feature = "viewer")]
-pub(crate) fn summary(schema: &Schema, summary: &StepSummary, bodies: &[BodyEvent]) -> Result<(), String> {
+pub(crate) fn summary(schema: &Schema, summary: &StepSummary) -> Result<(), String> {
     let mut mistakes = Mistakes::default();
-    mistakes.summary(schema, summary, bodies);
+    mistakes.summary(schema, summary);
     mistakes.first()
 }
 
@@ -202,8 +202,8 @@ impl Mistakes {
         });
     }
 
-    fn summary(&mut self, schema: &Schema, summary: &StepSummary, bodies: &[BodyEvent]) {
-        let StepSummary { at, events, timings, scalars, shortfall, .. } = summary;
+    fn summary(&mut self, schema: &Schema, summary: &StepSummary) {
+        let StepSummary { at, events, body_events, timings, scalars, shortfall, .. } = summary;
         let (count, step) = (schema.bodies.len(), at.step);
         for (index, event) in events.iter().enumerate() {
             let field = |part: &str| format!("summary.events[{index}].{part} in step {step}");
@@ -211,8 +211,8 @@ impl Mistakes {
         }
         let is_ordered = events.is_sorted_by(|a, b| a.time <= b.time);
         self.ensure(is_ordered, || format!("summary.events in step {step} are not in order of time"));
-        for (index, BodyEvent { body, time, place, name, .. }) in bodies.iter().enumerate() {
-            let field = |part: &str| format!("body_events()[{index}].{part} in step {step}");
+        for (index, BodyEvent { body, time, place, name, .. }) in body_events.iter().enumerate() {
+            let field = |part: &str| format!("summary.body_events[{index}].{part} in step {step}");
             self.ensure(*body < count, || format!("{} is {body}, but there are {count} bodies", field("body")));
             self.ensure(time.is_finite() && place.is_finite(), || format!("{} is not finite", field("time or place")));
             self.ensure(!name.trim().is_empty(), || format!("{} is empty", field("name")));

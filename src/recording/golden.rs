@@ -101,7 +101,7 @@ pub fn prepare(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<(Ble
         let simulation = &*run.simulation;
         let step = simulation.steps_taken();
         let has_state = step.is_multiple_of(STATE_EVERY) || step == schema.steps;
-        recorder.observe(simulation).map_err(BlessError::Scene)?;
+        recorder.observe(simulation, &run.summary).map_err(BlessError::Scene)?;
         checksums.push(simulation.checksum());
         simulation.observe(Want::default(), &mut frame);
         let awake: Vec<usize> = (0..frame.bodies.len()).filter(|&index| is_kept(&schema, &frame, index)).collect();

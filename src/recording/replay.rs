@@ -5,7 +5,7 @@ use std::path::Path;
 use super::{ReadError, Recorded, frames};
 use crate::{
     analysis::Worst,
-    observe::{Frame, Run, Simulation, Want},
+    observe::{Frame, Run, Want},
 };
 
 /// The result of a replay.
@@ -59,13 +59,13 @@ impl Divergence {
     }
 }
 
-/// Runs a recorded experiment again and compares every step that has a checksum; `observe` is called with the
-/// simulation at step 0 and after every step. Stops at the first difference, or when `observe` returns `false`.
+/// Runs a recorded experiment again and compares every step that has a checksum; `observe` is called at
+/// step 0 and after every step. Stops at the first difference, or when `observe` returns `false`.
 ///
 /// # Errors
 /// The scene cannot be run here, or the recording is damaged: a single checksum differs and the next ones are right,
 /// which no simulation can produce.
-pub fn verify(recorded: &Recorded, mut observe: impl FnMut(&dyn Simulation) -> bool) -> Result<Verdict, ReadError> {
+pub fn verify(recorded: &Recorded, mut observe: impl FnMut(&Run) -> bool) -> Result<Verdict, ReadError> {
     let mut run = Run::again(recorded.start()?, recorded.last());
     let mut divergence = None;
     loop {
@@ -84,7 +84,7 @@ pub fn verify(recorded: &Recorded, mut observe: impl FnMut(&dyn Simulation) -> b
             let what = format!("the checksum of step {} is wrong, but the next one is right", found.step);
             return Err(ReadError::Damaged { path: recorded.path.clone(), at: None, what });
         }
-        if divergence.is_none() && !observe(simulation) || !self::step(&mut run, &recorded.path)? {
+        if divergence.is_none() && !observe(&run) || !self::step(&mut run, &recorded.path)? {
             break;
         }
     }

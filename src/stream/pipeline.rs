@@ -18,11 +18,10 @@ use super::{
     Recorder, Settings,
     blueprint::Tab,
     chunks::Audience,
-    contract::FAILURE,
     sinks::{SinkError, Sinks},
     step::{StepRecord, StepWatch},
 };
-use crate::observe::{Frame, Simulation, StageFrame, SurfaceEvent};
+use crate::observe::{Frame, Simulation, StageFrame, StepSummary, SurfaceEvent};
 use crate::sdk::LogMsg;
 
 /// Number of packets: in transit, or being filled.
@@ -83,7 +82,7 @@ impl PipelineEnd {
     /// messages, and to files the changes of their layout. Returns the reason if that fails.
     pub fn finish(&mut self, simulation: &dyn Simulation, cause: Option<&str>) -> Option<String> {
         if let Some(cause) = cause {
-            self.recorder.log_property(FAILURE, cause);
+            self.recorder.fail(cause);
         }
         self.recorder.finish(simulation);
         let [is_live, is_recorded] = self.sinks.are_live_and_recorded();
@@ -167,11 +166,17 @@ impl Pipeline {
         })
     }
 
-    /// Observes the simulation after a step; `lag` is its delay behind real time, if that is to be recorded. `Err`
+    /// Observes the simulation after a step, whose summary it wrote; `lag` is its delay behind real time, if that is to be recorded. `Err`
     /// tells why nothing more can be recorded.
-    pub fn observe(&mut self, simulation: &dyn Simulation, lag: Option<Duration>) -> Result<(), String> {
+    pub fn observe(
+        &mut self,
+        simulation: &dyn Simulation,
+        summary: &StepSummary,
+        lag: Option<Duration>,
+    ) -> Result<(), String> {
         let packet = &mut self.packet;
         let step = next_of(&mut packet.steps, &mut packet.steps_used);
+        step.summary.clone_from(summary);
         let has_frame = self.settings.has_frame(simulation.steps_taken());
         let mut frame = has_frame.then(|| next_of(&mut packet.frames, &mut packet.used));
         if let Some(watch) = &mut self.watch

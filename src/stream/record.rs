@@ -71,7 +71,7 @@ fn record_to(
     let mut run = Run::new(simulation, Some(steps));
     let mut refused = None;
     while refused.is_none() && run.step() {
-        refused = pipeline.observe(&*run.simulation, None).err();
+        refused = pipeline.observe(&*run.simulation, &run.summary, None).err();
     }
     let mut end = pipeline.finish().map_err(RecordError::Recording)?;
     let unsent = end.finish(&*run.simulation, run.cause().as_deref());

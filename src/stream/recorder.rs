@@ -15,7 +15,7 @@ use super::{
     checksums::Checksums,
     chunks::{Audience, Chunks},
     contract::{
-        self, ABOUT, ACCURACY, BODY_EVENTS, Component, DIGEST, EVENTS, Entity, INTEGRATOR, MACHINE, MARKS_AT_Q,
+        self, ABOUT, ACCURACY, BODY_EVENTS, Component, DIGEST, EVENTS, Entity, FAILURE, INTEGRATOR, MACHINE, MARKS_AT_Q,
         MARKS_ON_AXIS, MODEL, OVERRIDES, PAIR_PHASE, PROPERTIES, RECORDING_INFO, SCENE, SETTINGS, STAGES, STEPS,
         SURFACE_EVENTS, VERSION, WORLD, path_of,
     },
@@ -40,7 +40,7 @@ pub use super::{
 };
 use crate::{
     geometry::Vectors,
-    observe::{Frame, Schema, Simulation, StageFrame, StepFailure, StepSummary, row::rows, verify},
+    observe::{Frame, Schema, Simulation, StageFrame, StepSummary, row::rows, verify},
     sdk::{
         self, AnyValues, ApplicationId, AsComponents, LogMsg, Scalars, StoreId, StoreKind, TextDocument, TextLog,
         ViewCoordinates,
@@ -79,6 +79,8 @@ pub struct Recorder {
     stages: Option<StateParts>,
     /// Number of stages shown.
     stage_count: u64,
+    /// Whether the run has failed.
+    has_failed: bool,
     watch: StepWatch,
     /// Storage for the current step, reused.
     step: StepRecord,
@@ -181,6 +183,7 @@ impl Recorder {
             stages: matches!(settings.detail, Detail::Stages { .. })
                 .then(|| StateParts::new(&schema, &settings, simulation.interrupt(), &mut chunks)),
             stage_count: 0,
+            has_failed: false,
             watch: StepWatch::new(simulation, &settings),
             step: StepRecord::default(),
             frame,
@@ -197,9 +200,7 @@ impl Recorder {
             recorder.log_frame(&frame, at);
             recorder.frame = frame;
         }
-        let mut summary = StepSummary::default();
-        simulation.summary(&mut summary);
-        recorder.keep(&summary);
+        recorder.keep(&StepSummary { at, ..StepSummary::default() });
         Ok(recorder)
     }
 
@@ -287,13 +288,14 @@ impl Recorder {
         }
     }
 
-    /// Observes the simulation after a step: always its events, and a frame if one is due.
+    /// Observes the simulation after a step, whose summary it wrote: always its events, and a frame if one is due.
     ///
     /// # Errors
     /// As for [`StepWatch::step`].
-    pub fn observe(&mut self, simulation: &dyn Simulation) -> Result<(), String> {
+    pub fn observe(&mut self, simulation: &dyn Simulation, summary: &StepSummary) -> Result<(), String> {
         let (mut step, mut frame) = (take(&mut self.step), take(&mut self.frame));
         let has_frame = self.settings.has_frame(simulation.steps_taken());
+        step.summary.clone_from(summary);
         self.watch.step(simulation, &self.settings, &mut step, has_frame.then_some(&mut frame))?;
         self.record(&step, has_frame.then_some(&frame));
         (self.step, self.frame) = (step, frame);
@@ -320,7 +322,7 @@ impl Recorder {
         let start = Clock::now();
         let at = step.summary.at;
         self.checksums.push(at, step.checksum);
-        for row in rows(&step.summary.events, &step.surfaces, &step.bodies) {
+        for row in rows(&step.summary.events, &step.surfaces, &step.summary.body_events) {
             pairs::log_row(&self.schema, &row, self.settings.frames == Frames::Thin, &mut self.chunks);
         }
         let Some(parts) = &mut self.parts else { return };
@@ -372,6 +374,12 @@ impl Recorder {
     /// Logs additional components at the simulation's current instant.
     pub fn log(&mut self, entity: &str, simulation: &dyn Simulation, components: &dyn AsComponents) {
         self.chunks.log(entity, now(simulation), components);
+    }
+
+    /// Adds why the run failed to the recording's properties; before it is [finished](Recorder::finish).
+    pub fn fail(&mut self, cause: &str) {
+        self.log_property(FAILURE, cause);
+        self.has_failed = true;
     }
 
     /// Adds a text to the recording's properties.
@@ -448,14 +456,9 @@ impl Recorder {
 
     /// Ends the recording: extends plot lines to its end, and logs the final number of steps and near misses.
     pub fn finish(&mut self, simulation: &dyn Simulation) {
-        let mut summary = StepSummary::default();
-        simulation.summary(&mut summary);
         let is_waiting = match &self.settings.frames {
             // a step that was not completed was not observed either
-            Frames::Last { on, .. } if !on.is_empty() => match &summary.failure {
-                Some(StepFailure::NotTaken(_)) => !on.contains(&Trigger::Diverge),
-                _ => true,
-            },
+            Frames::Last { on, .. } => !(on.is_empty() || self.has_failed && on.contains(&Trigger::Diverge)),
             _ => false,
         };
         if !is_waiting {

@@ -85,7 +85,7 @@ pub fn project(experiment: &dyn Experiment, settings: &Settings, min_size: u64) 
             let deformed = schema.bodies.iter().zip(&frame.bodies).filter(|(_, now)| !now.is_at_rest);
             vertices += deformed.map(|(body, _)| body.vertex_count() as u64).sum::<u64>();
             samples_taken += 1;
-            probes.iter_mut().try_for_each(|probe| probe.recorder.observe(simulation)).ok()?;
+            probes.iter_mut().try_for_each(|probe| probe.recorder.observe(simulation, &run.summary)).ok()?;
         }
     }
     if let Some(StepFailure::Interrupted(_)) = run.failure {

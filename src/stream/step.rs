@@ -5,13 +5,13 @@ use std::time::{Duration, Instant as Clock};
 use super::settings::Settings;
 use crate::{
     analysis::{Approaches, touch::Touches},
-    observe::{BodyEvent, Frame, Schema, Simulation, StageFrame, StepSummary, SurfaceEvent, Want, verify},
+    observe::{Frame, Schema, Simulation, StageFrame, StepSummary, SurfaceEvent, Want, verify},
 };
 
 /// The data of a step to be recorded, apart from its frame. Reused.
 #[derive(Clone, Debug, Default)]
 pub struct StepRecord {
-    /// Summary of the step.
+    /// What happened in the step, as the simulation wrote it.
     pub summary: StepSummary,
     /// Hash of the state after the step.
     pub checksum: u64,
@@ -25,8 +25,6 @@ pub struct StepRecord {
     pub end: Option<Clock>,
     /// Surfaces that touch or part in the step, and remarks on its phase changes.
     pub surfaces: Vec<SurfaceEvent>,
-    /// Events of single bodies in the step.
-    pub bodies: Vec<BodyEvent>,
     /// Stages inside the step, if they are recorded.
     pub stages: Vec<StageFrame>,
 }
@@ -66,7 +64,7 @@ impl StepWatch {
         approaches.closest().iter().map(|approach| approach.describe(&self.schema)).collect()
     }
 
-    /// Writes the last step to `record`, and its frame to `frame` if one is due.
+    /// Adds to the summary of the last step in `record` what is observed after it, and writes its frame to `frame` if one is due.
     ///
     /// # Errors
     /// What the simulation says of the step breaks the contract of [`observe`](crate::observe): names the field.
@@ -82,8 +80,7 @@ impl StepWatch {
             simulation.observe(settings.want(), frame);
             verify::frame(&self.schema, frame, settings.want())?;
         }
-        simulation.summary(&mut record.summary);
-        verify::summary(&self.schema, &record.summary, simulation.body_events())?;
+        verify::summary(&self.schema, &record.summary)?;
         record.surfaces.clear();
         let schema = &self.schema;
         if let Some(PairWatch { touches, approaches, frame: own }) = &mut self.pairs {
@@ -98,8 +95,6 @@ impl StepWatch {
             touches.step(simulation, frame, &record.summary.events, &mut record.surfaces);
             approaches.step(simulation, schema, &record.summary.events);
         }
-        record.bodies.clear();
-        record.bodies.extend_from_slice(simulation.body_events());
         record.checksum = simulation.checksum();
         record.stages = self.stages(simulation, settings);
         let end = Clock::now();

@@ -45,6 +45,7 @@ use crate::{
         template::{Setting, Template},
     },
     sim::{Event, Failure, Options, States, events::PairPaths},
+    view,
 };
 
 /// Maximum number of events listed in a row.
@@ -264,7 +265,8 @@ impl<'a> Run<'a> {
                 self.displace();
             }
             if let Some((touches, frame)) = &mut touches {
-                self.world.summary(&mut summary);
+                summary.clear();
+                view::summarise(&self.world, &mut summary);
                 self.world.observe(Want::default(), frame);
                 touches.step(&self.world, frame, &summary.events, &mut found);
                 for found in found.drain(..) {

@@ -45,6 +45,28 @@ use scalars::{Scalar, ScalarValue, StateNumbers, least_range, scalars};
 use scales::{arrow_scale, net_force_scale};
 use terms::{LABELS, PHASES, label, law, level, phase_color, term};
 
+/// Writes the report of a world's last step to an empty summary.
+pub(crate) fn summarise(world: &World, summary: &mut StepSummary) {
+    let (report, is_coupled) = (world.report(), world.scene().is_coupled());
+    summary.at = Instant { step: report.step, time: report.time };
+    summary.events.extend(
+        report
+            .events
+            .iter()
+            .map(|event| PairEvent { energy: is_coupled.then_some(event.energy), ..PairEvent::from(event) }),
+    );
+    summary.timings.extend(report.timings);
+    summary.scalars.extend(scalars(world.scene()).map(|scalar| match scalar.value {
+        ScalarValue::State(_) => 0.0,
+        ScalarValue::SumOfSteps(value) | ScalarValue::MaxOfSteps(value) => value(report),
+    }));
+    let shortfall = |found: sim::Shortfall| Shortfall { body: found.body, error: found.error, allowed: found.allowed };
+    summary.shortfall = report.shortfall.map(shortfall);
+    let fallback = || report.fallback.as_ref().map(ToString::to_string);
+    summary.warning = report.strain.as_ref().map(ToString::to_string).or_else(fallback);
+    summary.failure = report.failure.as_ref().map(StepFailure::from);
+}
+
 impl Simulation for World {
     fn schema(&self) -> Schema {
         schema(self.scene())
@@ -62,33 +84,9 @@ impl Simulation for World {
         World::time(self)
     }
 
-    fn step(&mut self) {
+    fn step(&mut self, summary: &mut StepSummary) {
         World::step(self);
-    }
-
-    fn summary(&self, summary: &mut StepSummary) {
-        let (report, is_coupled) = (self.report(), self.scene().is_coupled());
-        summary.at = Instant { step: report.step, time: report.time };
-        summary.events.clear();
-        summary.events.extend(
-            report
-                .events
-                .iter()
-                .map(|event| PairEvent { energy: is_coupled.then_some(event.energy), ..PairEvent::from(event) }),
-        );
-        summary.timings.clear();
-        summary.timings.extend(report.timings);
-        summary.scalars.clear();
-        summary.scalars.extend(scalars(self.scene()).map(|scalar| match scalar.value {
-            ScalarValue::State(_) => 0.0,
-            ScalarValue::SumOfSteps(value) | ScalarValue::MaxOfSteps(value) => value(report),
-        }));
-        let shortfall =
-            |found: sim::Shortfall| Shortfall { body: found.body, error: found.error, allowed: found.allowed };
-        summary.shortfall = report.shortfall.map(shortfall);
-        let fallback = || report.fallback.as_ref().map(ToString::to_string);
-        summary.warning = report.strain.as_ref().map(ToString::to_string).or_else(fallback);
-        summary.failure = report.failure.as_ref().map(StepFailure::from);
+        summarise(self, summary);
     }
 
     fn interrupt(&self) -> Option<&'static AtomicBool> {

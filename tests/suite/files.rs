@@ -10,6 +10,7 @@ use std::{
 
 use meldscope::{
     Scene, World,
+    observe::{Simulation, StepSummary},
     recording::Recorded,
     sdk::{self, AnyValues, StoreId, StoreKind, TextDocument, components::Text},
     stream::{
@@ -446,8 +447,9 @@ proptest! {
         let steps = settings.steps.unwrap_or(taken).min(taken);
         let mut recorder = Recorder::new(&world, settings.clone()).expect("its text describes it");
         for _ in 0..steps {
-            world.step();
-            recorder.observe(&world).expect("a valid step");
+            let mut summary = StepSummary::default();
+            Simulation::step(&mut world, &mut summary);
+            recorder.observe(&world, &summary).expect("a valid step");
         }
         recorder.finish(&world);
         recorder.take().into_iter().for_each(|message| sinks.send(message).expect("disk space"));
@@ -540,8 +542,9 @@ fn no_control_character_of_a_recording_reaches_a_terminal() {
         recorder.log_property(property, EVIL);
     }
     for _ in 0..30 {
-        world.step();
-        recorder.observe(&world).expect("a valid step");
+        let mut summary = StepSummary::default();
+        Simulation::step(&mut world, &mut summary);
+        recorder.observe(&world, &summary).expect("a valid step");
     }
     recorder.finish(&world);
     let write = |recorder: &mut Recorder, name: &str| {

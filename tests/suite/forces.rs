@@ -105,8 +105,8 @@ fn compare(scene: &Scene, acted: &mut BTreeSet<&'static str>) -> Option<f64> {
     let (mut frames, mut summary, mut worst) = (Vec::new(), StepSummary::default(), 0.0);
     for step in 0..=scene.steps() {
         if step > 0 {
-            simulation.step();
-            simulation.summary(&mut summary);
+            summary.clear();
+            simulation.step(&mut summary);
             assert_eq!(summary.failure, None, "{} {}", scene.model, scene.integrator);
             jumps.extend(summary.events.iter().map(|event| event.time));
         }

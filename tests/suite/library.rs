@@ -276,11 +276,8 @@ impl Simulation for BrokenRun {
     fn time(&self) -> f64 {
         self.1.time()
     }
-    fn step(&mut self) {
-        self.1.step();
-    }
-    fn summary(&self, summary: &mut StepSummary) {
-        self.1.summary(summary);
+    fn step(&mut self, summary: &mut StepSummary) {
+        self.1.step(summary);
         (self.0.summary)(summary);
     }
     fn checksum(&self) -> u64 {

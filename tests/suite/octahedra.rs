@@ -45,7 +45,6 @@ struct Projected {
     moved: Vec<Vectors>,
     velocity: Vec<Vectors>,
     phase: usize,
-    events: Vec<PairEvent>,
 }
 
 impl Projected {
@@ -80,7 +79,7 @@ impl Simulation for Projected {
     fn time(&self) -> f64 {
         self.step as f64 * self.schema.dt
     }
-    fn step(&mut self) {
+    fn step(&mut self, summary: &mut StepSummary) {
         for (body, i) in (0..self.moved.len()).flat_map(|body| (0..AXES.len()).map(move |i| (body, i))) {
             let (x, dt) = (self.moved[body].get(i), self.schema.dt);
             let u = 0.98 * self.velocity[body].get(i) + dt * self.forces(body, i).iter().sum::<DVec3>();
@@ -92,11 +91,8 @@ impl Simulation for Projected {
         self.phase = usize::from(q < if from == 1 { SLIP } else { GRIP });
         let name = ["slip", "grip"][self.phase];
         let event = PairEvent::new(name, at, [0, 1], q, [from, self.phase]);
-        self.events = if from == self.phase { Vec::new() } else { vec![event] };
-    }
-    fn summary(&self, summary: &mut StepSummary) {
-        (summary.at, summary.events) = (self.at(), self.events.clone());
-        (summary.timings, summary.scalars) = (vec![Duration::ZERO], vec![0.0, 12.0]);
+        summary.events.extend((from != self.phase).then_some(event));
+        (summary.at, summary.timings, summary.scalars) = (at, vec![Duration::ZERO], vec![0.0, 12.0]);
     }
     fn checksum(&self) -> u64 {
         let numbers = self.moved.iter().chain(&self.velocity).flat_map(Vectors::iter).flat_map(|v| v.to_array());
@@ -161,8 +157,8 @@ impl Experiment for Octahedra {
     }
     fn start(&self) -> Result<Box<dyn Simulation>, String> {
         let zeros = || vec![Vectors::zeros(AXES.len()); self.bodies];
-        let (moved, velocity, schema, events) = (zeros(), zeros(), self.schema(), Vec::new());
-        Ok(Box::new(Projected { schema, pull: self.pull, step: 0, moved, velocity, phase: 0, events }))
+        let (moved, velocity, schema) = (zeros(), zeros(), self.schema());
+        Ok(Box::new(Projected { schema, pull: self.pull, step: 0, moved, velocity, phase: 0 }))
     }
     fn read(&self, _: &str, text: &str, _: &toml::Table) -> Result<Arc<dyn Experiment>, Refusal> {
         let octahedra = || {

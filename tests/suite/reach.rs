@@ -5,7 +5,7 @@ use std::fmt::Write;
 use glam::DVec3;
 use meldscope::{
     Scene, World,
-    observe::Experiment as _,
+    observe::{Experiment as _, StepSummary},
     scene::{Integrator, Model, Motion, Path, builtin},
 };
 
@@ -229,7 +229,7 @@ fn the_same_reach_for_every_body_changes_nothing() {
             let scene = Scene { model, integrator, ..scene(text) };
             let mut simulation = scene.start().unwrap_or_else(|error| panic!("{error}"));
             let step = |_| {
-                simulation.step();
+                simulation.step(&mut StepSummary::default());
                 simulation.checksum()
             };
             (0..150).map(step).collect()

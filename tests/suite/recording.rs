@@ -14,6 +14,7 @@ use meldscope::{
     Scene, World,
     geometry::{Shape, Sphere},
     model::phase::Phase,
+    observe::{Simulation, StepSummary},
     sdk::{
         self, Chunk, EntityPath, LogMsg, Loggable, RowId, StoreId, TimelineName,
         arrow::{
@@ -295,8 +296,9 @@ impl Run {
             |messages: Vec<_>| messages.into_iter().for_each(|message| sinks.send(message).expect("disk space"));
         send(recorder.blueprint(&world, Tab::Scene));
         for step in 1..=settings.steps.expect("a last step") {
-            world.step();
-            recorder.observe(&world).expect("a valid step");
+            let mut summary = StepSummary::default();
+            Simulation::step(&mut world, &mut summary);
+            recorder.observe(&world, &summary).expect("a valid step");
             if step % taken_every == 0 {
                 send(recorder.take());
             }
@@ -1478,8 +1480,9 @@ fn a_file_ends_with_the_ranges_of_its_plots_and_opens_at_its_first_event() {
     let mut recorder = Recorder::new(&world, settings.clone()).expect("its text describes it");
     assert!(recorder.measured_layout(&world, Tab::Scene).is_empty(), "nothing was measured");
     for _ in 0..100 {
-        world.step();
-        recorder.observe(&world).expect("a valid step");
+        let mut summary = StepSummary::default();
+        Simulation::step(&mut world, &mut summary);
+        recorder.observe(&world, &summary).expect("a valid step");
     }
     let store_of = |messages: &[LogMsg]| messages.last().expect("messages").store_id().clone();
     let layout = recorder.blueprint(&world, Tab::Timings);

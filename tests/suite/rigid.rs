@@ -75,7 +75,6 @@ struct Running {
     step: u64,
     bodies: Vec<Rigid>,
     touching: Vec<bool>,
-    events: Vec<PairEvent>,
 }
 
 impl Running {
@@ -129,7 +128,7 @@ impl Simulation for Running {
     fn time(&self) -> f64 {
         self.at().time
     }
-    fn step(&mut self) {
+    fn step(&mut self, summary: &mut StepSummary) {
         let count = self.bodies.len();
         let moved = (0..count).map(|a| {
             let mut body = self.bodies[a];
@@ -148,19 +147,15 @@ impl Simulation for Running {
         self.bodies = moved.collect();
         self.step += 1;
         let at = self.at();
-        self.events.clear();
+        (summary.at, summary.timings) = (at, vec![Duration::ZERO]);
         for (index, pair) in self.pairs().enumerate() {
             let (q, was) = (self.q(pair), self.touching[index]);
             self.touching[index] = self.repulsion(pair[0], pair[1]) != DVec3::ZERO;
             if self.touching[index] != was {
                 let name = ["part", "touch"][usize::from(!was)];
-                self.events.push(PairEvent::new(name, at, pair, q, [usize::from(was), usize::from(!was)]));
+                summary.events.push(PairEvent::new(name, at, pair, q, [usize::from(was), usize::from(!was)]));
             }
         }
-    }
-    fn summary(&self, summary: &mut StepSummary) {
-        (summary.at, summary.events) = (self.at(), self.events.clone());
-        (summary.timings, summary.scalars) = (vec![Duration::ZERO], vec![]);
     }
     fn checksum(&self) -> u64 {
         let numbers = self.bodies.iter().flat_map(|body| {
@@ -254,7 +249,6 @@ impl Experiment for Boxes {
             step: 0,
             bodies: (0..self.count).map(body).collect(),
             touching: vec![false; self.count * self.count.saturating_sub(1) / 2],
-            events: Vec::new(),
         }))
     }
     fn read(&self, _: &str, text: &str, _: &toml::Table) -> Result<Arc<dyn Experiment>, Refusal> {
@@ -327,7 +321,7 @@ fn bodies_come_and_go_in_a_recording() {
                 assert!((extent - expected).abs() < 1e-6, "{name}, step {}, box {index}: {extent}", frame.step);
                 seen += u64::from(body.is_absent);
             }
-            simulation.step();
+            simulation.step(&mut StepSummary::default());
         }
         assert_eq!(seen, 60 + 120 + 180 + 101);
     }

@@ -6,7 +6,7 @@ use std::path::Path;
 use glam::DQuat;
 use meldscope::{
     geometry::Vectors,
-    observe::{Experiment as _, Frame, Want},
+    observe::{Experiment as _, Frame, StepSummary, Want},
     recording::{
         Recorded, diff,
         frames::FrameReader,
@@ -96,7 +96,7 @@ fn rotations_are_recorded_and_read_back() {
                 }
             }
             count += 1;
-            simulation.step();
+            simulation.step(&mut StepSummary::default());
         }
         assert_eq!(count, 101);
         assert!(now.bodies[1].rotation.angle_between(DQuat::IDENTITY) > 2.0);
@@ -137,8 +137,9 @@ fn its_own_thresholds_are_plotted_with_many_bodies() {
     let mut simulation = many.start().expect("enough memory");
     let mut recorder = Recorder::new(&*simulation, Settings::of(&many)).expect("its text describes it");
     for _ in 0..100 {
-        simulation.step();
-        recorder.observe(&*simulation).expect("a valid step");
+        let mut summary = StepSummary::default();
+        simulation.step(&mut summary);
+        recorder.observe(&*simulation, &summary).expect("a valid step");
     }
     recorder.finish(&*simulation);
     let lines: Vec<String> = recorder

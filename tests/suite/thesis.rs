@@ -111,10 +111,10 @@ fn figure_2_2_cuts_cells_or_splits_nodes() {
         let (mut simulation, mut summary) = (scene.start().expect("a lattice"), StepSummary::default());
         let mut count = 0;
         for _ in 0..scene.steps() {
-            simulation.step();
-            simulation.summary(&mut summary);
+            summary.clear();
+            simulation.step(&mut summary);
             assert_eq!(summary.failure, None);
-            let events = simulation.body_events();
+            let events = &summary.body_events;
             assert!(events.iter().all(|found| found.name == event), "{events:?}");
             count += events.len();
         }
@@ -139,7 +139,7 @@ fn figure_2_1_has_the_springs_of_its_cells() {
     }
     assert_eq!(at_rest.len(), 3 * 28 - 2 * 6);
     assert!(at_rest.iter().all(|spring| spring.strain == 0.0));
-    (0..40).for_each(|_| simulation.step());
+    (0..40).for_each(|_| simulation.step(&mut StepSummary::default()));
     simulation.observe(Want::ALL, &mut frame);
     let length = |spring: &SpringFrame| spring.ends[0].distance(spring.ends[1]);
     for (now, before) in frame.bodies[0].springs.iter().zip(&at_rest) {
@@ -177,7 +177,7 @@ fn springs_are_drawn_until_they_are_cut() {
             colors.into_iter().eq(body.springs.iter().map(|spring| palette::color(palette::strain(spring.strain))))
         );
         counts.push(strips.len());
-        simulation.step();
+        simulation.step(&mut StepSummary::default());
     }
     assert!(counts.is_sorted_by(|before, now| before >= now) && counts[0] > counts[counts.len() - 1], "{counts:?}");
 

@@ -96,8 +96,8 @@ pub fn simulate(
         if !has_stepped {
             break;
         }
-        let (simulation, summary) = (&*run.simulation, &mut run.summary);
-        if let Some(warning) = summary.warning.take() {
+        let Run { simulation, summary, .. } = &run;
+        if let Some(warning) = &summary.warning {
             console.notes(&[format!("warning: {warning}")]);
         }
         if let Some(shortfall) = summary.shortfall {
@@ -105,9 +105,9 @@ pub fn simulate(
         }
         let due = arguments.realtime.then(|| start + Duration::from_secs_f64(simulation.time().min(1e9)));
         let lag = due.map(|due| Instant::now().saturating_duration_since(due));
-        failure = pipeline.observe(simulation, lag).err();
+        failure = pipeline.observe(&**simulation, summary, lag).err();
         let surfaces = pipeline.surface_events();
-        for row in rows(&summary.events, &surfaces, simulation.body_events()) {
+        for row in rows(&summary.events, &surfaces, &summary.body_events) {
             events.add(&row, &schema);
         }
         if let Some(due) = due {

@@ -16,7 +16,7 @@ use crate::{
     model::phase::Phase,
     models::lattice::Constants,
     observe::{
-        BodyEvent, BodyFrame, Frame, Instant, MotionFrame, NearPair, NetForce, PairFrame, Schema, Simulation,
+        BodyFrame, Frame, Instant, MotionFrame, NearPair, NetForce, PairFrame, Schema, Simulation,
         StepSummary, Want,
         schema::{ScalarOf, ScalarSchema},
     },
@@ -432,27 +432,21 @@ impl Simulation for Elastic {
         self.time_of(self.step)
     }
 
-    fn step(&mut self) {
+    fn step(&mut self, summary: &mut StepSummary) {
         self.take_step();
-    }
-
-    fn summary(&self, summary: &mut StepSummary) {
         summary.at = match &self.failure {
             Some(failure) if !failure.is_whole_step() => {
                 Instant { step: self.step + 1, time: self.time_of(self.step + 1) }
             }
             _ => self.now(),
         };
-        summary.events.clear();
         summary.events.extend_from_slice(&self.events);
-        summary.timings.clear();
+        summary.body_events.extend_from_slice(&self.tears);
         summary.timings.extend(self.timings);
-        summary.scalars.clear();
         summary.scalars.extend(scalars(&self.scene).into_iter().map(|scalar| match scalar.schema.of {
             ScalarOf::State => 0.0,
             _ => (scalar.value)(self, &[]),
         }));
-        summary.shortfall = None;
         summary.failure.clone_from(&self.failure);
     }
 
@@ -490,10 +484,6 @@ impl Simulation for Elastic {
 
     fn interrupt(&self) -> Option<&'static AtomicBool> {
         self.options.interrupt
-    }
-
-    fn body_events(&self) -> &[BodyEvent] {
-        &self.tears
     }
 
     fn account(&self) -> Option<String> {

@@ -312,7 +312,7 @@ impl Simulation for Metaballs {
         self.world.time()
     }
 
-    fn step(&mut self) {
+    fn step(&mut self, summary: &mut StepSummary) {
         let start = self.world.time();
         self.contacts.clear();
         if self.world.step().failure.is_none() {
@@ -321,10 +321,7 @@ impl Simulation for Metaballs {
             self.record_changes();
             self.finding = clock.elapsed();
         }
-    }
-
-    fn summary(&self, summary: &mut StepSummary) {
-        self.world.summary(summary);
+        view::summarise(&self.world, summary);
         let paths = summary.timings.iter().sum();
         summary.timings.clear();
         summary.timings.extend([paths, self.finding]);

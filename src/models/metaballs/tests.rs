@@ -12,7 +12,7 @@ use super::{
 use crate::{
     analysis::surface::Merger,
     geometry::union::Topology,
-    observe::{Frame, Simulation, SurfaceEvent, Want, surface::Finding},
+    observe::{Frame, Simulation, StepSummary, SurfaceEvent, Want, surface::Finding},
     scene::{Model, Scene},
     sim::{Options, numerics::roots::root},
 };
@@ -121,7 +121,7 @@ fn contacts(text: &str) -> Vec<SurfaceEvent> {
     let mut balls = Metaballs::new(&scene, Options::default()).unwrap();
     let mut all = Vec::new();
     for _ in 0..scene.steps() {
-        balls.step();
+        balls.step(&mut StepSummary::default());
         all.extend_from_slice(balls.contacts().unwrap());
     }
     all
@@ -198,7 +198,7 @@ fn vertices_are_on_the_surface_and_move_with_it() {
     let (mut frame, mut before, mut after) = (Frame::default(), Frame::default(), Frame::default());
     let mut seen = 0;
     for _ in 0..6 {
-        balls.step();
+        balls.step(&mut StepSummary::default());
         balls.observe(Want::ALL, &mut frame);
         let h = 1e-6;
         balls.within(&Frame::default(), balls.time() - h, &[0, 1], &mut before);
@@ -231,7 +231,7 @@ fn groups_are_drawn_as_one_surface() {
     let mut merger = Merger::new(&schema, None);
     let mut pieces = Vec::new();
     for _ in 0..scene.steps() {
-        balls.step();
+        balls.step(&mut StepSummary::default());
         balls.observe(Want::ALL, &mut frame);
         let merged = merger.merge(&schema, &frame, &[[0, 1]]);
         let measures = merged.pairs[0].unwrap();
