@@ -22,7 +22,7 @@ use rayon::prelude::*;
 
 use crate::{
     geometry::{
-        Mesh, Vectors,
+        Facets, Mesh, Vectors,
         fairing::Seamed,
         union::{self, Body, Budget, Hint, Origin, Topology, Union, is_raised},
     },
@@ -395,6 +395,12 @@ impl Group {
             origins: seamed.labels,
             triangles: seamed.triangles,
         })
+    }
+
+    /// How it is drawn, if a body of the group is faceted.
+    pub fn facets(&self, schema: &Schema) -> Option<Facets> {
+        let is_faceted = self.bodies.iter().any(|&body| schema.bodies[body].mesh.facets().is_some());
+        is_faceted.then(|| Facets::new(self.positions.len(), &self.triangles))
     }
 
     /// Appends the outward unit normals of the vertices; `sums` is scratch storage.

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::vectors::Vectors;
+use super::{facets::Facets, vectors::Vectors};
 
 /// A closed triangle mesh, shared by all bodies of a shape at any radius: lengths are in radii, the origin is the
 /// centre of mass, and the farthest vertex is at distance 1. [`Rest`] is the mesh at the scale of a body.
@@ -20,6 +20,8 @@ pub struct Mesh {
     shares: Vec<f64>,
     /// The rings of vertices, if the mesh has this structure.
     rings: Option<Rings>,
+    /// How it is drawn, if its faces are flat.
+    facets: Option<Facets>,
 }
 
 /// The volume of a closed mesh, given the corners of its triangles, counter-clockwise seen from outside; of an open one that
@@ -50,7 +52,7 @@ impl Mesh {
         let positions: Vectors = positions.iter().map(|position| (position - centre) * scale).collect();
         let directions = positions.iter().map(DVec3::normalize_or_zero).collect();
         let normals = Some(normals(&positions, &triangles));
-        Mesh { positions, directions: Some(directions), normals, triangles, shares, rings: None }
+        Mesh { positions, directions: Some(directions), normals, triangles, shares, rings: None, facets: None }
     }
 
     /// The mesh of a body after it has torn, in the axes and unit of its first mesh [radii]: vertices are not moved or
@@ -59,14 +61,36 @@ impl Mesh {
         let shares = shares(&positions, &triangles);
         let directions = positions.iter().map(DVec3::normalize_or_zero).collect();
         let normals = Some(normals(&positions, &triangles));
-        Mesh { positions, directions: Some(directions), normals, triangles, shares, rings: None }
+        Mesh { positions, directions: Some(directions), normals, triangles, shares, rings: None, facets: None }
     }
 
     /// A mesh whose vertices are all at distance 1 from its centre of mass and have their direction as normal, to
     /// rounding.
     pub fn round(directions: Vectors, triangles: Vec<[u32; 3]>, rings: Option<Rings>) -> Mesh {
         let shares = shares(&directions, &triangles);
-        Mesh { positions: directions, directions: None, normals: None, triangles, shares, rings }
+        Mesh { positions: directions, directions: None, normals: None, triangles, shares, rings, facets: None }
+    }
+
+    /// The mesh with flat faces and sharp edges, instead of the smooth surface as which it is drawn otherwise. Nothing else
+    /// changes. Not for bodies that tear.
+    pub fn faceted(self) -> Mesh {
+        let facets = Some(Facets::new(self.vertex_count(), &self.triangles));
+        Mesh { facets, ..self }
+    }
+
+    /// How it is drawn, if its faces are flat.
+    pub fn facets(&self) -> Option<&Facets> {
+        self.facets.as_ref()
+    }
+
+    /// Its triangles as they are drawn: of its vertices and, if its faces are flat, their copies.
+    pub fn drawn_triangles(&self) -> &[[u32; 3]] {
+        self.facets.as_ref().map_or(&self.triangles, Facets::triangles)
+    }
+
+    /// Number of vertices that are drawn, with copies.
+    pub fn drawn_vertex_count(&self) -> usize {
+        self.vertex_count() + self.facets.as_ref().map_or(0, Facets::copy_count)
     }
 
     /// Number of vertices.
@@ -134,6 +158,7 @@ impl Mesh {
         vectors.into_iter().flatten().map(Vectors::memory).sum::<usize>()
             + self.triangles.capacity() * size_of::<[u32; 3]>()
             + self.shares.capacity() * size_of::<f64>()
+            + self.facets.as_ref().map_or(0, Facets::memory)
     }
 }
 

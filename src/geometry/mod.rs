@@ -13,6 +13,7 @@
 //! A new shape is a file that implements [`shape::Solid`] and an entry in the table below. This module does not depend
 //! on bodies, scenes or time.
 
+mod facets;
 pub mod fairing;
 pub mod files;
 pub mod mesh;
@@ -21,6 +22,7 @@ pub mod sphere;
 pub mod union;
 pub mod vectors;
 
+pub use facets::Facets;
 pub use files::MeshFile;
 pub use mesh::{Mesh, Rest, Rings};
 pub use vectors::Vectors;

@@ -212,13 +212,7 @@ impl Experiment for SideBySide {
             return Err("there is no model to run".to_owned());
         }
         let (schema, scene) = (self.combined(&places), self.scene.clone());
-        Ok(Box::new(SideBySideRun {
-            schema,
-            scene,
-            parts,
-            contacts: Vec::new(),
-            frame: Frame::default(),
-        }))
+        Ok(Box::new(SideBySideRun { schema, scene, parts, contacts: Vec::new(), frame: Frame::default() }))
     }
 
     fn read(&self, name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experiment>, Refusal> {

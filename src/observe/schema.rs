@@ -131,7 +131,8 @@ pub struct BodySchema {
     pub reach: f64,
     /// Name of its shape: letters, digits, `-` and `_`. Bodies with the same shape name have the same mesh.
     pub shape: String,
-    /// Mesh at rest, scaled to radius 1.
+    /// Mesh at rest, scaled to radius 1. It is drawn as a smooth surface, or with flat faces if it is
+    /// [faceted](Mesh::faceted).
     pub mesh: Arc<Mesh>,
     /// Whether forces move and rotate it; otherwise its path is prescribed.
     pub is_free: bool,

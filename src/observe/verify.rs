@@ -174,6 +174,9 @@ impl Mistakes {
         self.ensure(is_plain(&body.shape), || {
             format!("schema.bodies[{index}].shape is {:?}, expected {PLAIN}", body.shape)
         });
+        self.ensure(!body.can_tear || body.mesh.facets().is_none(), || {
+            format!("schema.bodies[{index}].can_tear is set, but its mesh is faceted, which bodies that tear cannot be")
+        });
         self.ensure(!body.mesh.triangles().is_empty(), || format!("schema.bodies[{index}].mesh has no triangles"));
     }
 

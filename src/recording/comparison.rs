@@ -118,7 +118,7 @@ impl Comparison {
         for (_, name, mesh) in &shown {
             for (side, rgb) in ["a", "b"].into_iter().zip(COLORS) {
                 let mesh = Mesh3D::update_fields()
-                    .with_triangle_indices(mesh.triangles().iter().copied())
+                    .with_triangle_indices(mesh.drawn_triangles().iter().copied())
                     .with_albedo_factor(color(rgb).0);
                 chunks.log_static(&COMPARED_SURFACE.of(&[side, name]), &mesh);
             }
@@ -169,8 +169,10 @@ impl Comparison {
                 let vectors = positions.iter().copied().collect();
                 let (mut normals, mut scratch) = (Vec::new(), normals::NormalScratch::default());
                 normals::append(Arch::new(), mesh, &vectors, &mut scratch, &mut normals);
+                let mut positions: Vec<_> = positions.iter().map(|position| position.as_vec3()).collect();
+                mesh.facets().into_iter().for_each(|facets| facets.extend(&mut positions, 0));
                 let mesh = Mesh3D::update_fields()
-                    .with_vertex_positions(positions.iter().map(|p| p.as_vec3()))
+                    .with_vertex_positions(positions)
                     .with_vertex_colors(normals.iter().map(|&normal| light.white(normal)));
                 self.chunks.log(&COMPARED_SURFACE.of(&[side, name]), at, &mesh);
             }

@@ -341,6 +341,14 @@ impl FrameReader {
         Ok(())
     }
 
+    /// Removes the copies with which faces are drawn flat.
+    fn without_copies(&self, body: usize, positions: &mut Vec<Vec3>) {
+        let mesh = &self.schema.bodies[body].mesh;
+        if mesh.facets().is_some() {
+            positions.truncate(mesh.vertex_count());
+        }
+    }
+
     fn apply_row(&mut self, chunk: usize, row: usize, is_naming_pass: bool) -> Result<(), String> {
         let Some(chunk) = self.pending.get(chunk) else { return Ok(()) };
         let entity = path_of(chunk);
@@ -369,7 +377,8 @@ impl FrameReader {
         } else if let Some(names) = BODY_SURFACE.names(&entity) {
             if !is_naming_pass {
                 let index = index_of(&names)?;
-                let positions = vectors(&Mesh3D::descriptor_vertex_positions());
+                let mut positions = vectors(&Mesh3D::descriptor_vertex_positions());
+                self.without_copies(index, &mut positions);
                 let triangles = cell::<UVec3D>(chunk, &Mesh3D::descriptor_triangle_indices(), row);
                 let triangles: Vec<[u32; 3]> = triangles.into_iter().map(|triangle| triangle.0).collect();
                 if !triangles.is_empty() {
@@ -402,7 +411,8 @@ impl FrameReader {
                 for (body, count) in self.deforming.clone() {
                     let Some((own, others)) = rest.split_at_checked(count) else { break };
                     rest = others;
-                    let (positions, triangles) = (own.to_vec(), None);
+                    let (mut positions, triangles) = (own.to_vec(), None);
+                    self.without_copies(body, &mut positions);
                     self.surfaces[body] = Some(RecordedSurface { positions, triangles, kind: SurfaceKind::World });
                 }
             }

@@ -33,7 +33,7 @@ impl Extractor {
         append_moved(self.local(body, now), now.centre, positions);
     }
 
-    /// Smooth vertex normals of a mesh; `positions` are relative to its centre.
+    /// Vertex normals of a mesh, smooth unless it is faceted; `positions` are relative to its centre.
     pub fn normals(&mut self, mesh: &Mesh, positions: &Vectors) -> Vec<Float3> {
         let mut normals = Vec::new();
         normals::append(self.arch, mesh, positions, &mut self.normals, &mut normals);
@@ -41,19 +41,21 @@ impl Extractor {
     }
 }
 
-/// Vertex positions and smooth normals of bodies. Reused.
+/// Vertex positions and normals of bodies, with the copies of faceted meshes. Reused.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Surface {
-    /// Vertex positions [scene unit], `[vertex_count]`.
+    /// Vertex positions [scene unit], `[drawn_vertex_count]`.
     pub positions: Vec<Float3>,
-    /// Unit normals, `[vertex_count]`.
+    /// Unit normals, `[drawn_vertex_count]`.
     pub normals: Vec<Float3>,
 }
 
 impl Surface {
     /// Appends the surface of a body in world coordinates.
     pub fn append_in_world(&mut self, body: &BodySchema, now: &BodyFrame, extractor: &mut Extractor) {
+        let first = self.positions.len();
         append_moved(extractor.local(body, now), now.centre, &mut self.positions);
+        self.copy(now.mesh_of(body), first);
         // Normals are computed relative to the centre: its position would cost precision.
         let Extractor { arch, rest, normals } = extractor;
         let local = if now.is_at_rest { rest } else { &now.positions };
@@ -69,8 +71,17 @@ impl Surface {
         } else {
             &now.positions
         };
+        let first = self.positions.len();
         append_moved(positions, DVec3::ZERO, &mut self.positions);
+        self.copy(now.mesh_of(body), first);
         normals::append(*arch, now.mesh_of(body), positions, normals, &mut self.normals);
+    }
+
+    /// Appends the copies of a mesh whose vertices begin at `first`.
+    fn copy(&mut self, mesh: &Mesh, first: usize) {
+        if let Some(facets) = mesh.facets() {
+            facets.extend(&mut self.positions, first);
+        }
     }
 
     /// Removes all vertices and keeps the allocation.

@@ -1,4 +1,5 @@
-//! Smooth vertex normals: area-weighted sums of the normals of the adjacent triangles.
+//! Smooth vertex normals: area-weighted sums of the normals of the adjacent triangles; of faceted meshes those of the
+//! triangles.
 //!
 //! A mesh of rings has its triangles in bands between two rings, with the same two triangles repeated around each band.
 //! A band is therefore processed by a few vectorised loops over arrays, without index lookups. Any other mesh is
@@ -29,11 +30,14 @@ pub struct NormalScratch {
     sum: Vectors,
 }
 
-/// Appends the unit normals of a deformed mesh; `positions` are its vertices relative to its centre.
+/// Appends the unit normals of a deformed mesh, and of its copies if it is faceted; `positions` are its vertices relative to
+/// its centre.
 pub fn append(arch: Arch, mesh: &Mesh, positions: &Vectors, scratch: &mut NormalScratch, normals: &mut Vec<Float3>) {
     if positions.len() != mesh.vertex_count() {
         // the positions do not belong to this mesh
         normals.extend(positions.iter().map(|position| unit(position, DVec3::Z)));
+    } else if let Some(facets) = mesh.facets() {
+        facets.append_normals(|i| positions.get(i), positions.len(), normals);
     } else if let Some(rings) = mesh.rings() {
         arch.dispatch(All { rings, positions, scratch, normals });
     } else {

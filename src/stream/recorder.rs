@@ -15,9 +15,9 @@ use super::{
     checksums::Checksums,
     chunks::{Audience, Chunks},
     contract::{
-        self, ABOUT, ACCURACY, BODY_EVENTS, Component, DIGEST, EVENTS, Entity, FAILURE, INTEGRATOR, MACHINE, MARKS_AT_Q,
-        MARKS_ON_AXIS, MODEL, OVERRIDES, PAIR_PHASE, PROPERTIES, RECORDING_INFO, SCENE, SETTINGS, STAGES, STEPS,
-        SURFACE_EVENTS, VERSION, WORLD, path_of,
+        self, ABOUT, ACCURACY, BODY_EVENTS, Component, DIGEST, EVENTS, Entity, FAILURE, INTEGRATOR, MACHINE,
+        MARKS_AT_Q, MARKS_ON_AXIS, MODEL, OVERRIDES, PAIR_PHASE, PROPERTIES, RECORDING_INFO, SCENE, SETTINGS, STAGES,
+        STEPS, SURFACE_EVENTS, VERSION, WORLD, path_of,
     },
     extract::Extractor,
     flight::FlightRecorder,

@@ -12,15 +12,20 @@ use meldscope::{
         schema::ScalarOf,
     },
     recording::{
-        Recorded,
+        Recorded, diff,
+        frames::FrameReader,
         replay::{self, Verdict},
     },
     scene::{Body, Force, FreeMotion, Motion, Path, Push, Response},
+    sdk,
     sim::{EditError, WorldError},
-    stream::{self, Settings, sinks::Destinations},
+    stream::{self, Settings, settings::Entities, sinks::Destinations},
 };
 
-use crate::{octahedra::Octahedra, recording::Dir};
+use crate::{
+    octahedra::Octahedra,
+    recording::{Dir, Recording},
+};
 
 /// Two balls that fall side by side onto a plane, and a third one far away on a path.
 const BALLS: &str = "duration = 2.0
@@ -294,7 +299,7 @@ fn mistakes_of_an_implementer_are_named() {
     assert_eq!(observe::verify(&Octahedra::two(3.0), 100), Ok(()));
     assert_eq!(observe::verify(&Scene::builtin("three").expect("built in"), 100), Ok(()));
     assert_eq!(observe::verify(&balls(), 60), Ok(()));
-    let schemas: [Mistake<Schema>; 14] = [
+    let schemas: [Mistake<Schema>; 15] = [
         ("schema.terms has 3 terms with is_sum", |schema| schema.terms.iter_mut().for_each(|term| term.is_sum = true)),
         ("schema.pair_scalars[0].name is \"a/b\"", |schema| schema.pair_scalars[0].name = "a/b"),
         ("schema.body_scalars[0].of", |schema| schema.body_scalars[0].of = ScalarOf::SumOfSteps),
@@ -307,6 +312,10 @@ fn mistakes_of_an_implementer_are_named() {
         ("schema.dt is -1.0", |schema| schema.dt = -1.0),
         ("schema.terms[1].name is \"spring\"", |schema| schema.terms[1].name = "spring"),
         ("schema.scalars[0].name is \"a b\"", |schema| schema.scalars[0].name = "a b"),
+        ("schema.bodies[0].can_tear is set, but its mesh is faceted", |schema| {
+            schema.bodies[0].mesh = Arc::new(schema.bodies[0].mesh.as_ref().clone().faceted());
+            schema.bodies[0].can_tear = true;
+        }),
         ("mesh has no triangles", |schema| {
             let corners = schema.bodies[0].mesh.positions().clone();
             schema.bodies[0].mesh = Arc::new(meldscope::geometry::Mesh::new(corners, Vec::new()));
@@ -366,6 +375,60 @@ fn mistakes_of_an_implementer_are_named() {
         let destinations = Destinations { save: Some(file.clone()), ..Destinations::default() };
         let refused = stream::record(&broken, Settings::of(&broken), &destinations).expect_err(text).to_string();
         assert!(refused.contains(text), "expected {text:?}: {refused}");
+    }
+}
+
+/// Faceted meshes are drawn with flat faces, alone and as one surface; what is read back are their vertices.
+#[test]
+fn faces_can_be_drawn_flat() {
+    let flat = Broken {
+        schema: |schema| {
+            let mesh = Arc::new(schema.bodies[0].mesh.as_ref().clone().faceted());
+            schema.bodies.iter_mut().for_each(|body| body.mesh = Arc::clone(&mesh));
+            schema.phases[1].is_joined = true;
+        },
+        ..Broken::NOWHERE
+    };
+    assert_eq!(observe::verify(&flat, 100), Ok(()));
+    let dir = Dir::new();
+    for (name, entities) in [("body", Entities::Body), ("batch", Entities::Batch)] {
+        let destinations = Destinations { save: Some(dir.file(name)), ..Destinations::default() };
+        stream::record(&flat, Settings { entities, ..Settings::of(&flat) }, &destinations).expect("disk space");
+        let recorded = Recorded::open_as(&dir.file(name), &|_, _, _| Ok(Arc::new(flat))).expect("a recording");
+        assert_eq!(replay::verify(&recorded, |_| true).expect("it runs"), Verdict::Identical);
+        let difference = diff::diff([&recorded, &recorded], 1e-9).expect("the same bodies");
+        assert!(difference.first_bits.is_none() && difference.first_beyond.is_none(), "{difference}");
+        let (mut simulation, mut now) = (flat.start().expect("enough memory"), Frame::default());
+        let mut frames = FrameReader::open(&recorded).expect("a recording");
+        while let Some(frame) = frames.next().expect("frames") {
+            simulation.observe(Want::default(), &mut now);
+            assert_eq!(frame.compare(&recorded.schema, &now), None, "{name}, step {}", frame.step);
+            assert_eq!(frame.surfaces[0].as_ref().map(|surface| surface.positions.len()), Some(6));
+            simulation.step(&mut StepSummary::default());
+        }
+        let recording = Recording::open(&dir.file(name));
+        let own = if entities == Entities::Body { "/world/bodies/a/surface" } else { "/world/deforming/surface" };
+        for entity in [own, "/world/merged/surface"] {
+            let mut seen = 0;
+            for row in recording.held(entity, 1..=100) {
+                let vectors = |component: &str| row.get::<sdk::datatypes::Vec3D>(component).into_iter();
+                let vectors = |component: &str| vectors(component).map(|v| glam::Vec3::from(v.0)).collect::<Vec<_>>();
+                let triangles = row.get::<sdk::datatypes::UVec3D>("Mesh3D:triangle_indices");
+                let positions = vectors("Mesh3D:vertex_positions");
+                let normals = vectors("Mesh3D:vertex_normals");
+                assert_eq!((positions.len(), normals.len()), (3 * triangles.len(), 3 * triangles.len()), "{entity}");
+                for corners in triangles {
+                    let [a, b, c] = corners.0.map(|i| positions[i as usize]);
+                    let area = (b - a).cross(c - a);
+                    for normal in corners.0.map(|i| normals[i as usize]) {
+                        // slivers along a seam have no direction in single precision
+                        assert!(area.length() < 1e-4 || normal.distance(area.normalize()) < 1e-3, "{normal} {area}");
+                    }
+                    seen += 1;
+                }
+            }
+            assert!(seen > 8 * 20, "{name}: {entity} has {seen} triangles");
+        }
     }
 }
 

@@ -206,7 +206,8 @@ impl Simulation for Running {
 
 impl Experiment for Boxes {
     fn schema(&self) -> Schema {
-        let mesh = Arc::new(Mesh::new((0..CORNERS).map(|i| corner(i) / RADIUS).collect(), FACES.to_vec()));
+        let mesh = Mesh::new((0..CORNERS).map(|i| corner(i) / RADIUS).collect(), FACES.to_vec());
+        let mesh = Arc::new(mesh.faceted());
         let body = |index: usize| {
             let body = BodySchema::new(&format!("box{index}"), "box", Arc::clone(&mesh), RADIUS, 0.0);
             BodySchema { is_free: true, can_be_absent: true, ..body }

@@ -4,7 +4,7 @@ use glam::DVec3;
 
 use crate::{
     analysis::surface::Merged,
-    geometry::Vectors,
+    geometry::{Facets, Vectors},
     observe::{Frame, Schema},
     stream::palette,
 };
@@ -36,10 +36,16 @@ pub fn parts(schema: &Schema, frame: &Frame, merged: &Merged) -> Vec<Part> {
             names => names.join("+"),
         };
         let colors = group.origins.iter().map(|origin| palette::blended(schema, origin)).collect();
-        let mut normals = Vec::new();
-        group.append_normals(&mut sums, &mut normals);
-        let positions = group.positions.iter().map(|position| position.as_vec3().to_array()).collect();
-        parts.push(Part { name, positions, normals, colors, triangles: group.triangles.clone() });
+        let part = match group.facets(schema) {
+            Some(facets) => Part::faceted(name, &facets, &group.positions, colors),
+            None => {
+                let mut normals = Vec::new();
+                group.append_normals(&mut sums, &mut normals);
+                let positions = group.positions.iter().map(|position| position.as_vec3().to_array()).collect();
+                Part { name, positions, normals, colors, triangles: group.triangles.clone() }
+            }
+        };
+        parts.push(part);
     }
     let mut local = Vectors::default();
     for (index, (body, now)) in schema.bodies.iter().zip(&frame.bodies).enumerate() {
@@ -50,12 +56,26 @@ pub fn parts(schema: &Schema, frame: &Frame, merged: &Merged) -> Vec<Part> {
         now.local_positions(mesh.at(body.radius), &mut local);
         let positions: Vec<DVec3> = local.iter().map(|position| position + now.centre).collect();
         let colors = vec![palette::of_body(schema, index); positions.len()];
-        parts.push(Part::of_body(body.name.clone(), &positions, colors, mesh.triangles().to_vec()));
+        let name = body.name.clone();
+        parts.push(match mesh.facets() {
+            Some(facets) => Part::faceted(name, facets, &positions, colors),
+            None => Part::of_body(name, &positions, colors, mesh.triangles().to_vec()),
+        });
     }
     parts
 }
 
 impl Part {
+    /// A surface whose triangles share no vertices.
+    fn faceted(name: String, facets: &Facets, positions: &[DVec3], mut colors: Vec<[u8; 3]>) -> Part {
+        let mut normals = Vec::new();
+        facets.append_normals(|i| positions[i], positions.len(), &mut normals);
+        let mut positions = positions.iter().map(|position| position.as_vec3().to_array()).collect();
+        facets.extend(&mut positions, 0);
+        facets.extend(&mut colors, 0);
+        Part { name, positions, normals, colors, triangles: facets.triangles().to_vec() }
+    }
+
     fn of_body(name: String, positions: &[DVec3], colors: Vec<[u8; 3]>, triangles: Vec<[u32; 3]>) -> Part {
         let mut areas = vec![DVec3::ZERO; positions.len()];
         for corners in &triangles {

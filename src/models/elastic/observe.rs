@@ -16,8 +16,7 @@ use crate::{
     model::phase::Phase,
     models::lattice::Constants,
     observe::{
-        BodyFrame, Frame, Instant, MotionFrame, NearPair, NetForce, PairFrame, Schema, Simulation,
-        StepSummary, Want,
+        BodyFrame, Frame, Instant, MotionFrame, NearPair, NetForce, PairFrame, Schema, Simulation, StepSummary, Want,
         schema::{ScalarOf, ScalarSchema},
     },
     scene::{Integrator, Model, Scene, TearMode},

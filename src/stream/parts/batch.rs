@@ -60,9 +60,10 @@ impl BatchedBodies {
             let lit: Vec<u32> = normals.iter().map(|&normal| Light::in_world().white(normal)).collect();
             let lit = light::unlit().with_component_from_data(LIT.0, Arc::new(UInt32Array::from(lit)));
             chunks.log_static(&RESTING.of(&[shape]), &lit);
-            let mesh = Mesh3D::new(mesh.positions().iter().map(|v| v.as_vec3()))
+            let positions = vertices::indices(mesh).into_iter().map(|i| mesh.positions().get(i as usize).as_vec3());
+            let mesh = Mesh3D::new(positions)
                 .with_vertex_normals(normals)
-                .with_triangle_indices(mesh.triangles().iter().copied())
+                .with_triangle_indices(mesh.drawn_triangles().iter().copied())
                 .with_albedo_factor(palette::opaque(palette::RESTING));
             chunks.log_static(&RESTING.of(&[shape]), &mesh);
         }
@@ -120,7 +121,7 @@ impl BatchedBodies {
             std::mem::swap(&mut self.next, &mut self.last);
             let Surface { positions, normals } = &self.last;
             let colors = self.deforming.iter().flat_map(|&i| {
-                let count = now[i].mesh_of(&bodies[i]).vertex_count();
+                let count = now[i].mesh_of(&bodies[i]).drawn_vertex_count();
                 std::iter::repeat_n(palette::of_body(view.schema, i), count)
             });
             self.lit.clear();
@@ -145,11 +146,11 @@ impl BatchedBodies {
         for &i in deforming {
             let body = &view.schema.bodies[i];
             let mesh = view.frame.bodies[i].mesh_of(body);
-            let count = mesh.vertex_count();
-            triangles.extend(mesh.triangles().iter().map(|t| t.map(|v| v + first)));
+            let count = mesh.drawn_vertex_count();
+            triangles.extend(mesh.drawn_triangles().iter().map(|t| t.map(|v| v + first)));
             colors.extend(std::iter::repeat_n(color(palette::of_body(view.schema, i)), count));
             names.extend(std::iter::repeat_n(body.name.as_str(), count));
-            indices.extend(0..count as u32);
+            indices.extend(vertices::indices(mesh));
             first += count as u32;
         }
         let mesh = Mesh3D::update_fields().with_triangle_indices(triangles).with_vertex_colors(colors);
@@ -164,9 +165,9 @@ impl BatchedBodies {
         for &i in &self.deforming {
             let mesh = view.frame.bodies[i].mesh_of(&view.schema.bodies[i]);
             if !is_merged(i) {
-                triangles.extend(mesh.triangles().iter().map(|t| t.map(|v| v + first)));
+                triangles.extend(mesh.drawn_triangles().iter().map(|t| t.map(|v| v + first)));
             }
-            first += mesh.vertex_count() as u32;
+            first += mesh.drawn_vertex_count() as u32;
         }
         chunks.log(DEFORMING.path, view.at, &drawn(&triangles));
     }

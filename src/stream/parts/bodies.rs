@@ -117,13 +117,13 @@ impl SeparateBodies {
             let (entity, surface) = (BODY.of(&[&body.name]), BODY_SURFACE.of(&[&body.name]));
             let color = palette::translucent(palette::of_body(schema, index));
             let mesh = Mesh3D::update_fields().with_albedo_factor(color);
-            let triangles = body.mesh.triangles().iter().copied();
+            let triangles = body.mesh.drawn_triangles().iter().copied();
             // a static value could not change later
             chunks.log_static(&surface, &if body.can_tear { mesh } else { mesh.with_triangle_indices(triangles) });
             chunks.log_static(&surface, &light::unlit());
             let vertices = (detail != Detail::Surface).then(|| {
                 if !body.can_tear {
-                    chunks.log_static(&surface, &identity(&body.name, body.vertex_count()));
+                    chunks.log_static(&surface, &identity(&body.name, &body.mesh));
                 }
                 Vertices::new(&surface, chunks)
             });
@@ -168,17 +168,17 @@ impl SeparateBodies {
             let is_drawn = !is_merged.get(index).copied().unwrap_or(false);
             let mesh = now.mesh_of(body);
             if body.can_tear && !track.mesh.as_ref().is_some_and(|last| Arc::ptr_eq(last, mesh)) {
-                let triangles = Mesh3D::update_fields().with_triangle_indices(mesh.triangles().iter().copied());
+                let triangles = Mesh3D::update_fields().with_triangle_indices(mesh.drawn_triangles().iter().copied());
                 chunks.log(&track.entity, view.at, &triangles);
                 if track.vertices.is_some() {
-                    chunks.log(&track.entity, view.at, &identity(&body.name, mesh.vertex_count()));
+                    chunks.log(&track.entity, view.at, &identity(&body.name, mesh));
                 }
                 track.mesh = Some(Arc::clone(mesh));
                 track.is_drawn = None;
                 track.is_at_rest = false;
             }
             if track.is_drawn != Some(is_drawn) {
-                let triangles = if is_drawn { mesh.triangles() } else { HIDDEN.as_slice() };
+                let triangles = if is_drawn { mesh.drawn_triangles() } else { HIDDEN.as_slice() };
                 chunks.log(&track.entity, view.at, &drawn(triangles));
                 track.is_drawn = Some(is_drawn);
             }

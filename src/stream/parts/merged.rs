@@ -12,6 +12,8 @@ use rayon::prelude::*;
 use super::FrameView;
 use crate::{
     analysis::surface::{Merged, Merger},
+    colors::Rgb,
+    geometry::Facets,
     observe::{
         self, Frame, Schema,
         surface::{Group, VertexOrigin},
@@ -195,11 +197,19 @@ impl Mesh {
         let first = self.positions.len() as u32;
         let single = |position: &DVec3| position.as_vec3().to_array();
         self.positions.extend(group.positions.iter().map(single));
-        self.triangles.extend(group.triangles.iter().map(|corners| corners.map(|v| v + first)));
-        group.append_normals(&mut self.sums, &mut self.normals);
+        let facets = group.facets(schema);
+        let triangles = facets.as_ref().map_or(&*group.triangles, Facets::triangles);
+        self.triangles.extend(triangles.iter().map(|corners| corners.map(|v| v + first)));
+        let mut rgbs: Vec<Rgb> = group.origins.iter().map(|origin| palette::blended(schema, origin)).collect();
+        match &facets {
+            Some(facets) => {
+                facets.extend(&mut rgbs, 0);
+                facets.append_normals(|i| group.positions[i], group.positions.len(), &mut self.normals);
+            }
+            None => group.append_normals(&mut self.sums, &mut self.normals),
+        }
         let light = Light::in_world();
-        for (origin, &normal) in group.origins.iter().zip(&self.normals[first as usize..]) {
-            let rgb = palette::blended(schema, origin);
+        for (&rgb, &normal) in rgbs.iter().zip(&self.normals[first as usize..]) {
             self.colors.push(color(rgb).to_u32());
             self.lit.push(light.on(rgb, normal));
         }
@@ -209,6 +219,11 @@ impl Mesh {
         };
         self.classes.extend(group.origins.iter().map(class));
         self.vertices.extend(group.origins.iter().map(|origin| origin.vertex.unwrap_or(u32::MAX)));
+        if let Some(facets) = &facets {
+            facets.extend(&mut self.positions, first as usize);
+            facets.extend(&mut self.classes, first as usize);
+            facets.extend(&mut self.vertices, first as usize);
+        }
         for seam in &group.seams {
             self.seams.push(seam.positions.iter().map(single).collect());
             self.names.push(schema.pair_name(seam.bodies[0], seam.bodies[1]));

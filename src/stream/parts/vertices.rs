@@ -5,6 +5,7 @@ use std::sync::Arc;
 use super::heat;
 
 use crate::{
+    geometry::Mesh,
     observe::{BodyFrame, Schema, schema::BodySchema},
     sdk::{AnyValues, arrow::array::UInt32Array, components::Text},
     stream::{
@@ -17,9 +18,9 @@ use crate::{
 /// Values of vertices. Reused.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct VertexNumbers {
-    /// |x| [radii], `[vertex_count]`.
+    /// |x| [radii], `[drawn_vertex_count]`.
     displacement: Vec<f32>,
-    /// |x″| [scene unit/s²], `[vertex_count]`.
+    /// |x″| [scene unit/s²], `[drawn_vertex_count]`.
     net: Vec<f32>,
     /// The displacement as texture coordinates of its colour.
     heat: Vec<[f32; 2]>,
@@ -60,6 +61,14 @@ impl VertexNumbers {
         if let Some(&nothing) = schema.labels.first() {
             self.reach.extend(now.labels.iter().filter_map(|&label| schema.labels.get(usize::from(label)).copied()));
             self.reach.resize(end, nothing);
+        }
+        if let Some(facets) = now.mesh_of(body).facets() {
+            facets.extend(&mut self.displacement, first);
+            facets.extend(&mut self.net, first);
+            facets.extend(&mut self.heat, first);
+            if !schema.labels.is_empty() {
+                facets.extend(&mut self.reach, first);
+            }
         }
     }
 
@@ -105,9 +114,16 @@ impl Vertices {
     }
 }
 
-/// The body and the index of each vertex.
-pub fn identity(body: &str, count: usize) -> AnyValues {
+/// The body and the index of each vertex of its mesh.
+pub fn identity(body: &str, mesh: &Mesh) -> AnyValues {
     AnyValues::default()
         .with_component::<Text>(VERTEX_BODY.0, [body])
-        .with_component_from_data(VERTEX.0, Arc::new(UInt32Array::from_iter_values(0..count as u32)))
+        .with_component_from_data(VERTEX.0, Arc::new(UInt32Array::from(indices(mesh))))
+}
+
+/// The index of each vertex that is drawn of a mesh.
+pub fn indices(mesh: &Mesh) -> Vec<u32> {
+    let mut indices: Vec<u32> = (0..mesh.vertex_count() as u32).collect();
+    mesh.facets().into_iter().for_each(|facets| facets.extend(&mut indices, 0));
+    indices
 }
