@@ -580,9 +580,15 @@ impl Scene {
     /// Whether the scene needs the coupled solver: there is a free body, a plane, or a core with a gradual rim, now or
     /// after an edit.
     pub fn is_coupled(&self) -> bool {
-        !self.planes.is_empty()
+        self.is_coupled_without(self.bodies.len())
+    }
+
+    /// Whether it is coupled if it has not this body.
+    pub(crate) fn is_coupled_without(&self, index: usize) -> bool {
+        let others = self.bodies.iter().enumerate().filter(|(other, _)| *other != index);
+        others.into_iter().any(|(_, body)| body.path().is_none())
+            || !self.planes.is_empty()
             || self.laws().any(|law| law.core_width > 0.0)
-            || self.bodies.iter().any(|body| body.path().is_none())
             || self.becomes_coupled()
     }
 

@@ -3,14 +3,15 @@
 //! The result is the same as if the scene had contained the change: pushes and bodies added before they begin to act
 //! lead to bit-identical states.
 //!
-//! In worlds with free bodies, planes or cores with a width, [`World::set_force`], [`World::push`] and [`World::add`]
-//! change the body in question; all other changes build the world anew, in time proportional to its size.
+//! A change costs what the body in question costs, and, of a body that is added or removed, a look at the list of all
+//! others. In a world of bodies on paths that has force points, [`World::add`] and [`World::remove`] build the world anew, in
+//! time proportional to its size.
 
 use super::{
     handle::{BodyHandle, BodyId},
     memory,
     report::EditError,
-    solver::Solver,
+    solver::{Setting, Solver},
     world::World,
 };
 use crate::scene::{Body, Force, Motion, Push, Scene};
@@ -27,37 +28,51 @@ impl World {
         if self.scene.bodies.iter().any(|other| other.name == body.name) {
             return Err(EditError::Name(body.name));
         }
-        if matches!(self.solver, Solver::Coupled(_)) {
-            self.scene.add_body(body);
+        let last = self.body_count();
+        self.scene.add_body(body);
+        let is_in_place = self.keeps_solver(self.scene.is_coupled()) && self.renumbers_in_place();
+        if is_in_place {
             if let Err(error) = self.add_last() {
-                self.scene.remove_body(self.scene.bodies.len() - 1);
+                self.scene.remove_body(last);
                 return Err(error);
             }
-            self.work.set_vertices(self.scene.vertex_count());
         } else {
-            let mut scene = self.scene.clone();
-            scene.add_body(body);
-            let kept: Vec<Option<usize>> = (0..self.body_count()).map(Some).chain([None]).collect();
-            self.restart_now(scene, &kept, false)?;
+            let grown = self.scene.clone();
+            self.scene.remove_body(last);
+            let kept: Vec<Option<usize>> = (0..last).map(Some).chain([None]).collect();
+            self.restart_now(grown, &kept, false)?;
         }
+        self.work.set_vertices(self.scene.vertex_count());
         Ok(self.handles.push())
+    }
+
+    /// Whether the solver is that of such a scene.
+    fn keeps_solver(&self, is_coupled: bool) -> bool {
+        is_coupled == matches!(self.solver, Solver::Coupled(_))
+    }
+
+    /// Whether bodies can get other indices in place: the tracks of force points follow those of bodies on paths.
+    fn renumbers_in_place(&self) -> bool {
+        matches!(self.solver, Solver::Coupled(_)) || self.scene.points.is_empty()
     }
 
     /// Adds the last body of the scene to the solver.
     fn add_last(&mut self) -> Result<(), EditError> {
         let budget = memory::check_grown(&self.scene)?;
         let max_pairs = budget.max_pairs(&self.scene);
-        let time = self.time();
+        let (time, step, arch) = (self.time(), self.steps_taken(), self.options().arch);
         let World { scene, solver, report, .. } = self;
         let is_added = match solver {
             Solver::Coupled(coupled) => coupled.add_last(scene, time, max_pairs, report),
-            Solver::Prescribed(_) => false,
+            Solver::Prescribed(prescribed) => {
+                prescribed.add_last(Setting { scene, step, arch, is_partial: false }, max_pairs)
+            }
         };
         if is_added { Ok(()) } else { Err(budget.exceeded(scene, Some(max_pairs)).into()) }
     }
 
-    /// Removes a body and its pushes; the indices of later bodies decrease by one, their handles stay. All other bodies
-    /// wake.
+    /// Removes a body and its pushes; the indices of later bodies decrease by one, their handles stay. In a world with free
+    /// bodies, planes or cores with a width, all others wake.
     ///
     /// # Errors
     /// [`EditError::NoBody`], [`EditError::Stale`], [`EditError::LastBody`], [`EditError::Laws`],
@@ -70,10 +85,23 @@ impl World {
         if !self.scene.pairs.is_empty() {
             return Err(EditError::Laws);
         }
-        let mut scene = self.scene.clone();
-        scene.remove_body(index);
-        let kept: Vec<Option<usize>> = (0..self.body_count()).filter(|&old| old != index).map(Some).collect();
-        self.restart_now(scene, &kept, true)?;
+        if self.keeps_solver(self.scene.is_coupled_without(index)) && self.renumbers_in_place() {
+            let (time, step, arch) = (self.time(), self.steps_taken(), self.options().arch);
+            let World { scene, solver, report, .. } = self;
+            match solver {
+                Solver::Coupled(coupled) => coupled.remove(scene, index, time, report),
+                Solver::Prescribed(prescribed) => {
+                    prescribed.remove(Setting { scene, step, arch, is_partial: false }, index);
+                }
+            }
+            self.scene.remove_body(index);
+            self.work.set_vertices(self.scene.vertex_count());
+        } else {
+            let mut scene = self.scene.clone();
+            scene.remove_body(index);
+            let kept: Vec<Option<usize>> = (0..self.body_count()).filter(|&old| old != index).map(Some).collect();
+            self.restart_now(scene, &kept, true)?;
+        }
         self.handles.remove(index);
         Ok(())
     }
@@ -86,16 +114,15 @@ impl World {
     pub fn push(&mut self, push: Push) -> Result<(), EditError> {
         push.body.index_in(self)?;
         self.scene.check_push(&push, |part| format!("push.{part}"))?;
-        let time = self.time();
-        if let Solver::Coupled(coupled) = &mut self.solver {
-            self.scene.pushes.push(push);
-            coupled.push(&push, time);
-            return Ok(());
+        self.scene.pushes.push(push);
+        let (time, step, arch) = (self.time(), self.steps_taken(), self.options().arch);
+        match &mut self.solver {
+            Solver::Coupled(coupled) => coupled.push(&push, time),
+            Solver::Prescribed(prescribed) => {
+                prescribed.push(Setting { scene: &self.scene, step, arch, is_partial: false }, &push);
+            }
         }
-        let mut scene = self.scene.clone();
-        scene.pushes.push(push);
-        let kept: Vec<Option<usize>> = (0..self.body_count()).map(Some).collect();
-        self.restart_now(scene, &kept, false)
+        Ok(())
     }
 
     /// Sets or removes the force on a free body from now on. The body wakes.
@@ -123,22 +150,35 @@ impl World {
     }
 
     /// Sets the motion of a body from now on: a path, which may be a function ([`Given`](crate::scene::path::Given)),
-    /// or free motion. The body becomes undeformed; all other bodies wake.
+    /// or free motion. The body becomes undeformed; the bodies near it wake.
     ///
     /// # Errors
     /// [`EditError::NoBody`], [`EditError::Stale`], [`EditError::Solver`], or [`EditError::Invalid`] for a motion that no
     /// scene file could have; the world is then unchanged.
     pub fn set_motion(&mut self, body: impl BodyId, motion: impl Into<Motion>) -> Result<(), EditError> {
         let (index, motion) = (body.index_in(self)?, motion.into());
-        let mut scene = self.scene.clone();
-        let own = &mut scene.bodies[index];
-        own.check_motion(&motion, |part| format!("bodies[{index}].{part}"))?;
-        own.motion = motion;
-        if own.path().is_some() {
-            own.force = None;
+        self.scene.bodies[index].check_motion(&motion, |part| format!("bodies[{index}].{part}"))?;
+        let (time, step, arch) = (self.time(), self.steps_taken(), self.options().arch);
+        let energy = self.solver.coupled().map_or(0.0, |coupled| coupled.energy_of(&self.scene, time, index));
+        let own = &mut self.scene.bodies[index];
+        let force = if matches!(motion, Motion::Prescribed(_)) { own.force.take() } else { None };
+        let before = std::mem::replace(&mut own.motion, motion);
+        if !self.keeps_solver(self.scene.is_coupled()) {
+            let changed = self.scene.clone();
+            let own = &mut self.scene.bodies[index];
+            own.motion = before;
+            own.force = force.or(own.force.take());
+            let kept: Vec<Option<usize>> = (0..self.body_count()).map(|old| (old != index).then_some(old)).collect();
+            return self.restart_now(changed, &kept, true);
         }
-        let kept: Vec<Option<usize>> = (0..self.body_count()).map(|old| (old != index).then_some(old)).collect();
-        self.restart_now(scene, &kept, true)
+        let World { scene, solver, report, .. } = self;
+        match solver {
+            Solver::Coupled(coupled) => coupled.restart(scene, index, energy, time, report),
+            Solver::Prescribed(prescribed) => {
+                prescribed.restart(Setting { scene, step, arch, is_partial: false }, index);
+            }
+        }
+        Ok(())
     }
 
     fn restart_now(&mut self, scene: Scene, kept: &[Option<usize>], wake_all: bool) -> Result<(), EditError> {

@@ -72,6 +72,12 @@ pub(super) trait Listed {
 
     /// Its phase.
     fn phase(&self) -> Phase;
+
+    /// Gives its bodies other indices.
+    fn renumber(&mut self, bodies: [u32; 2]);
+
+    /// Sets its phase.
+    fn enter(&mut self, phase: Phase);
 }
 
 /// The bodies of a solver, as the search for neighbours sees them.
@@ -157,6 +163,32 @@ impl<P: Listed> NearPairs<P> {
         // so that a pair exactly on a threshold is not lost to rounding of the centres
         let rounding = 16.0 * f64::EPSILON * (centre.abs().max_element() + reach);
         self.grid.place(body, Ball { centre, radius: reach + rounding });
+    }
+
+    /// Strikes a body off all lists: it has no neighbours, and is nobody's.
+    pub fn isolate<B: Bodies<Pair = P>>(&mut self, bodies: &mut B, body: u32) {
+        for Neighbour { other, pair, .. } in std::mem::take(bodies.neighbours(body)) {
+            let others = bodies.neighbours(other);
+            if let Ok(index) = others.binary_search_by_key(&body, |other| other.other) {
+                others.remove(index);
+            }
+            self.get_mut(pair).enter(Phase::Apart);
+            self.unused.push(pair);
+        }
+        self.grid.take(body);
+    }
+
+    /// Strikes a body off all lists. The indices of later ones decrease by one, also in lists of neighbours.
+    pub fn remove<B: Bodies<Pair = P>>(&mut self, bodies: &mut B, body: u32) {
+        self.isolate(bodies, body);
+        self.grid.forget(body);
+        let shifted = |index: u32| index - u32::from(index > body);
+        for pair in &mut self.pairs {
+            pair.renumber(pair.bodies().map(shifted));
+        }
+        for index in 0..bodies.scene().bodies.len() as u32 {
+            bodies.neighbours(index).iter_mut().for_each(|neighbour| neighbour.other = shifted(neighbour.other));
+        }
     }
 
     /// Takes out a body whose neighbours have not been searched for.

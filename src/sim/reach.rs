@@ -102,6 +102,21 @@ impl Grid {
         self.balls[i as usize].level = NONE;
     }
 
+    /// Takes out ball `i`, if it has been placed; the numbers of later ones decrease by one.
+    pub fn forget(&mut self, i: u32) {
+        if i as usize >= self.balls.len() {
+            return;
+        }
+        self.take(i);
+        self.balls.remove(i as usize);
+        let shift = |number: &mut u32| *number -= u32::from(*number != NONE && *number > i);
+        for Placed { before, after, .. } in &mut self.balls {
+            shift(before);
+            shift(after);
+        }
+        self.levels.iter_mut().flat_map(|level| level.cells.values_mut()).for_each(shift);
+    }
+
     fn remove(&mut self, index: usize) {
         let Placed { ball, level, before, after } = self.balls[index];
         let Some(level) = self.levels.get_mut(level as usize) else { return };

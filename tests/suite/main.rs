@@ -3,6 +3,7 @@
 mod bad_recordings;
 mod bad_scenes;
 mod bench;
+mod changes;
 mod checksums;
 mod cli;
 mod edits;

@@ -100,13 +100,7 @@ impl Coupled {
     /// nothing has changed, if there would be more than `max_pairs` pairs.
     pub fn add_last(&mut self, scene: &Scene, time: f64, max_pairs: u64, report: &mut StepReport) -> bool {
         let last = self.members.len();
-        let mut member = Member::new(scene, last, &mut self.shapes);
-        if let Some(path) = scene.bodies[last].path() {
-            let motion = path.at(time);
-            (member.body.centre, member.body.velocity) = (motion.position, motion.velocity);
-        }
-        member.is_awake = true;
-        member.bound_motion(&scene.bodies[last], scene.gravity, Span { start: time, end: time + scene.dt });
+        let member = self.awakened(scene, last, time);
         self.members.push(member);
         if !self.near.add_last(&mut Among { scene, members: &mut self.members, time }, max_pairs) {
             self.members.pop();
@@ -115,23 +109,83 @@ impl Coupled {
         }
         self.awake.push(last as u32);
         self.job_of.push(0);
-        // results of islands name force points by numbers that follow those of the bodies
-        self.before.clear();
-        self.jobs.clear();
-        let brought = self.energy_of(scene, time, last);
-        if time == 0.0 {
-            self.first_energy += brought;
-            return true;
-        }
-        self.ledger.edits += brought;
-        report.ledger.edits += brought;
-        let pairs: Vec<PairId> = self.members[last].neighbours.iter().map(|neighbour| neighbour.pair).collect();
-        self.enter_phases(scene, time, &pairs, report);
+        self.forget_results();
+        self.begin(scene, last, 0.0, time, report);
         true
     }
 
+    /// Removes a body of the scene, which has it still, at `time` [s], with the energy that this takes. All others wake.
+    pub fn remove(&mut self, scene: &Scene, body: usize, time: f64, report: &mut StepReport) {
+        let energy = self.energy_of(scene, time, body);
+        self.bring(-energy, time, report);
+        self.near.remove(&mut Among { scene, members: &mut self.members, time }, body as u32);
+        self.members.remove(body);
+        self.shapes.forget_unused();
+        self.job_of.pop();
+        self.forget_results();
+        self.starts.retain(|&(_, pushed)| pushed != body as u32);
+        self.starts.iter_mut().for_each(|(_, pushed)| *pushed -= u32::from(*pushed > body as u32));
+        self.started = self.starts.partition_point(|start| start.0 < time);
+        for member in self.members.iter_mut().filter(|member| !member.is_awake) {
+            (member.is_awake, member.slow_steps) = (true, 0);
+        }
+        self.sleeping_hash = 0;
+        self.awake.clear();
+        self.awake.extend(0..self.members.len() as u32);
+    }
+
+    /// Gives a body the motion that the scene has for it now, at `time` [s]; it had `energy` before, with its pairs. It
+    /// becomes undeformed, and the bodies near it wake.
+    pub fn restart(&mut self, scene: &Scene, body: usize, energy: f64, time: f64, report: &mut StepReport) {
+        let near: Vec<u32> = self.members[body].neighbours.iter().map(|neighbour| neighbour.other).collect();
+        near.into_iter().chain([body as u32]).for_each(|one| self.wake_up(one as usize));
+        self.near.isolate(&mut Among { scene, members: &mut self.members, time }, body as u32);
+        self.members[body] = self.awakened(scene, body, time);
+        self.near.place_anew(&mut Among { scene, members: &mut self.members, time }, body as u32);
+        self.forget_results();
+        self.begin(scene, body, energy, time, report);
+    }
+
+    /// A body of the scene that starts at `time` [s].
+    fn awakened(&mut self, scene: &Scene, body: usize, time: f64) -> Member {
+        let mut member = Member::new(scene, body, &mut self.shapes);
+        if let Some(path) = scene.bodies[body].path() {
+            let motion = path.at(time);
+            (member.body.centre, member.body.velocity) = (motion.position, motion.velocity);
+        }
+        member.is_awake = true;
+        member.bound_motion(&scene.bodies[body], scene.gravity, Span { start: time, end: time + scene.dt });
+        member
+    }
+
+    /// Drops the results of the last step, which name bodies and force points by their numbers.
+    fn forget_results(&mut self) {
+        self.before.clear();
+        self.jobs.clear();
+    }
+
+    /// Adds the phase changes and the energy that a body brings which starts at `time` [s], instead of `energy`.
+    fn begin(&mut self, scene: &Scene, body: usize, energy: f64, time: f64, report: &mut StepReport) {
+        let brought = self.energy_of(scene, time, body) - energy;
+        self.bring(brought, time, report);
+        if time > 0.0 {
+            let pairs: Vec<PairId> = self.members[body].neighbours.iter().map(|neighbour| neighbour.pair).collect();
+            self.enter_phases(scene, time, &pairs, report);
+        }
+    }
+
+    /// Adds the energy that an edit brings at `time` [s].
+    fn bring(&mut self, energy: f64, time: f64, report: &mut StepReport) {
+        if time > 0.0 {
+            self.ledger.edits += energy;
+            report.ledger.edits += energy;
+        } else {
+            self.first_energy += energy;
+        }
+    }
+
     /// Energy of a body at `time` [s], and of its pairs.
-    pub(super) fn energy_of(&self, scene: &Scene, time: f64, body: usize) -> f64 {
+    pub fn energy_of(&self, scene: &Scene, time: f64, body: usize) -> f64 {
         let Member { body: own, neighbours, .. } = &self.members[body];
         let field = self.field(scene, time);
         let pairs = neighbours.iter().map(|&Neighbour { other, pair, .. }| {

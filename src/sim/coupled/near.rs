@@ -31,6 +31,14 @@ impl Listed for Pair {
     fn phase(&self) -> Phase {
         self.phase
     }
+
+    fn renumber(&mut self, [a, b]: [u32; 2]) {
+        (self.a, self.b) = (a, b);
+    }
+
+    fn enter(&mut self, phase: Phase) {
+        self.phase = phase;
+    }
 }
 
 impl Bodies for Among<'_> {
@@ -79,6 +87,12 @@ impl Near {
         true
     }
 
+    /// Finds the pairs of a body that is elsewhere now; it had none before.
+    pub fn place_anew(&mut self, among: &mut Among<'_>, body: u32) {
+        self.place_again(among, body);
+        self.search(among, body, &Tally::unlimited());
+    }
+
     /// Finds the neighbours of a body again if it may leave its fat bounds in this step.
     pub fn update(&mut self, among: &mut Among<'_>, body: u32, work: &Tally<'_>) {
         let Member { body: own, bounds, fat, .. } = &among.members[body as usize];
@@ -97,7 +111,7 @@ impl Near {
 
     /// Sets the phase of a pair.
     pub fn enter(&mut self, id: PairId, phase: Phase) {
-        self.get_mut(id).phase = phase;
+        self.get_mut(id).enter(phase);
     }
 
     /// Whether, within the step, one body of a pair can have vertices inside the other's sphere, or the pair can change

@@ -61,6 +61,33 @@ impl ActiveSet {
         self.awake += 1;
     }
 
+    /// Drops the state of a body: it is at rest.
+    pub fn drop_state(&mut self, bodies: &mut [Body], index: usize) {
+        let Some(slot) = bodies[index].active else { return };
+        let mut slot = slot as usize;
+        if slot < self.awake {
+            self.awake -= 1;
+            self.swap(bodies, slot, self.awake);
+            slot = self.awake;
+        }
+        self.swap(bodies, slot, self.states.len() - 1);
+        self.states.pop();
+        bodies[index].active = None;
+    }
+
+    /// Forgets a body without a state; the indices of later ones decrease by one.
+    pub fn renumber(&mut self, removed: u32) {
+        let shift = |index: &mut u32| *index -= u32::from(*index > removed);
+        for active in &mut self.states {
+            shift(&mut active.body);
+            let (references, reachable) = (&mut active.chosen.references, &mut active.bounds.reachable);
+            references.retain(|reference| reference.body != removed);
+            references.iter_mut().for_each(|reference| shift(&mut reference.body));
+            reachable.retain(|neighbour| neighbour.other != removed);
+            reachable.iter_mut().for_each(|neighbour| shift(&mut neighbour.other));
+        }
+    }
+
     /// Wakes all bodies of the set.
     pub fn wake_all(&mut self) {
         self.awake = self.states.len();

@@ -146,6 +146,74 @@ impl Prescribed {
         true
     }
 
+    /// Adds the last body of the scene. False, and nothing has changed, if there would be more than `max_pairs` pairs.
+    pub fn add_last(&mut self, setting: Setting<'_>, max_pairs: u64) -> bool {
+        let (scene, last) = (setting.scene, self.bodies.len());
+        self.bodies.push(Body::new(scene, last, Vec::new()));
+        self.tracks.insert(scene, last, setting.time());
+        let is_entered = self.enter(setting, last, max_pairs);
+        if !is_entered {
+            self.bodies.pop();
+            self.tracks.remove(last);
+        }
+        is_entered
+    }
+
+    /// Removes a body of the scene, which has it still.
+    pub fn remove(&mut self, setting: Setting<'_>, body: usize) {
+        let (scene, time) = (setting.scene, setting.time());
+        let Prescribed { bodies, actives, tracks, pairs, .. } = self;
+        actives.drop_state(bodies, body);
+        actives.renumber(body as u32);
+        pairs.remove(Surrounded { scene, bodies, tracks, time }, body);
+        bodies.remove(body);
+        tracks.remove(body);
+        self.starts.retain(|&(_, pushed)| pushed != body as u32);
+        self.starts.iter_mut().for_each(|(_, pushed)| *pushed -= u32::from(*pushed > body as u32));
+        self.started = self.starts.partition_point(|start| start.0 < time);
+        self.energy_of_distant_pairs = OnceLock::new();
+    }
+
+    /// Gives a body the path that the scene has for it now. It becomes undeformed.
+    pub fn restart(&mut self, setting: Setting<'_>, body: usize) {
+        let (scene, time) = (setting.scene, setting.time());
+        let Prescribed { bodies, actives, tracks, pairs, .. } = self;
+        actives.drop_state(bodies, body);
+        pairs.isolate(Surrounded { scene, bodies, tracks, time }, body);
+        tracks.remove(body);
+        tracks.insert(scene, body, time);
+        self.enter(setting, body, u64::MAX);
+    }
+
+    /// Finds the pairs of a body that starts now, and wakes them.
+    fn enter(&mut self, setting: Setting<'_>, body: usize, max_pairs: u64) -> bool {
+        let Prescribed { bodies, tracks, pairs, .. } = self;
+        let of = Surrounded { scene: setting.scene, bodies, tracks, time: setting.time() };
+        if !pairs.enter_body(of, body, max_pairs) {
+            return false;
+        }
+        let near: Vec<u32> = self.bodies[body].neighbours.iter().map(|neighbour| neighbour.other).collect();
+        if !near.is_empty() {
+            near.into_iter().chain([body as u32]).for_each(|one| self.wake(setting, one));
+        }
+        self.energy_of_distant_pairs = OnceLock::new();
+        true
+    }
+
+    /// Adds a push, which the scene has already.
+    pub fn push(&mut self, setting: Setting<'_>, push: &scene::Push) {
+        let pushes = &mut self.bodies[push.body].pushes;
+        *pushes = std::mem::take(pushes).into_vec().into_iter().chain([*push]).collect();
+        let index = self.starts.partition_point(|start| start.0 <= push.start);
+        self.starts.insert(index, (push.start, push.body as u32));
+        if push.start < setting.time() {
+            self.started += 1;
+            if setting.time() < push.end() {
+                self.wake(setting, push.body as u32);
+            }
+        }
+    }
+
     /// Takes a step, stage by stage. Returns the first body whose state is invalid afterwards.
     ///
     /// # Errors

@@ -75,6 +75,14 @@ impl Listed for Pair {
     fn phase(&self) -> Phase {
         self.phase
     }
+
+    fn renumber(&mut self, [a, b]: [u32; 2]) {
+        (self.a, self.b) = (a, b);
+    }
+
+    fn enter(&mut self, phase: Phase) {
+        self.phase = phase;
+    }
 }
 
 impl Bodies for Surrounded<'_> {
@@ -124,6 +132,32 @@ impl Pairs {
             self.place(&mut of, i, scene.bodies[i].radius);
         }
         self.near.start(&mut of, max, work, &Tally::new(work, None))
+    }
+
+    /// Finds the pairs of a body that has none yet, in the phase of their q; false if there would be more than `max`.
+    pub fn enter_body(&mut self, mut of: Surrounded<'_>, body: usize, max: u64) -> bool {
+        let vertices = of.scene.bodies[body].radius;
+        self.place(&mut of, body, vertices);
+        if self.near.count() as u64 + self.near.most_near(body as u32) > max {
+            self.near.take(body as u32);
+            return false;
+        }
+        self.near.search(&mut of, body as u32, &Tally::unlimited());
+        for neighbour in &of.bodies[body].neighbours {
+            let pair = self.near.get_mut(neighbour.pair);
+            pair.phase = of.scene.law_at(pair.law).thresholds.initial(of.tracks.pair(pair.a, pair.b).q(of.time));
+        }
+        true
+    }
+
+    /// Strikes a body off the pairs.
+    pub fn isolate(&mut self, mut of: Surrounded<'_>, body: usize) {
+        self.near.isolate(&mut of, body as u32);
+    }
+
+    /// Strikes a body off the pairs; the indices of later ones decrease by one, also in lists of neighbours.
+    pub fn remove(&mut self, mut of: Surrounded<'_>, body: usize) {
+        self.near.remove(&mut of, body as u32);
     }
 
     /// Takes over the `phases` of all pairs of bodies of another scene that are not apart. Then enters the phases of pairs

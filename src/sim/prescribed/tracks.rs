@@ -45,6 +45,12 @@ pub struct MotionBounds {
 }
 
 impl MotionBounds {
+    /// Those of a body or force point that is at `centre`, before a step.
+    fn new(scene: &Scene, source: usize, centre: DVec3) -> MotionBounds {
+        let (radius, sphere) = (scene.source_radius(source), scene.source_sphere_radius(source));
+        MotionBounds { centre, speed: 0.0, radius, sphere }
+    }
+
     /// Lower bound of the distance of two centres within `h` [s], allowing for rounding [scene unit].
     #[inline]
     pub fn nearest(&self, other: &MotionBounds, h: f64) -> f64 {
@@ -89,6 +95,26 @@ pub struct Mover {
     pub kicks: f64,
 }
 
+impl Mover {
+    /// A body or force point before a step.
+    fn new(scene: &Scene, body: u32, path: &Path) -> Mover {
+        let rigid = Material { omega: 0.0, damping: 0.0, response: Response::Rigid };
+        Mover {
+            body,
+            is_watched: false,
+            turns: path.turns(&SAMPLES.map(|theta| theta * scene.dt)),
+            material: scene.bodies.get(body as usize).map_or(rigid, |body| body.material),
+            extent: path.extent(),
+            stands_still: false,
+            is_idle: false,
+            has_breaks: !path.knots().is_empty(),
+            samples: Samples { positions: [path.position(0.0); 5], uniform: [DVec3::ZERO; 5] },
+            bounds: Bounds { speed: 0.0, acceleration: 0.0 },
+            kicks: 0.0,
+        }
+    }
+}
+
 impl Tracks {
     /// The tracks of a scene, all of whose bodies are on paths, before the first step.
     pub(in crate::sim) fn new(scene: &Scene) -> Tracks {
@@ -96,37 +122,46 @@ impl Tracks {
         let paths: Vec<Path> = sources.clone().filter_map(|source| scene.source_path(source).cloned()).collect();
         let mut of_body = vec![STILL; paths.len()];
         let mut movers = Vec::new();
-        let motion_bounds = sources.zip(&paths).map(|(source, path)| {
-            let radius = scene.source_radius(source);
-            let sphere = scene.source_sphere_radius(source);
-            MotionBounds { centre: path.position(0.0), speed: 0.0, radius, sphere }
-        });
-        let motion_bounds = motion_bounds.collect();
+        let motion_bounds =
+            sources.zip(&paths).map(|(source, path)| MotionBounds::new(scene, source, path.position(0.0))).collect();
         for (body, mover) in (0..).zip(&mut of_body) {
             let path = &paths[body as usize];
             if !path.is_fixed() {
                 *mover = movers.len() as u32;
-                let turns = path.turns(&SAMPLES.map(|theta| theta * scene.dt));
-                let bounds = Bounds { speed: 0.0, acceleration: 0.0 };
-                let samples = Samples { positions: [path.position(0.0); 5], uniform: [DVec3::ZERO; 5] };
-                let rigid = Material { omega: 0.0, damping: 0.0, response: Response::Rigid };
-                let material = scene.bodies.get(body as usize).map_or(rigid, |body| body.material);
-                movers.push(Mover {
-                    body,
-                    is_watched: false,
-                    turns,
-                    material,
-                    extent: path.extent(),
-                    stands_still: false,
-                    is_idle: false,
-                    has_breaks: !path.knots().is_empty(),
-                    samples,
-                    bounds,
-                    kicks: 0.0,
-                });
+                movers.push(Mover::new(scene, body, path));
             }
         }
         Tracks { paths, bodies: scene.bodies.len(), movers, motion_bounds, of_body }
+    }
+
+    /// Adds the track of a body of the scene at `time` [s], before those of later ones.
+    pub(in crate::sim) fn insert(&mut self, scene: &Scene, body: usize, time: f64) {
+        let Some(path) = scene.source_path(body).cloned() else { return };
+        self.bodies += 1;
+        self.motion_bounds.insert(body, MotionBounds::new(scene, body, path.position(time)));
+        let slot = self.movers.partition_point(|track| (track.body as usize) < body);
+        self.movers[slot..].iter_mut().for_each(|track| track.body += 1);
+        let mut own = STILL;
+        if !path.is_fixed() {
+            own = slot as u32;
+            self.of_body.iter_mut().filter(|slot| **slot != STILL && **slot >= own).for_each(|slot| *slot += 1);
+            self.movers.insert(slot, Mover::new(scene, body as u32, &path));
+        }
+        self.of_body.insert(body, own);
+        self.paths.insert(body, path);
+    }
+
+    /// Removes the track of a body; the indices of later ones decrease by one.
+    pub(in crate::sim) fn remove(&mut self, body: usize) {
+        self.bodies -= 1;
+        self.paths.remove(body);
+        self.motion_bounds.remove(body);
+        let own = self.of_body.remove(body);
+        if own != STILL {
+            self.movers.remove(own as usize);
+            self.of_body.iter_mut().filter(|slot| **slot != STILL && **slot > own).for_each(|slot| *slot -= 1);
+        }
+        self.movers.iter_mut().filter(|track| track.body as usize > body).for_each(|track| track.body -= 1);
     }
 
     /// Evaluates the motion of all movers over a step.
