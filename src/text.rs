@@ -1,8 +1,21 @@
 //! Formatting of numbers and text for output.
 
-use std::borrow::Cow;
+use std::{borrow::Cow, sync::OnceLock};
 
 use unit_prefix::NumberPrefix;
+
+/// The name under which the program was started, for texts that say what to type.
+static PROGRAM: OnceLock<String> = OnceLock::new();
+
+/// The name of the program on a command line.
+pub fn program() -> &'static str {
+    PROGRAM.get().map_or("meldscope", String::as_str)
+}
+
+/// Sets [`program`], once.
+pub fn set_program(name: String) {
+    let _ = PROGRAM.set(name);
+}
 
 /// A size in bytes, as "512 B" or "1.5 GiB".
 pub fn bytes(n: u64) -> String {

@@ -13,7 +13,7 @@ use super::{
     Failure,
     overrides::Overrides,
     print,
-    program::{self, Program, Subject},
+    program::{Program, Subject},
     progress::{Progress, Work},
     say, vector,
 };
@@ -26,7 +26,7 @@ use crate::{
         golden::{self, Blessed, GoldenDifference, GoldenOutcome},
     },
     stream::{settings::application, sinks::Complete},
-    text::{bytes, counted, thousands},
+    text::{self, bytes, counted, thousands},
 };
 
 /// The folder to check if no path is given.
@@ -111,7 +111,7 @@ fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
             Ok(None) => {
                 print(&format!(
                     "{name}: no golden recording; `{} check --bless REASON` creates {}",
-                    program::name(),
+                    text::program(),
                     script.golden.display()
                 ));
                 failed.push(name.as_str());
@@ -300,7 +300,7 @@ fn give_reasons(made: &[Made<'_>], reason: &str) -> Result<(), String> {
         let path = folder.join(REASONS);
         let written = || {
             let mut text = match fs::read(&path) {
-                Err(error) if error.kind() == io::ErrorKind::NotFound => HEAD.as_bytes().to_vec(),
+                Err(error) if error.kind() == io::ErrorKind::NotFound => head().into_bytes(),
                 read => read?,
             };
             let (date, version) = (jiff::Timestamp::now().strftime("%F"), env!("CARGO_PKG_VERSION"));
@@ -315,8 +315,13 @@ fn give_reasons(made: &[Made<'_>], reason: &str) -> Result<(), String> {
 }
 
 /// The beginning of a list of reasons.
-const HEAD: &str = "# Why golden recordings were made\n\nWritten by `meldscope check --bless REASON`: scenes, and the hash of \
-                    all their checksums.\n\n";
+fn head() -> String {
+    format!(
+        "# Why golden recordings were made\n\nWritten by `{} check --bless REASON`: what was run, and the hash of all \
+         checksums.\n\n",
+        text::program()
+    )
+}
 
 /// The scenes found under `paths`, sorted by name; of another program, the experiments of golden recordings there.
 fn scripts(program: Program<'_>, paths: &[PathBuf]) -> Result<Vec<Script>, Failure> {

@@ -51,12 +51,12 @@ pub fn diff(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> {
     for (recorded, again) in [&a, &b].into_iter().zip(difference.run_again) {
         let again = if again { "; recorded without surfaces, so it was run again" } else { "" };
         print(&format!(
-            "{}: {}, {} of {} s with {}{}, by meldscope {}{again}",
+            "{}: {}, {} of {} s{}{}, by meldscope {}{again}",
             recorded.path.display(),
             recorded.schema.name,
             counted(recorded.last(), "step"),
             recorded.schema.dt,
-            recorded.schema.integrator,
+            recorded.schema.method(),
             recorded.overridden(),
             recorded.version,
         ));

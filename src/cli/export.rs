@@ -14,7 +14,7 @@ use super::{
     Failure, expense, is_marked, one_of,
     overrides::Overrides,
     print,
-    program::{self, Program},
+    program::Program,
     progress::{Progress, Work},
     say,
 };
@@ -25,7 +25,7 @@ use crate::{
     recording::{Recorded, existing::Existing},
     scene::template::Override,
     stream::settings::file_stem,
-    text::{bytes, counted},
+    text::{self, bytes, counted},
 };
 use formats::{Format, GENERATOR};
 use tables::{Bodies, Events, Forces, Pairs, Scalars, States};
@@ -135,7 +135,7 @@ pub fn export(program: Program<'_>, arguments: Arguments) -> Result<(), Failure>
             && recorded.checksum(step).is_some_and(|checksum| checksum != simulation.checksum())
         {
             let path = recorded.path.display();
-            let help = format!("see `{} replay`", program::name());
+            let help = format!("see `{} replay`", text::program());
             return Err(Failure::Run(format!("{path} is not reproduced from step {step} on: {help}")));
         }
         if is_wanted(step) && needs_frames {

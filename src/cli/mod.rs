@@ -48,7 +48,7 @@ use crate::{
         read::expects_panics,
     },
     stream::sinks::SinkError,
-    text::printable,
+    text::{self, printable},
 };
 use program::Program;
 
@@ -184,7 +184,7 @@ pub fn run(
         args.first().and_then(|path| Path::new(path).file_stem()).map(|name| name.to_string_lossy().into_owned());
     let name = name.unwrap_or_else(|| "program".to_owned());
     let command = program::described(Arguments::<Command>::command(), &name);
-    program::set_name(name);
+    text::set_program(name);
     start(command, args, |command: Command| command.run(Program::Own(&experiment)))
 }
 

@@ -2,7 +2,7 @@
 
 use std::{
     path::Path,
-    sync::{Arc, OnceLock, atomic::AtomicBool},
+    sync::{Arc, atomic::AtomicBool},
 };
 
 use super::{
@@ -32,19 +32,6 @@ pub(super) enum Program<'a> {
 pub(super) enum Subject {
     Scene(Box<Scene>),
     Own(Arc<dyn Experiment>),
-}
-
-/// The name under which the program was started, for messages that say what to type.
-static NAME: OnceLock<String> = OnceLock::new();
-
-/// The name of the program on a command line.
-pub(super) fn name() -> &'static str {
-    NAME.get().map_or("meldscope", String::as_str)
-}
-
-/// Sets [`name`].
-pub(super) fn set_name(name: String) {
-    let _ = NAME.set(name);
 }
 
 /// The command line of a program with experiments of its own: theirs, not those of scenes, are the names and words.
@@ -98,8 +85,8 @@ pub(super) fn described(command: clap::Command, name: &str) -> clap::Command {
         })
         .mut_subcommand("diff", |diff| diff.about("Compare two recordings of the same experiment"))
         .mut_subcommand("sweep", |sweep| {
-            without(sweep, &["refine", "bisect", "open"])
-                .about("Run an experiment at every point of a grid over its parameters: rows in Parquet")
+            without(sweep, &["open"])
+                .about("Run an experiment at every point of a grid over its parameters: rows in Parquet, a map")
                 .mut_arg("sweep", |sweep| sweep.help("A sweep file, whose key `scene` is the name of an experiment"))
         })
         .mut_subcommand("export", |export| {

@@ -212,10 +212,6 @@ fn check_end(recorded: &Recorded) -> Result<(), Failure> {
 /// ones.
 fn vary(program: Program<'_>, arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
     let was = &recorded.schema;
-    let named = |schema: &Schema| match schema.non_default_model() {
-        None => schema.integrator.clone(),
-        Some(model) => format!("{} of {model}", schema.integrator),
-    };
     let experiment = program.varied(recorded, &arguments.set)?;
     let simulation = experiment.start().map_err(Failure::Input)?;
     let schema = experiment.schema();
@@ -244,15 +240,15 @@ fn vary(program: Program<'_>, arguments: &Arguments, recorded: &Recorded) -> Res
     }
     drop(progress);
     print(&format!(
-        "{}: {} of {} s with {}, tolerance {:e}, instead of {} of {} s with {}, tolerance {:e}; not verified",
+        "{}: {} of {} s{}, tolerance {:e}, instead of {} of {} s{}, tolerance {:e}; not verified",
         recorded.path.display(),
         counted(run.simulation.steps_taken(), "step"),
         schema.dt,
-        named(&schema),
+        schema.method(),
         schema.tolerance,
         thousands(recorded.last()),
         was.dt,
-        named(was),
+        was.method(),
         was.tolerance,
     ));
     print(&format!(

@@ -16,7 +16,7 @@ use super::{
     interrupt::{self, STOP},
     may_print, may_save, one_of,
     overrides::Overrides,
-    program::{self, Program},
+    program::Program,
     progress::{Progress, Work},
     sink_failure,
 };
@@ -29,7 +29,7 @@ use crate::{
         settings::{self, Around, DETAILS, Detail, Entities, Frames, Settings, Trigger, application, file_stem},
         sinks::{Destinations, Serve, Sinks, Spawn},
     },
-    text::thousands,
+    text::{self, thousands},
 };
 use console::{Console, summarize};
 use simulate::simulate;
@@ -229,7 +229,7 @@ fn check(program: Program<'_>, arguments: &Arguments) -> Result<(), Failure> {
         Detail::Stages { .. } if arguments.keep.is_some() => reject(&format!(
             "--detail stages records states within steps, but --keep holds only frames: omit one of them, and record the \
              stages later (`{} replay F.rrd --save G.rrd --from STEP --to STEP --detail stages`)",
-            program::name()
+            text::program()
         )),
         _ => Ok(()),
     }

@@ -18,7 +18,6 @@ use super::{
 };
 use crate::{
     models,
-    observe::simulation::FindExperiment,
     recording::{Recorded, existing::Existing},
     scene::template::Setting,
     stream::settings::application,
@@ -26,19 +25,20 @@ use crate::{
         Sweep,
         bisect::{self, Threshold},
         builtin,
+        classes::FAILED,
         design::{Design, MOST_LEVELS, Sampling},
         file::duration,
         level::{self, Ended, LevelError, Plan},
         map::{self, Map},
         picture,
-        refine::{FAILED, Known, class},
+        refine::Known,
         row::{Cell, Row, columns},
         run::Runner,
         store::{Shard, Store, StoreError},
         svg, table,
     },
     table::may_replace,
-    text::{bytes, counted, did_you_mean, significant, thousands},
+    text::{self, bytes, counted, did_you_mean, significant, thousands},
 };
 
 #[derive(clap::Args)]
@@ -96,12 +96,12 @@ impl From<LevelError> for Failure {
 
 /// Runs a sweep, or the part of it that the options select.
 pub fn sweep(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> {
-    if let Program::Own(find) = program {
-        return sweep_own(find, &arguments);
-    }
-    let sweep = match builtin::named(&arguments.sweep) {
-        Some(builtin) => Sweep::parse(builtin.text, builtin.name, None),
-        None if !Path::new(&arguments.sweep).exists() && !arguments.sweep.contains(['/', '\\', '.']) => {
+    let sweep = match (program, builtin::named(&arguments.sweep)) {
+        (Program::Own(find), _) => Sweep::load_own(Path::new(&arguments.sweep), find),
+        (Program::Scenes, Some(builtin)) => Sweep::parse(builtin.text, builtin.name, None),
+        (Program::Scenes, None)
+            if !Path::new(&arguments.sweep).exists() && !arguments.sweep.contains(['/', '\\', '.']) =>
+        {
             let names = || builtin::ALL.iter().map(|builtin| builtin.name);
             let (name, hint) = (&arguments.sweep, did_you_mean(&arguments.sweep, names()));
             let names: Vec<&str> = names().collect();
@@ -110,7 +110,7 @@ pub fn sweep(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> 
                 names.join(", ")
             )));
         }
-        None => Sweep::load(Path::new(&arguments.sweep)),
+        (Program::Scenes, None) => Sweep::load(Path::new(&arguments.sweep)),
     };
     let sweep = sweep.map_err(Failure::input)?;
     if arguments.refine > 0 || arguments.bisect.is_some() {
@@ -127,8 +127,20 @@ pub fn sweep(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> 
             )));
         }
     }
-    let template = sweep.template().map_err(Failure::input)?;
-    models::need_oscillators(template.base(), "a sweep").map_err(Failure::input)?;
+    let template = match &sweep.experiment {
+        Some(_) if arguments.open.is_some() => {
+            return Err(Failure::Input(format!(
+                "--open is for scenes: record a run with `{} run {} --set KEY=VALUE`",
+                text::program(),
+                sweep.scene_file
+            )));
+        }
+        Some(_) => None,
+        None => Some(sweep.template().map_err(Failure::input)?),
+    };
+    if let Some(template) = &template {
+        models::need_oscillators(template.base(), "a sweep").map_err(Failure::input)?;
+    }
     let axis = arguments.bisect.as_ref().map(|name| axis_to_bisect(&sweep.design, name)).transpose()?;
     may_draw(&arguments.out)?;
     if let Some(axis) = axis {
@@ -141,13 +153,13 @@ pub fn sweep(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> 
     }
     interrupt::raise_stop()?;
     // shapes stay cached as long as they are referenced
-    let _shapes: Vec<_> = template.base().bodies.iter().map(|body| body.shape.mesh()).collect();
-    let running = RunningSweep {
-        runner: Runner::new(&sweep, &template, Some(&STOP)),
-        sweep: &sweep,
-        store: &store,
-        start: Instant::now(),
+    let base = template.iter().flat_map(|template| &template.base().bodies);
+    let _shapes: Vec<_> = base.map(|body| body.shape.mesh()).collect();
+    let runner = match &template {
+        Some(template) => Runner::new(&sweep, template, Some(&STOP)),
+        None => Runner::of_own(&sweep, Some(&STOP)),
     };
+    let running = RunningSweep { runner, sweep: &sweep, store: &store, start: Instant::now() };
     if let (Some(shard), Some(level)) = (arguments.shard, arguments.level) {
         let mut known = Known::new(&sweep, arguments.refine);
         let plan = level::plan(&store, &sweep, &mut known, level)?;
@@ -183,43 +195,6 @@ pub fn sweep(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> 
     running.summarize(total, arguments.refine)?;
     running.draw()?;
     axis.map_or(Ok(()), |axis| running.bisect(axis))
-}
-
-/// Runs a sweep over parameters of an experiment, or a part of it.
-fn sweep_own(find: &FindExperiment<'_>, arguments: &Arguments) -> Result<(), Failure> {
-    let is_used = [
-        ("--refine", arguments.refine > 0),
-        ("--bisect", arguments.bisect.is_some()),
-        ("--open", arguments.open.is_some()),
-    ];
-    if let Some((option, _)) = is_used.into_iter().find(|(_, is_used)| *is_used) {
-        return Err(Failure::Input(format!("{option} is for scenes")));
-    }
-    let sweep = Sweep::load_own(Path::new(&arguments.sweep), find).map_err(Failure::input)?;
-    let store = Store::open(&arguments.out, &sweep, columns(&sweep))?;
-    interrupt::raise_stop()?;
-    let runner = Runner::of_own(&sweep, Some(&STOP));
-    let running = RunningSweep { runner, sweep: &sweep, store: &store, start: Instant::now() };
-    let mut known = Known::new(&sweep, 0);
-    let plan = level::plan(&store, &sweep, &mut known, 0)?;
-    running.level(0, &plan, arguments.shard.unwrap_or(Shard::ALL))?;
-    let (mut rows, mut steps, mut failure) = (0, 0, None);
-    store.read(0..1, None, &store.named(&["steps", "failure"]), |(row, cells)| {
-        rows += 1;
-        if let [Cell::I64(of_row), why] = &cells[..] {
-            steps += *of_row as u64;
-            if let Cell::Text(why) = why {
-                failure.get_or_insert((row, why.clone()));
-            }
-        }
-    })?;
-    print(&format!("{}: {}, {}", sweep.file, counted(rows, "run"), counted(steps, "step")));
-    if let Some((row, why)) = failure {
-        print(&format!("the first run that failed is row {row}: {why}"));
-    }
-    let seconds = duration(running.start.elapsed().as_secs_f64());
-    print(&format!("rows: {}/rows-*.parquet, after {seconds}", store.path().display()));
-    Ok(())
 }
 
 /// The axis with this key or name.
@@ -296,11 +271,12 @@ impl RunningSweep<'_> {
 
     /// Prints a summary of the rows.
     fn summarize(&self, rows: u64, refine: u32) -> Result<(), Failure> {
-        let (mut classes, mut steps, mut seconds) = ([0u64; FAILED as usize + 1], 0, 0.0);
+        let (mut counts, mut steps, mut seconds) = ([0u64; FAILED as usize + 1], 0, 0.0);
+        let classes = &self.sweep.classes;
         let mut failure = None;
         let columns = self.store.named(&["outcome", "steps", "run_time", "failure"]);
         self.store.read(0..u32::MAX, None, &columns, |(row, cells)| {
-            classes[class(cells.first()) as usize] += 1;
+            counts[usize::from(classes.of(cells.first()))] += 1;
             if let [_, Cell::I64(of_row), Cell::F64(time), why] = &cells[..] {
                 (steps, seconds) = (steps + of_row, seconds + time);
                 if let Cell::Text(why) = why {
@@ -320,9 +296,9 @@ impl RunningSweep<'_> {
             counted(steps as u64, "step"),
             duration(seconds)
         ));
-        let counts = (0..=FAILED).zip(classes).filter(|(_, count)| *count > 0);
+        let counts = (0..=FAILED).zip(counts).filter(|(_, count)| *count > 0);
         let counts: Vec<String> =
-            counts.map(|(class, count)| format!("{} {}", bisect::name(class), thousands(count))).collect();
+            counts.map(|(class, count)| format!("{} {}", classes.name(class), thousands(count))).collect();
         print(&format!("outcomes: {}", counts.join(", ")));
         if let Some((row, why)) = failure {
             print(&format!("the first run that failed is row {row}: {why}"));
@@ -340,8 +316,9 @@ impl RunningSweep<'_> {
         let Some(map) = Map::new(self.sweep, self.store)? else { return Ok(()) };
         let first = self.sweep.text.lines().next().and_then(|line| line.strip_prefix('#')).unwrap_or(&self.sweep.file);
         let about = format!(
-            "{}, scene {}{MARK}{}; {}",
+            "{}, {} {}{MARK}{}; {}",
             counted(map.rows, "run"),
+            if self.sweep.experiment.is_none() { "scene" } else { "experiment" },
             self.sweep.scene_file,
             env!("CARGO_PKG_VERSION"),
             map::MISSABLE
@@ -362,14 +339,14 @@ impl RunningSweep<'_> {
         let design = &self.sweep.design;
         let mut classes: HashMap<u64, u8> = HashMap::new();
         self.store.read(0..1, None, &self.store.named(&["outcome"]), |(row, cells)| {
-            classes.insert(row, class(cells.first()));
+            classes.insert(row, self.sweep.classes.of(cells.first()));
         })?;
         let progress = Progress::new("searching", Work::Units("threshold", None));
         let outcome = |index: &[u64]| classes.get(&design.row(0, index)).copied();
         let found = bisect::thresholds(&self.runner, design, axis, &outcome, &STOP, &|more| progress.add(more));
         drop(progress);
         let Some(found) = found else { self.interrupted() };
-        let rows = bisect::rows(&found);
+        let rows = bisect::rows(&found, &self.sweep.classes);
         let path = self.store.write(&thresholds_file(axis), |to| table::write(&bisect::columns(design), &rows, to))?;
         const LISTED: usize = 20;
         for Threshold { point, bracket: [low, high], classes: [below, above] } in found.iter().take(LISTED) {
@@ -378,8 +355,8 @@ impl RunningSweep<'_> {
             let at = if others.is_empty() { String::new() } else { format!("{}: ", others.join(", ")) };
             print(&format!(
                 "{at}{} changes to {} at {} = {:?}",
-                bisect::name(*below),
-                bisect::name(*above),
+                self.sweep.classes.name(*below),
+                self.sweep.classes.name(*above),
                 design.axes[axis].key,
                 0.5 * (low + high)
             ));

@@ -57,7 +57,7 @@ pub struct BodyEvent {
 
 impl PairEvent {
     /// An event of the bodies `a` < `b` at `at.time`, which affects the state of step `at.step`: q [–], and the phases
-    /// before and after it. Its rate is 0 and its energy unknown.
+    /// before and after it. Its rate is unknown, 0, and so is its energy.
     pub fn new(name: &'static str, at: Instant, [a, b]: [usize; 2], q: f64, [from, to]: [usize; 2]) -> PairEvent {
         PairEvent { name, time: at.time, step: at.step, a, b, q, rate: 0.0, from, to, energy: None }
     }

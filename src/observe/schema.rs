@@ -420,6 +420,13 @@ impl Schema {
         Some(self.model.as_str()).filter(|model| !["", "oscillators"].contains(model))
     }
 
+    /// The model and the integrator for a message, such as " with lattice, euler"; empty if they have no names.
+    pub fn method(&self) -> String {
+        let names = [self.non_default_model().unwrap_or_default(), &self.integrator];
+        let names: Vec<&str> = names.into_iter().filter(|name| !name.is_empty()).collect();
+        if names.is_empty() { String::new() } else { format!(" with {}", names.join(", ")) }
+    }
+
     /// Name of a pair: `A~B`, in the order of the bodies.
     pub fn pair_name(&self, a: usize, b: usize) -> String {
         format!("{}~{}", self.bodies[a].name, self.bodies[b].name)

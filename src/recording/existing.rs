@@ -14,6 +14,7 @@ use crate::stream::{
     settings::{Frames, Settings, application},
     sinks::SinkError,
 };
+use crate::text;
 
 /// Length of the beginning of a file, which determines the kind of a recording [bytes].
 const HEAD: u64 = 4 << 20;
@@ -140,10 +141,10 @@ pub fn replace(path: &Path, new: &Existing) -> Result<Option<String>, SinkError>
     }
     let is_golden = there.as_ref().is_some_and(|there| there.kind == Some(Kind::Golden)) || is_checked(path);
     if is_golden && new.kind != Some(Kind::Golden) {
-        return Err(taken(
-            "it is a golden recording, which only `meldscope check --bless REASON` replaces; save under another name"
-                .to_owned(),
-        ));
+        return Err(taken(format!(
+            "it is a golden recording, which only `{} check --bless REASON` replaces; save under another name",
+            text::program()
+        )));
     }
     let Some(there) = there.filter(|there| there != new) else { return Ok(None) };
     let kind = there.kind.map_or("a recording".to_owned(), |kind| kind.to_string());

@@ -43,7 +43,7 @@ use crate::{
         components::{Plane3D, Position3D, Range1D, Vector3D},
         datatypes::{self, TimeRange, TimeRangeBoundary, Uuid},
     },
-    text::{counted, significant},
+    text::{self, counted, significant},
 };
 
 /// The recording for which a layout is made.
@@ -189,6 +189,14 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     if messages.is_empty() { messages } else { layout.activate(messages) }
 }
 
+/// The title of the view of everything.
+fn scene_title(schema: &Schema) -> &'static str {
+    match schema.bodies.iter().all(|body| body.reach == 0.0) && schema.points.is_empty() {
+        true => "Bodies, forces",
+        false => "Bodies, influence spheres, forces",
+    }
+}
+
 /// The layout for a page that has its own controls of time, curves and list of events: what is in space alone, paused.
 pub fn beside_controls(subject: &Subject<'_>, recording: &StoreId) -> Vec<LogMsg> {
     let Subject { simulation, schema, settings } = *subject;
@@ -196,7 +204,7 @@ pub fn beside_controls(subject: &Subject<'_>, recording: &StoreId) -> Vec<LogMsg
     let mut layout = Layout::of(recording);
     layout.timeline = STEP;
     layout.ground = Ground::under(&framing).filter(|_| schema.planes.is_empty());
-    let mut tabs = vec![layout.scene_view((&framing, WIDE), schema, "Bodies, influence spheres, forces", settings)];
+    let mut tabs = vec![layout.scene_view((&framing, WIDE), schema, scene_title(schema), settings)];
     if schema.bodies.len() > 1 {
         tabs.push(layout.surface_view((&close, WIDE), schema, settings));
     }
@@ -476,7 +484,7 @@ impl Layout {
 
     /// An overview of everything.
     fn scene_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
-        let scene_view = self.scene_view((framing, WIDE), schema, "Bodies, influence spheres, forces", settings);
+        let scene_view = self.scene_view((framing, WIDE), schema, scene_title(schema), settings);
         let about = self.view("TextDocument", "What is what", ABOUT.path, &[&including(ABOUT.path)], &[]);
         let left = self.container(ContainerKind::Vertical, "Space", vec![scene_view, about], &[2.6, 1.0]);
         let right = if schema.bodies.len() > 1 {
@@ -990,9 +998,10 @@ fn hidden(eye: DVec3, wanted: &[(DVec3, f64)], others: &[(DVec3, f64)]) -> f64 {
 /// The text of the panel: what the colours mean, the scene, integrator, step and settings. The recording begins with
 /// step `first`.
 pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
+    let program = text::program();
     let frames = match (&settings.frames, settings.every) {
         (Frames::Thin, _) => {
-            "no frames: only checksums (`meldscope replay F.rrd --save G.rrd` makes the rest)".to_owned()
+            format!("no frames: only checksums (`{program} replay F.rrd --save G.rrd` makes the rest)")
         }
         (Frames::All, 1) => "a frame every step".to_owned(),
         (Frames::All, every) => format!("a frame every {every} steps"),
@@ -1011,26 +1020,28 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
         Some(1) => "1 step".to_owned(),
         Some(steps) => format!("{steps} steps"),
     };
+    let integrator = if schema.integrator.is_empty() { String::new() } else { format!("`{}`, ", schema.integrator) };
     let head = format!(
-        "**{}**: {} {}, {} vertices{}. `{}`, Δt = {:.6} s, {steps}, {frames}.\n\n{}\n\n",
+        "**{}**: {} {}, {} vertices{}. {integrator}Δt = {:.6} s, {steps}, {frames}.\n\n{}\n\n",
         schema.name,
         schema.bodies.len(),
         if schema.bodies.len() == 1 { "body" } else { "bodies" },
         schema.vertex_count(),
         schema.non_default_model().map(|model| format!(", model **{model}**")).unwrap_or_default(),
-        schema.integrator,
         schema.dt,
         schema.law,
     );
     let warnings = schema.warnings.iter().map(|warning| format!("\n**Warning**: {warning}.\n"));
     let warnings = warnings.collect::<String>();
     if settings.frames == Frames::Thin {
-        return head
-            + "\nThis recording is thin: it holds the scene, the events beside this text, and a checksum of the exact state after \
-               every step, from which everything else can be made again:\n\n\
-               - `meldscope replay F.rrd` verifies every step,\n\
-               - `meldscope replay F.rrd --save full.rrd` makes all frames, `--from STEP --to STEP` those of some steps,\n\
-               - `meldscope replay F.rrd --set integrator=rk4` tries it another way.\n";
+        let how = format!(
+            "\nThis recording is thin: it holds what was simulated, the events beside this text, and a checksum of the exact \
+             state after every step, from which everything else can be made again:\n\n\
+             - `{program} replay F.rrd` verifies every step,\n\
+             - `{program} replay F.rrd --save full.rrd` makes all frames, `--from STEP --to STEP` those of some steps,\n\
+             - `{program} replay F.rrd --set KEY=VALUE` tries it another way.\n"
+        );
+        return head + &how;
     }
     let phases = schema.phases.iter().map(|phase| format!("{} {}", colors::name(phase.color), phase.name));
     let phases = phases.collect::<Vec<_>>().join(", ");

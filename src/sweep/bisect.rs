@@ -5,10 +5,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use rayon::prelude::*;
 
 use super::{
+    classes::Classes,
     design::{Design, Values},
-    refine::class,
     row::{Cell, Row, axis_column},
-    run::{Outcome, Runner},
+    run::Runner,
 };
 use crate::{
     scene::template::Setting,
@@ -90,7 +90,7 @@ fn narrow(runner: &Runner<'_>, axis: usize, bracket: &Threshold, stop: &AtomicBo
             let mut point = threshold.point.clone();
             point[axis] = Setting::Number(middle);
             let cells = runner.cells(&point).ok()?;
-            let at_middle = class(cells.get(point.len()));
+            let at_middle = runner.classes().of(cells.get(point.len()));
             if at_middle == threshold.classes[0] {
                 threshold.bracket[0] = middle;
             } else {
@@ -128,20 +128,15 @@ pub fn columns(design: &Design) -> Vec<Column> {
 }
 
 /// The rows of a table of thresholds.
-pub fn rows(thresholds: &[Threshold]) -> Vec<Row> {
+pub fn rows(thresholds: &[Threshold], classes: &Classes) -> Vec<Row> {
     let rows = thresholds.iter().zip(0..).map(|(threshold, number)| {
         let [low, high] = threshold.bracket;
         let mut cells: Vec<Cell> = threshold.point.iter().map(Cell::from).collect();
         cells.extend([Cell::F64(0.5 * (low + high)), Cell::F64((high - low).abs())]);
-        cells.extend(threshold.classes.map(|class| Cell::Text(name(class).to_owned())));
+        cells.extend(threshold.classes.map(|class| Cell::Text(classes.name(class))));
         (number, cells)
     });
     rows.collect()
-}
-
-/// The name of a class.
-pub fn name(class: u8) -> &'static str {
-    Outcome::ALL.get(class as usize).map_or("failed", |outcome| outcome.name())
 }
 
 /// Whether an axis can be bisected.

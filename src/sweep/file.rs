@@ -7,6 +7,7 @@ use std::{
 };
 
 use super::{
+    classes::Classes,
     design::{Axis, Design, MOST_ROWS, Sampling, Scale, Values},
     row::Measures,
 };
@@ -228,6 +229,8 @@ pub struct Sweep {
     pub set: Vec<(KeyPath, Setting)>,
     /// The axes and the sampling.
     pub design: Design,
+    /// The classes of the outcomes.
+    pub classes: Classes,
     /// Optional measures.
     pub measures: Measures,
     /// When a run ends.
@@ -397,7 +400,9 @@ fn parse(text: &str, file: &str, home: Home<'_>) -> Result<Sweep, SceneError> {
             (text, shown, Some(path.parent().unwrap_or(Path::new("")).to_owned()))
         }
     };
+    let classes = if experiment.is_some() { Classes::open() } else { Classes::of_scenes() };
     let sweep = Sweep {
+        classes,
         text: text.to_owned(),
         file: file.to_owned(),
         scene_text,

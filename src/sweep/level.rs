@@ -179,7 +179,7 @@ fn run_rows(
 pub fn given(store: &Store, sweep: &Sweep, level: u32) -> Result<BTreeMap<u64, Given>, StoreError> {
     let mut given = BTreeMap::new();
     let columns = store.named(&refine::columns(sweep));
-    store.read(level..level + 1, None, &columns, |(row, cells)| _ = given.insert(row, Given::new(&cells)))?;
+    store.read(level..level + 1, None, &columns, |(row, cells)| _ = given.insert(row, Given::new(sweep, &cells)))?;
     Ok(given)
 }
 

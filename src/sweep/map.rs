@@ -4,18 +4,13 @@
 use std::collections::{BTreeMap, HashMap};
 
 use super::{
-    Sweep, bisect,
+    Sweep,
+    classes::{self, Classes},
     design::{Axis, Sampling, Scale, Values},
-    refine::{FAILED, class},
     row::Cell,
     store::{Store, StoreError},
 };
-use crate::{
-    scene::template::Setting,
-    stream::palette,
-    svg::{self, GREEN, ORANGE, PURPLE, SKY_BLUE},
-    table::Kind,
-};
+use crate::{scene::template::Setting, stream::palette, svg, table::Kind};
 
 /// Maximum number of points of a map along an axis.
 const MAX_POINTS: u64 = 1200;
@@ -24,8 +19,6 @@ pub const MOST_SLICES: usize = 64;
 /// Maximum number of runs shown as points.
 const MAX_DOTS: usize = 20_000;
 
-/// Colours of the outcomes, distinguishable with any colour vision (Okabe & Ito 2008), and of failed runs.
-pub const COLORS: [[u8; 3]; FAILED as usize + 1] = [[222, 222, 222], SKY_BLUE, ORANGE, GREEN, PURPLE, [60, 60, 60]];
 /// Colour of unknown points.
 pub const UNKNOWN: [u8; 3] = [255, 255, 255];
 
@@ -43,6 +36,8 @@ pub struct Map {
     pub rows: u64,
     /// Whether the points form a grid.
     pub is_grid: bool,
+    /// The classes of the outcomes, in the order of the rows.
+    pub classes: Classes,
 }
 
 /// A map.
@@ -100,15 +95,21 @@ impl Map {
         let is_measure = sweep.color != "outcome" && sweep.color != "events";
         let columns = store.named(&["outcome", &sweep.color]);
         let is_count = columns.get(2).or(columns.get(1)).is_some_and(|column| column.kind == Kind::Integer);
-        let mut seen: BTreeMap<u64, Seen> = BTreeMap::new();
+        let mut found: BTreeMap<u64, (Option<Cell>, f64)> = BTreeMap::new();
         store.read(0..u32::MAX, None, &columns, |(row, cells)| {
             let value = match cells.last() {
                 Some(Cell::F64(x)) => *x,
                 Some(Cell::I64(n)) if is_count => *n as f64,
                 _ => f64::NAN,
             };
-            seen.insert(row, Seen { class: class(cells.first()), value });
+            found.insert(row, (cells.first().cloned(), value));
         })?;
+        // numbered in the order of the rows, however they were found
+        let classes = sweep.classes.afresh();
+        let seen = |(row, (outcome, value)): (u64, (Option<Cell>, f64))| {
+            (row, Seen { class: classes.of(outcome.as_ref()), value })
+        };
+        let seen: BTreeMap<u64, Seen> = found.into_iter().map(seen).collect();
         let values = || seen.values().map(|seen| seen.value).filter(|value| value.is_finite());
         let range = [values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max)];
         let is_grid = design.sampling == Sampling::Grid;
@@ -119,6 +120,7 @@ impl Map {
             slices: Vec::new(),
             rows: seen.len() as u64,
             is_grid,
+            classes,
         };
         let mut by_slice: BTreeMap<Vec<u64>, Vec<u64>> = BTreeMap::new();
         for row in seen.keys() {
@@ -155,7 +157,8 @@ impl Map {
                 let value = slice.values.get(point).copied().unwrap_or(f64::NAN);
                 if value.is_finite() { ramp((value - low) / f64::max(high - low, f64::MIN_POSITIVE)) } else { UNKNOWN }
             }
-            _ => COLORS.get(class as usize).copied().unwrap_or(UNKNOWN),
+            _ if class == u8::MAX => UNKNOWN,
+            _ => classes::color(class).0,
         }
     }
 }
@@ -179,7 +182,7 @@ fn slice(sweep: &Sweep, map: &Map, numbers: &[usize], rows: &[u64], seen: &BTree
     for &row in rows.iter().take(MAX_DOTS) {
         let (Some(Seen { class, .. }), Some(point)) = (seen.get(&row), design.point(row)) else { continue };
         let values = design.axes.iter().zip(&point).map(|(axis, value)| format!("{} = {value}", axis.label()));
-        let label = format!("row {row}: {}, {}", bisect::name(*class), values.collect::<Vec<_>>().join(", "));
+        let label = format!("row {row}: {}, {}", map.classes.name(*class), values.collect::<Vec<_>>().join(", "));
         let up = numbers.get(1).map_or(0.5, |&axis| share(axis, &point));
         slice.dots.push(Dot { row, at: [share(numbers[0], &point), up], class: *class, label });
     }

@@ -6,6 +6,7 @@
 //! | the points and their row numbers | [`design`] |
 //! | one run: its outcome, its measures, its end; that of another experiment | [`run`], `own` |
 //! | the columns of a row | [`row`] |
+//! | the outcomes of runs as small numbers | [`classes`] |
 //! | rows read back from Parquet | [`table`] |
 //! | the folder: finished and unfinished rows | [`store`] |
 //! | the runs of a level, on all cores | [`level`] |
@@ -45,6 +46,11 @@
 //!
 //! With `sample = "latin"` or `"sobol"`, `count` and `seed` [0] are at the top of the sweep, not in its axes.
 //!
+//! # Other experiments
+//! In a program of its own ([`cli::run`](crate::cli::run)), `scene` is the name of an experiment, keys are those of its
+//! [parameters](crate::observe::Experiment::parameters), and the outcome of a run is the kinds of its events, in order:
+//! `grip slip`, or `none`. `until`, `measures`, `color`, `[jump]` and `--open` are for scenes.
+//!
 //! # Rows
 //! The columns of the tables are described in their schema, and listed in [`row::columns`]. All except `run_time`
 //! depend only on the sweep: they are bit-identical on any machine, for any number of threads, shards and
@@ -73,6 +79,7 @@
 
 pub mod bisect;
 pub mod builtin;
+pub mod classes;
 pub mod design;
 pub mod file;
 pub mod level;

@@ -30,7 +30,14 @@ pub fn run(
     let (schema, simulation) = match started {
         Ok(started) => started,
         Err(reason) => {
-            cells.extend([Cell::Text(String::new()), Cell::List(vec![]), Cell::I64(0), Cell::I64(0), Cell::F64(0.0)]);
+            cells.extend([
+                Cell::Null,
+                Cell::Text(String::new()),
+                Cell::List(vec![]),
+                Cell::I64(0),
+                Cell::I64(0),
+                Cell::F64(0.0),
+            ]);
             cells.push(Cell::U64(0));
             let scalars = sweep.experiment.iter().flat_map(|experiment| {
                 let schema = experiment.schema();
@@ -60,7 +67,13 @@ pub fn run(
     }
     let (simulation, mut frame) = (&*run.simulation, Frame::default());
     simulation.observe(Want { scalars: true, forces: false }, &mut frame);
-    cells.extend([Cell::Text(events.join(" ")), Cell::List(times), Cell::I64(count)]);
+    let events = events.join(" ");
+    cells.push(match run.failure {
+        None if events.is_empty() => Cell::Text("none".to_owned()),
+        None => Cell::Text(events.clone()),
+        Some(_) => Cell::Null,
+    });
+    cells.extend([Cell::Text(events), Cell::List(times), Cell::I64(count)]);
     cells.extend([Cell::I64(simulation.steps_taken() as i64), Cell::F64(simulation.time())]);
     cells.push(Cell::U64(simulation.checksum()));
     let scalar = |index: usize| frame.scalars.get(index).filter(|value| !value.is_nan());

@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use super::{
-    Sweep, bisect,
-    map::{COLORS, MISSABLE, Map, Slice, boundary, ticks},
-    refine::FAILED,
+    Sweep,
+    classes::{self, FAILED},
+    map::{MISSABLE, Map, Slice, boundary, ticks},
     row::Cell,
     store::{Store, StoreError},
 };
@@ -59,9 +59,9 @@ pub fn save(map: &Map, sweep: &Sweep, store: &Store, title: &str, path: &Path) -
     }
     let mut chunks = Chunks::new(recording);
     chunks.log_static(RECORDING_INFO.path, &sdk::RecordingInfo::new().with_name(title));
-    let classes: Vec<String> = (0..=FAILED)
+    let outcomes: Vec<String> = (0..=FAILED)
         .filter(|class| map.slices.iter().any(|slice| slice.dots.iter().any(|dot| dot.class == *class)))
-        .map(|class| format!("{} **{}**", COLOR_NAMES[class as usize], bisect::name(class)))
+        .map(|class| format!("{} **{}**", classes::color(class).1, map.classes.name(class)))
         .collect();
     let axes: Vec<String> = map.axes.iter().map(|axis| format!("**{}**", axis.label())).collect();
     let directions = ["to the right", "upwards"];
@@ -71,12 +71,13 @@ pub fn save(map: &Map, sweep: &Sweep, store: &Store, title: &str, path: &Path) -
         Some([low, high]) => format!("Map: **{}** from {low:.3} (dark) to {high:.3} (yellow). Points: ", map.color),
         None => String::new(),
     };
+    let recorded = if sweep.experiment.is_none() { ": `meldscope sweep … --open ROW` records it" } else { "" };
     let about = format!(
-        "**{title}**: {}; {}.  \n{colored}{}. Select a point to see its row: `meldscope sweep … --open ROW` records it.  \n\
+        "**{title}**: {}; {}.  \n{colored}{}. Select a point to see its row{recorded}.  \n\
          Note: {MISSABLE}.",
         counted(map.rows, "run"),
         axes.join(", "),
-        classes.join(", "),
+        outcomes.join(", "),
     );
     chunks.log_static(ABOUT.path, &TextDocument::new(about).with_media_type(MediaType::MARKDOWN));
     log_ticks(&mut chunks, map);
@@ -93,9 +94,6 @@ pub fn save(map: &Map, sweep: &Sweep, store: &Store, title: &str, path: &Path) -
     }
     Ok(sinks.finish()?.save)
 }
-
-/// The legend of the outcome colours.
-const COLOR_NAMES: [&str; FAILED as usize + 1] = ["light grey", "light blue", "orange", "green", "pink", "dark grey"];
 
 /// Position on the image [px], given fractions of the axes.
 fn pixel([x, y]: [f64; 2]) -> [f32; 2] {
@@ -123,12 +121,7 @@ fn log_slice(chunks: &mut Chunks, map: &Map, slice: &Slice, at: &TimePoint) {
         chunks.row(&MAP.of(&["boundary"]), at.clone(), &lines.with_draw_order(10.0));
     }
     let points = Points2D::new(slice.dots.iter().map(|dot| pixel(dot.at)))
-        .with_colors(
-            slice
-                .dots
-                .iter()
-                .map(|dot| color(COLORS.get(dot.class as usize).copied().unwrap_or_default().map(|c| c / 2))),
-        )
+        .with_colors(slice.dots.iter().map(|dot| color(classes::color(dot.class).0.map(|c| c / 2))))
         .with_labels(slice.dots.iter().map(|dot| dot.label.as_str()))
         .with_show_labels(false)
         .with_radii([Radius::new_ui_points(if slice.dots.len() > 2000 { 0.8 } else { 2.0 })])

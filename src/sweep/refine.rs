@@ -16,20 +16,7 @@ use super::{
     Sweep,
     design::{Design, Place},
     row::Cell,
-    run::Outcome,
 };
-
-/// The class of a run that failed.
-pub const FAILED: u8 = Outcome::ALL.len() as u8;
-
-/// The class of an outcome: its index in [`Outcome::ALL`].
-pub fn class(outcome: Option<&Cell>) -> u8 {
-    let name = match outcome {
-        Some(Cell::Text(name)) => name.as_str(),
-        _ => return FAILED,
-    };
-    Outcome::ALL.iter().position(|outcome| outcome.name() == name).map_or(FAILED, |index| index as u8)
-}
 
 /// The results of a run that decide where the grid is refined.
 #[derive(Clone, Debug)]
@@ -42,13 +29,13 @@ pub struct Given {
 
 impl Given {
     /// Reads the cells of the columns listed by [`columns`].
-    pub fn new(cells: &[Cell]) -> Given {
+    pub fn new(sweep: &Sweep, cells: &[Cell]) -> Given {
         let measures = cells.iter().skip(1).map(|cell| match cell {
             Cell::F64(number) => *number,
             Cell::I64(count) => *count as f64,
             _ => f64::NAN,
         });
-        Given { class: class(cells.first()), measures: measures.collect() }
+        Given { class: sweep.classes.of(cells.first()), measures: measures.collect() }
     }
 }
 
@@ -331,11 +318,5 @@ mod tests {
             wanted = known.wanted();
         }
         assert_eq!((runs, nearest[1] - nearest[0]), (9 + 6, 1.0 / (8.0 * 64.0)));
-    }
-
-    #[test]
-    fn outcomes_have_classes() {
-        assert_eq!(class(Some(&Cell::Text("merged".to_owned()))), 2);
-        assert_eq!(class(Some(&Cell::Null)), FAILED);
     }
 }

@@ -112,7 +112,8 @@ pub const SURFACES: [Column; 3] = [
 ];
 /// The results of a sweep over an experiment that is not a scene; each [scalar of its state](ScalarOf::State) follows, as
 /// `final_SCALAR`.
-pub const OWN: [Column; 6] = [
+pub const OWN: [Column; 7] = [
+    Column::new("outcome", Kind::Text, "the kinds of events of pairs in order, the first 64 of them, or none"),
     Column::required("events", Kind::Text, "the events of pairs in order, the first 64 of them"),
     Column::required("event_times", Kind::List, "exact times of these events [s]"),
     Column::required("event_count", Kind::Integer, "number of events of pairs"),

@@ -30,6 +30,7 @@ use std::{collections::BTreeMap, sync::atomic::AtomicBool, time::Instant};
 use glam::DVec3;
 
 use super::{
+    classes::Classes,
     file::{Sweep, Until},
     own,
     row::{Cell, Row},
@@ -118,6 +119,11 @@ impl<'a> Runner<'a> {
     /// Prepares the runs of a sweep over an experiment that is not a scene; they end when `interrupt` is set.
     pub fn of_own(sweep: &'a Sweep, interrupt: Option<&'static AtomicBool>) -> Runner<'a> {
         Runner { sweep, template: None, interrupt }
+    }
+
+    /// The classes of the outcomes.
+    pub fn classes(&self) -> &'a Classes {
+        &self.sweep.classes
     }
 
     /// Runs a row of the sweep.

@@ -4,9 +4,8 @@
 use std::fmt::Write as _;
 
 use super::{
-    bisect,
-    map::{COLORS, Map, Slice, boundary, ramp, ticks},
-    refine::FAILED,
+    classes::{self, FAILED},
+    map::{Map, Slice, boundary, ramp, ticks},
 };
 use crate::svg::{Anchor, GREY, INK, Paint, Rgb, Svg, through};
 
@@ -51,7 +50,7 @@ fn draw(svg: &mut Svg, map: &Map, slice: &Slice, height: f64) {
         }
     } else {
         for dot in &slice.dots {
-            let color = COLORS.get(dot.class as usize).copied().unwrap_or_default();
+            let color = classes::color(dot.class).0;
             svg.circle(pixel(dot.at), 3.0, Paint::Fill(color));
         }
     }
@@ -138,8 +137,8 @@ fn legend(svg: &mut Svg, map: &Map, panels: &[Slice], [x, y]: [f64; 2]) {
     };
     for (class, row) in (0..=FAILED).filter(is_shown).zip(0..) {
         let y = y + 32.0 * f64::from(row);
-        let paint = Paint::Both { fill: COLORS[class as usize], stroke: GREY, width: 1.0 };
+        let paint = Paint::Both { fill: classes::color(class).0, stroke: GREY, width: 1.0 };
         svg.rectangle([x, y - 4.0], [20.0, 20.0], paint);
-        svg.write([x + 30.0, y + 11.0], 16.0, INK, Anchor::Start, bisect::name(class));
+        svg.write([x + 30.0, y + 11.0], 16.0, INK, Anchor::Start, &map.classes.name(class));
     }
 }

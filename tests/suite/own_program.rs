@@ -17,7 +17,11 @@ use meldscope::{
     },
 };
 
-use crate::{octahedra::Octahedra, recording::Dir, rigid::Boxes};
+use crate::{
+    octahedra::Octahedra,
+    recording::{Dir, Recording},
+    rigid::Boxes,
+};
 
 /// Names the command line of [`program`], whose arguments are separated by this.
 const LINE: &str = "OWN_PROGRAM";
@@ -82,7 +86,10 @@ fn an_own_program_runs_replays_and_compares_its_experiments() {
     assert!(succeeded(&dir, &["replay", "y.rrd"]).contains("identical"));
     let (status, out, err) = own(&dir, &["diff", "x.rrd", "y.rrd"]);
     assert!(status == 1 && out.contains("radii") && err == "error: x.rrd and y.rrd differ\n", "{out}{err}");
+    assert!(!out.contains("with ,") && !out.contains("0.000/s"), "{out}");
     succeeded(&dir, &["run", "octahedra", "--thin", "--save", "thin.rrd"]);
+    let about = Recording::open(&dir.path().join("thin.rrd")).fixed("/about").text("TextDocument:text");
+    assert!(about.contains("`own replay F.rrd`") && !about.contains("meldscope"), "{about}");
     assert!(succeeded(&dir, &["diff", "x.rrd", "thin.rrd"]).contains("recorded without surfaces"));
     let out = succeeded(&dir, &["replay", "x.rrd", "--set", "pull=3.5"]);
     assert!(out.contains("not verified") && out.contains("phase changes, 2 recorded"), "{out}");
@@ -116,6 +123,8 @@ fn an_own_program_checks_its_golden_recordings() {
     let missing = failed(&dir, 1, &["check", "octahedra.rrd"]);
     assert!(missing.contains("1 of 1"), "{missing}");
     succeeded(&dir, &["check", "--bless", "a test", "octahedra.rrd"]);
+    let golden = failed(&dir, 2, &["run", "octahedra"]);
+    assert!(golden.contains("which only `own check --bless REASON` replaces"), "{golden}");
     let out = succeeded(&dir, &["check", "."]);
     assert!(out.contains("octahedra: identical, 100 steps, 2 events"), "{out}");
     succeeded(&dir, &["run", "octahedra", "--set", "pull=3.5", "--save", "other.rrd"]);
@@ -134,11 +143,12 @@ fn an_own_program_sweeps_over_parameters() {
     let mut checksums = std::collections::HashSet::new();
     let columns = columns(&Sweep::load_own(&dir.file("s.toml"), &experiment).expect("a sweep"));
     let names: Vec<&str> = columns.iter().map(|column| &*column.name).collect();
-    assert_eq!(names[..4], ["row", "pull", "events", "event_times"]);
-    assert_eq!(names[7..], ["checksum", "final_stretch", "failure", "run_time"]);
+    assert_eq!(names[..5], ["row", "pull", "outcome", "events", "event_times"]);
+    assert_eq!(names[8..], ["checksum", "final_stretch", "failure", "run_time"]);
     table::read(&rows, &columns, |(row, cells)| {
         assert_eq!((&cells[0], &cells[1]), (&Cell::F64(row as f64), &Cell::Text("grip slip".to_owned())));
-        let Cell::U64(checksum) = cells[6] else { panic!("{cells:?}") };
+        assert_eq!(cells[1], cells[2]);
+        let Cell::U64(checksum) = cells[7] else { panic!("{cells:?}") };
         checksums.insert(checksum);
     })
     .expect("rows");
@@ -154,7 +164,20 @@ fn an_own_program_sweeps_over_parameters() {
         let error = failed(&dir, 2, &["sweep", "bad.toml", "--out", "other"]);
         assert!(error.contains(expected) && error.contains("bad.toml:"), "{error}");
     }
-    assert!(failed(&dir, 2, &["sweep", "s.toml", "--out", "rows", "--refine", "1"]).contains("--refine is for scenes"));
+    let error = failed(&dir, 2, &["sweep", "s.toml", "--out", "rows", "--open", "1"]);
+    assert!(error.contains("--open is for scenes: record a run with `own run octahedra --set KEY=VALUE`"), "{error}");
+}
+
+/// Its outcomes are the kinds of events, which refine the grid, are drawn, and have thresholds.
+#[test]
+fn an_own_program_maps_its_outcomes() {
+    let (dir, sweep) = (Dir::new(), "scene = \"octahedra\"\n[[axis]]\nkey = \"pull\"\nfrom = 0\nto = 400\ncount = 5\n");
+    fs::write(dir.file("s.toml"), sweep).expect("disk space");
+    let out = succeeded(&dir, &["sweep", "s.toml", "--out", "rows", "--refine", "3", "--bisect", "pull"]);
+    assert!(out.contains("outcomes: ") && out.contains("grip slip"), "{out}");
+    assert!(out.contains("changes to") && out.contains("at pull = ") && out.contains("map: "), "{out}");
+    let map = fs::read_to_string(dir.path().join("rows/map.svg")).expect("a map");
+    assert!(map.contains("experiment octahedra") && map.contains(">grip slip<"), "{map}");
 }
 
 #[test]

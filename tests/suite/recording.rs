@@ -215,7 +215,7 @@ impl Row {
         self.get::<Vec3D>(component).into_iter().map(|v| Vec3::from(v.0)).collect()
     }
 
-    fn texts(&self, component: &str) -> Vec<String> {
+    pub fn texts(&self, component: &str) -> Vec<String> {
         self.get::<Utf8>(component).iter().map(|text| text.as_str().to_owned()).collect()
     }
 

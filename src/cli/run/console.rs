@@ -7,7 +7,7 @@ use crate::{
     cli::{
         is_quiet,
         load::shell_word,
-        print, program,
+        print,
         progress::{Progress, Work},
         run::events::Events,
         say,
@@ -19,7 +19,7 @@ use crate::{
         sinks::Finished,
         size,
     },
-    text::{bytes, counted, step_size, thousands},
+    text::{self, bytes, counted, step_size, thousands},
 };
 
 /// A rate of steps is reported only if they took at least this long [s].
@@ -82,7 +82,7 @@ impl Console {
             Some(_) => format!("`--detail surface` {}", about(bytes)),
             None => format!("with `--detail surface` {}", about(bytes)),
         }));
-        let program = program::name();
+        let program = text::program();
         let thin = bytes(10 * settings.steps.unwrap_or(0) + 20_000);
         let taken = match asked {
             Some(_) => format!("the recording will take {all} ({frames}{from})"),
@@ -123,14 +123,13 @@ pub fn summarize(console: &Console, outcome: &Outcome, finished: &Finished) {
         false => String::new(),
     };
     console.print(&format!(
-        "{}: {}, {}; {} of {} s with {}{}, {:.3} s simulated in {simulating:.3} s{rate}, recorded in {all:.3} s",
+        "{}: {}, {}; {} of {} s{}, {:.3} s simulated in {simulating:.3} s{rate}, recorded in {all:.3} s",
         schema.name,
         counted(bodies, "body"),
         counted(schema.vertex_count(), "vertex"),
         counted(steps, "step"),
         step_size(schema.dt),
-        schema.non_default_model().map(|model| format!("{model}, ")).unwrap_or_default(),
-        schema.integrator,
+        schema.method(),
         simulation.time(),
     ));
     match event_count {
@@ -153,7 +152,7 @@ pub fn summarize(console: &Console, outcome: &Outcome, finished: &Finished) {
         console.print(&account);
     }
     if let Some(saved) = &finished.save {
-        let (path, program) = (saved.path.display(), program::name());
+        let (path, program) = (saved.path.display(), text::program());
         let word = shell_word(&path.to_string());
         let size = bytes(saved.bytes);
         if settings.frames == Frames::Thin {

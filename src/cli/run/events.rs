@@ -39,12 +39,16 @@ impl Events {
         };
         let line = match row {
             EventRow::Phase(event, surfaces) => {
-                let direction = if event.rate < 0.0 { "falling" } else { "rising" };
+                // other simulations need not know it
+                let rate = match event.rate {
+                    0.0 => String::new(),
+                    rate => format!("q {} by {:.3}/s ", if rate < 0.0 { "falling" } else { "rising" }, rate.abs()),
+                };
                 let lasted = event.time - self.begun.insert((event.a, event.b), event.time).unwrap_or(0.0);
-                let (rate, phase) = (event.rate.abs(), schema.phases[event.from].name);
+                let phase = schema.phases[event.from].name;
                 let surfaces = surfaces.as_ref().map_or(String::new(), |surfaces| format!("; {surfaces}"));
                 let line = schema.describe(event);
-                format!("{line}; q {direction} by {rate:.3}/s after {lasted:.3} s {phase}{surfaces}")
+                format!("{line}; {rate}after {lasted:.3} s {phase}{surfaces}")
             }
             _ => row.describe(schema),
         };
