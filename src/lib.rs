@@ -11,11 +11,18 @@
 //! The debugger works with any simulation, not only this crate's: implement [`observe::Simulation`] for it, and
 //! [`observe::Experiment`] for what starts it. It gets the viewer, forces by cause, thresholds and phases, events, stages,
 //! timings, checksums, `diff`, golden recordings, the flight recorder, and thin recordings with replay.
-//! This is a complete example, with two force terms and two thresholds of its own; the tests of this crate run it:
+//! This is a complete example, with two force terms, two thresholds and events of its own; the tests of this crate run it:
 //!
 //! ```ignore
 #![doc = include_str!("../tests/suite/octahedra.rs")]
 //! ```
+//!
+//! What it does not need: bodies that come and go ([`is_absent`](observe::BodyFrame::is_absent)) or tear
+//! ([`can_tear`](observe::schema::BodySchema::can_tear)), forces at points of contact ([`PointForce`](observe::PointForce)), flat
+//! faces ([`Mesh::faceted`](geometry::Mesh::faceted)), events of single bodies
+//! ([`body_events`](observe::StepSummary::body_events)), planes ([`planes`](observe::Schema::planes)), surfaces of groups that are
+//! not unions ([`surfaces`](observe::Schema::surfaces)). Vectors are those of [`glam`], which this crate re-exports in the version
+//! that it takes, and so is [`toml`].
 //!
 //! [`observe::verify()`] says in sentences what such an implementation gets wrong. Then it is recorded, replayed, compared
 //! and checked, which restarts it with `Octahedra::read`:
@@ -84,7 +91,17 @@
 //!
 //! With `default-features = false`, the crate is the simulation alone, without Rerun: a few dozen small dependencies.
 //! The feature `viewer` adds `stream` and `recording`, which is all that recording, replaying and comparing needs; `cli`, the
-//! default, adds `viewer`, `bench`, the program and [`cli::run`]. A program that needs only this crate's own simulation looks like this:
+//! default, adds `viewer`, `bench`, the program and [`cli::run`].
+//!
+//! Cargo takes profiles from the program's `Cargo.toml` alone. The section `[profile.release.package]` of this crate's
+//! compiles without optimisation what of the SDK runs once or never: copied, it halves the processor time of a first build
+//! (some 22 minutes without it), and recordings are written as fast:
+//!
+//! ```sh
+//! sed -n '/^\[profile.release.package\]/,/^$/p' meldscope/Cargo.toml >> Cargo.toml
+//! ```
+//!
+//! A program that needs only this crate's own simulation looks like this:
 //!
 //! ```
 //! use meldscope::{Scene, World};
@@ -108,11 +125,8 @@
 //! )?;
 //!
 //! let mut world = World::new(scene)?;
-//! for _ in 0..world.scene().steps() {
-//!     let report = world.step();
-//!     for event in &report.events {
-//!         println!("{} at {:.9} s", event.name(), event.time);
-//!     }
+//! for event in world.run(world.scene().steps())? {
+//!     println!("{} at {:.9} s", event.name(), event.time);
 //! }
 //!
 //! let passing = world.body(1);
@@ -169,5 +183,7 @@ pub mod text;
 #[doc(hidden)]
 pub mod view;
 
+pub use glam;
 pub use scene::{Scene, SceneError};
 pub use sim::{StepReport, World};
+pub use toml;

@@ -157,7 +157,8 @@ pub fn main() -> ExitCode {
 ///
 /// A recording names its experiment by [`Schema::name`](crate::observe::Schema::name): `replay` and others find that and
 /// restart it by [`Experiment::read`]. `--set KEY=VALUE` varies its [parameters](Experiment::parameters), and so do the
-/// axes of a [sweep](crate::sweep), whose rows have the events, the steps, the checksum and the scalars at the end. `check` compares
+/// axes of a [sweep](crate::sweep), whose rows have the events, the steps, the checksum and the scalars at the end; its
+/// `--refine`, `--bisect` and maps take the kinds of events for the outcome. `check` compares
 /// golden recordings NAME.rrd, by default those in the folder `recordings`, with the experiments of these names.
 ///
 /// ```no_run

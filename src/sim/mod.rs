@@ -114,6 +114,7 @@ mod world;
 
 pub use body::{BodyView, PairView, States};
 pub use events::Event;
+pub use free::{Conserved, Ledger};
 pub use handle::{BodyHandle, BodyId};
 pub use memory::TooLarge;
 pub use numerics::arrays::Vectors;
@@ -121,5 +122,5 @@ pub use observe::{BodyForces, Energy};
 pub use report::{
     Diverged, EditError, Failure, Fallback, Overworked, Shortfall, Stage, StepReport, Strain, Toil, WorldError,
 };
-pub use terms::Cause;
+pub use terms::{Cause, Origin, Source, Surroundings, Weighted};
 pub use world::{Options, World, WorldSnapshot};

@@ -125,7 +125,7 @@ impl World {
     /// Advances the world by one step of the scene's Δt and reports what happened.
     ///
     /// A step that is not completed ([`Failure::Overworked`], [`Failure::Interrupted`]) does not count as taken: from
-    /// then on the state is meaningless and the world takes no further step.
+    /// then on the state is meaningless and the world takes no further step. [`World::run`] makes it an error.
     ///
     /// [`Failure::Overworked`]: super::Failure::Overworked
     /// [`Failure::Interrupted`]: super::Failure::Interrupted

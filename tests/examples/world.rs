@@ -22,10 +22,8 @@ motion = { line = { from = [2.6, 0, 0], velocity = [-0.8, 0, 0] } }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut world = World::new(Scene::parse(SCENE, "example")?)?;
-    for _ in 0..world.scene().steps() {
-        for event in &world.step().events {
-            println!("{} at {:.9} s, q = {:.6}", event.name(), event.time, event.q);
-        }
+    for event in world.run(world.scene().steps())? {
+        println!("{} at {:.9} s, q = {:.6}", event.name(), event.time, event.q);
     }
     Ok(())
 }
