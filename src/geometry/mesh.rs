@@ -43,7 +43,7 @@ impl Mesh {
     /// A general mesh, shifted to its centre of mass and scaled so that its farthest vertex is at distance 1.
     ///
     /// `triangles` are indices into `positions` [any unit], counter-clockwise seen from outside, and form a closed
-    /// surface.
+    /// surface. Whether they do is checked where the mesh is used; one with an index beyond the positions weighs nothing.
     pub fn new(positions: Vectors, triangles: Vec<[u32; 3]>) -> Mesh {
         let shares = shares(&positions, &triangles);
         let centre: DVec3 = positions.iter().zip(&shares).map(|(position, share)| *share * position).sum();
@@ -200,11 +200,16 @@ fn doubled_area([a, b, c]: [DVec3; 3]) -> DVec3 {
     (b - a).cross(c - a)
 }
 
+/// The triangles whose vertices there are.
+fn within(triangles: &[[u32; 3]], vertex_count: usize) -> impl Iterator<Item = &[u32; 3]> {
+    triangles.iter().filter(move |corners| corners.iter().all(|&i| (i as usize) < vertex_count))
+}
+
 /// For each vertex, a third of the area of its triangles over the total area; equal fractions if the total is zero.
 fn shares(positions: &Vectors, triangles: &[[u32; 3]]) -> Vec<f64> {
     let mut shares = vec![0.0; positions.len()];
     let mut total = 0.0;
-    for corners in triangles {
+    for corners in within(triangles, positions.len()) {
         let area = doubled_area(corners.map(|i| positions.get(i as usize))).length();
         corners.iter().for_each(|&i| shares[i as usize] += area);
         total += 3.0 * area;
@@ -222,7 +227,7 @@ fn shares(positions: &Vectors, triangles: &[[u32; 3]]) -> Vec<f64> {
 /// the centre.
 fn normals(positions: &Vectors, triangles: &[[u32; 3]]) -> Vectors {
     let mut sums = Vectors::zeros(positions.len());
-    for corners in triangles {
+    for corners in within(triangles, positions.len()) {
         let area = doubled_area(corners.map(|i| positions.get(i as usize)));
         corners.iter().for_each(|&i| sums.set(i as usize, sums.get(i as usize) + area));
     }

@@ -351,8 +351,10 @@ impl World {
         (touching / radii).max(self.scene.law(a, b).thresholds.merge_at)
     }
 
-    /// The phase of the pair of bodies `a` and `b`.
+    /// The phase of the pair of bodies `a` and `b`, in any order; panics if out of range.
     pub fn phase(&self, a: usize, b: usize) -> Phase {
+        let count = self.body_count();
+        assert!(a < count && b < count, "there are {count} bodies, and no pair of {a} and {b}");
         match &self.solver {
             Solver::Prescribed(prescribed) => prescribed.phase(a, b),
             Solver::Coupled(coupled) => coupled.phase(a, b),

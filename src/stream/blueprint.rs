@@ -24,7 +24,7 @@ use super::{
 };
 use crate::{
     colors,
-    observe::{Schema, Simulation, schema::TermSchema},
+    observe::{Frame, Schema, Simulation, schema::TermSchema},
     sdk::{
         self, AsComponents, BlueprintActivationCommand, LogMsg, Mesh3D, Points3D, SeriesLines, StoreId, StoreKind,
         TimePoint,
@@ -996,8 +996,8 @@ fn hidden(eye: DVec3, wanted: &[(DVec3, f64)], others: &[(DVec3, f64)]) -> f64 {
 }
 
 /// The text of the panel: what the colours mean, the scene, integrator, step and settings. The recording begins with
-/// step `first`.
-pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
+/// step `first`; `frame` is one of its states.
+pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame) -> String {
     let program = text::program();
     let frames = match (&settings.frames, settings.every) {
         (Frames::Thin, _) => {
@@ -1097,9 +1097,9 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
     } else {
         String::new()
     };
-    let is_free = schema.bodies.iter().any(|body| body.is_free);
+    let has_net = frame.bodies.iter().any(|now| now.net_force.is_some());
     let net_forces = match settings.detail {
-        Detail::Forces | Detail::Stages { .. } if is_free => {
+        Detail::Forces | Detail::Stages { .. } if has_net => {
             let of =
                 net_forces::KINDS.map(|(name, rgb, _)| format!("{} {}", colors::name(rgb), name.replace('_', " ")));
             format!(
@@ -1111,6 +1111,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64) -> String {
         }
         _ => String::new(),
     };
+    let is_free = schema.bodies.iter().any(|body| body.is_free);
     let trails = if is_free && settings.entities == Entities::Body {
         format!("- **Trails**: the centres of free bodies in the last {} s\n", trails::SECONDS)
     } else {

@@ -160,7 +160,7 @@ impl Recorder {
             // a thin recording would open an empty 3D view
             chunks.log_static(WORLD.path, &ViewCoordinates::RIGHT_HAND_Z_UP());
         }
-        log_about(blueprint::about(&schema, &settings, simulation.steps_taken()), &mut chunks);
+        log_about(blueprint::about(&schema, &settings, simulation.steps_taken(), &frame), &mut chunks);
         if settings.frames != Frames::Thin && !schema.planes.is_empty() {
             planes::log(&schema, &simulation.framing(false), now(simulation), &mut chunks);
         }
@@ -488,7 +488,7 @@ impl Recorder {
             nearest += &format!("{head}- {line}\n");
         }
         if !(kept.is_empty() && nearest.is_empty()) {
-            let about = blueprint::about(&self.schema, &self.settings, self.first);
+            let about = blueprint::about(&self.schema, &self.settings, self.first, &self.frame);
             log_about(kept + &about + &nearest, &mut self.chunks);
         }
         self.checksums.log(&mut self.chunks, true);

@@ -299,7 +299,7 @@ fn mistakes_of_an_implementer_are_named() {
     assert_eq!(observe::verify(&Octahedra::two(3.0), 100), Ok(()));
     assert_eq!(observe::verify(&Scene::builtin("three").expect("built in"), 100), Ok(()));
     assert_eq!(observe::verify(&balls(), 60), Ok(()));
-    let schemas: [Mistake<Schema>; 15] = [
+    let schemas: [Mistake<Schema>; 16] = [
         ("schema.terms has 3 terms with is_sum", |schema| schema.terms.iter_mut().for_each(|term| term.is_sum = true)),
         ("schema.pair_scalars[0].name is \"a/b\"", |schema| schema.pair_scalars[0].name = "a/b"),
         ("schema.body_scalars[0].of", |schema| schema.body_scalars[0].of = ScalarOf::SumOfSteps),
@@ -315,6 +315,11 @@ fn mistakes_of_an_implementer_are_named() {
         ("schema.bodies[0].can_tear is set, but its mesh is faceted", |schema| {
             schema.bodies[0].mesh = Arc::new(schema.bodies[0].mesh.as_ref().clone().faceted());
             schema.bodies[0].can_tear = true;
+        }),
+        ("schema.bodies[0].mesh: triangle 8 refers to vertex 7, but there are 6", |schema| {
+            let mesh = &schema.bodies[0].mesh;
+            let triangles = mesh.triangles().iter().copied().chain([[0, 1, 7]]).collect();
+            schema.bodies[0].mesh = Arc::new(meldscope::geometry::Mesh::new(mesh.positions().clone(), triangles));
         }),
         ("mesh has no triangles", |schema| {
             let corners = schema.bodies[0].mesh.positions().clone();

@@ -8,7 +8,7 @@ use std::{
 
 use meldscope::{
     Scene, cli,
-    observe::Experiment,
+    observe::{Experiment, Run},
     stream::{self, Settings, sinks::Destinations},
     sweep::{
         Sweep,
@@ -137,7 +137,7 @@ fn an_own_program_sweeps_over_parameters() {
     let (dir, sweep) = (Dir::new(), "scene = \"octahedra\"\n[[axis]]\nkey = \"pull\"\nfrom = 0\nto = 4\ncount = 5\n");
     fs::write(dir.file("s.toml"), sweep).expect("disk space");
     let out = succeeded(&dir, &["sweep", "s.toml", "--out", "rows"]);
-    assert!(out.contains("s.toml: 5 runs, 500 steps"), "{out}");
+    assert!(out.contains("s.toml: 5 runs; 500 steps") && out.contains("outcomes: grip slip 5"), "{out}");
     assert!(succeeded(&dir, &["sweep", "s.toml", "--out", "rows"]).contains("5 runs"));
     let rows = dir.file("rows/rows-00-0of1-000000.parquet");
     let mut checksums = std::collections::HashSet::new();
@@ -171,13 +171,27 @@ fn an_own_program_sweeps_over_parameters() {
 /// Its outcomes are the kinds of events, which refine the grid, are drawn, and have thresholds.
 #[test]
 fn an_own_program_maps_its_outcomes() {
-    let (dir, sweep) = (Dir::new(), "scene = \"octahedra\"\n[[axis]]\nkey = \"pull\"\nfrom = 0\nto = 400\ncount = 5\n");
-    fs::write(dir.file("s.toml"), sweep).expect("disk space");
-    let out = succeeded(&dir, &["sweep", "s.toml", "--out", "rows", "--refine", "3", "--bisect", "pull"]);
-    assert!(out.contains("outcomes: ") && out.contains("grip slip"), "{out}");
-    assert!(out.contains("changes to") && out.contains("at pull = ") && out.contains("map: "), "{out}");
+    let (dir, axis) = (Dir::new(), "[[axis]]\nkey = \"stiffness\"\nfrom = 3500\nto = 6500\ncount = 4\n");
+    fs::write(dir.file("s.toml"), format!("scene = \"boxes\"\n{axis}")).expect("disk space");
+    let out = succeeded(&dir, &["sweep", "s.toml", "--out", "rows", "--refine", "2", "--bisect", "stiffness"]);
+    // the fourth box touches the second one unless the contacts are of a middling stiffness
+    let (rare, often) =
+        ("touch part touch touch part part touch part", "touch part touch touch part part touch part touch part");
+    let change = out.lines().find_map(|line| line.strip_prefix(&format!("{often} changes to {rare} at stiffness = ")));
+    let threshold: f64 = change.unwrap_or_else(|| panic!("{out}")).parse().expect("a number");
+    assert!((3500.0..4500.0).contains(&threshold), "{threshold}");
+    for (stiffness, expected) in [(threshold - 1e-3, often), (threshold + 1e-3, rare)] {
+        let boxes = Boxes { count: 4, stiffness };
+        let mut run = Run::new(boxes.start().expect("it starts"), Some(600));
+        let mut events = Vec::new();
+        while run.step() {
+            events.extend(run.summary.events.iter().map(|event| event.name));
+        }
+        assert_eq!(events.join(" "), expected, "{stiffness}");
+    }
+    assert!(out.contains("outcomes: ") && out.contains("map: "), "{out}");
     let map = fs::read_to_string(dir.path().join("rows/map.svg")).expect("a map");
-    assert!(map.contains("experiment octahedra") && map.contains(">grip slip<"), "{map}");
+    assert!(map.contains("experiment boxes") && map.contains(&format!(">{rare}<")), "{map}");
 }
 
 #[test]

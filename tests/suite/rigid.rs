@@ -10,8 +10,8 @@ use meldscope::{
     geometry::Mesh,
     hash,
     observe::{
-        self, BodyFrame, Experiment, Frame, Instant, MotionFrame, PairEvent, PairFrame, PointForce, Refusal, Schema,
-        Simulation, StepSummary, Want,
+        self, BodyFrame, Experiment, Frame, Instant, InvalidVariation, MotionFrame, PairEvent, PairFrame, Parameter,
+        PointForce, Refusal, Schema, Simulation, StepSummary, Variation, Want,
         frame::TermFrame,
         schema::{BodySchema, PlaneSchema, ScalarOf, ScalarSchema, TermSchema},
     },
@@ -258,6 +258,22 @@ impl Experiment for Boxes {
             Some(Boxes { count: count.parse().ok()?, stiffness: stiffness.parse().ok()? })
         };
         boxes().map(|boxes| Arc::new(boxes) as _).ok_or(Refusal::Source("it is not of boxes".to_owned()))
+    }
+    fn parameters(&self) -> Vec<Parameter> {
+        vec![Parameter {
+            key: "stiffness".to_owned(),
+            group: "Contacts".to_owned(),
+            label: "stiffness".to_owned(),
+            unit: "1/s²".to_owned(),
+            about: "Stiffness of contacts.".to_owned(),
+            value: self.stiffness,
+            range: [0.0, 20_000.0],
+            can_branch: false,
+        }]
+    }
+    fn varied(&self, variation: &Variation) -> Result<Arc<dyn Experiment>, InvalidVariation> {
+        let stiffness = variation.values.get("stiffness").copied().unwrap_or(self.stiffness);
+        Ok(Arc::new(Boxes { stiffness, ..self.clone() }))
     }
 }
 
