@@ -7,7 +7,7 @@
 //! the times have the lower order of the scheme.
 
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::BTreeMap,
     sync::{Arc, atomic::AtomicBool},
 };
 
@@ -20,7 +20,8 @@ use crate::{
         union::{Contact, Crossing, contact, is_raised},
     },
     observe::{
-        Frame, NearPair, PairEvent, PairFrame, Schema, Simulation, SurfaceEvent, Want, between, surface::Finding,
+        Frame, NearPair, PairEvent, PairFrame, Schema, Simulation, SurfaceEvent, Want, between, state_within,
+        surface::Finding,
     },
 };
 
@@ -30,8 +31,6 @@ const PRECISION: f64 = 1e-7;
 const MAX_BISECTIONS: u32 = 60;
 /// Upper limit on the watched pairs. If there are more, the closest are watched.
 const MAX_PAIRS: usize = 64;
-/// In scenes of at most this many bodies, a pair that comes within reach is followed from the step before on.
-const FEW_BODIES: usize = 64;
 /// Surfaces are compared within a step each time that a pair has moved by this much [radii of the smaller body] …
 const FAR: f64 = 0.1;
 /// … but at most this often …
@@ -46,7 +45,7 @@ pub struct Touches {
     schema: Schema,
     merger: Merger,
     pairs: BTreeMap<[usize; 2], Known>,
-    /// State before the step; in scenes of many bodies, of those in pairs only.
+    /// State before the step.
     before: Frame,
     /// The motion of the pairs before the step.
     near: Vec<NearPair>,
@@ -162,7 +161,7 @@ impl Touches {
                 for end in visits.into_iter().chain([ends[1]]) {
                     let state = if end == ends[1] { known } else { self.known_at(simulation, bodies, last, now, end) };
                     if state.is_touching != last.is_touching {
-                        let (time, q) = self.when(simulation, bodies, last, [start, end]);
+                        let (time, q) = self.when(simulation, bodies, last, now, [start, end]);
                         if is_raised(self.interrupt) {
                             return; // the time is not accurate yet
                         }
@@ -190,7 +189,7 @@ impl Touches {
                 Some(_) => (false, None),
                 None => (known.is_touching, known.touched),
             };
-            simulation.within(&self.before, change.time, &bodies, &mut self.inside);
+            state_within(simulation, &self.schema, [&self.before, now], change.time, &bodies, &mut self.inside);
             let measures = match self.schema.surfaces.get() {
                 Some(own) => own.measure(&self.schema, &self.inside, bodies, self.interrupt),
                 None => self.merger.merge(&self.schema, &self.inside, &[bodies]).pairs.first().copied().flatten(),
@@ -208,11 +207,7 @@ impl Touches {
         self.before.pairs.clone_from(&now.pairs);
         self.near = near;
         self.before.bodies.resize_with(now.bodies.len(), Default::default);
-        let all = (0..now.bodies.len()).take(if now.bodies.len() <= FEW_BODIES { FEW_BODIES } else { 0 });
-        let of_pairs = self.pairs.keys().flatten().copied();
-        let bodies: BTreeSet<usize> = all.chain(of_pairs).collect();
-        for body in bodies {
-            let (from, to) = (&now.bodies[body], &mut self.before.bodies[body]);
+        for (from, to) in now.bodies.iter().zip(&mut self.before.bodies) {
             (to.centre, to.rotation, to.motion) = (from.centre, from.rotation, from.motion);
             to.is_at_rest = from.is_at_rest;
             to.mesh.clone_from(&from.mesh);
@@ -271,10 +266,11 @@ impl Touches {
         let mut inside = std::mem::take(&mut self.inside);
         let mut known = before;
         for is_exact in [false, true] {
+            let ends = [&self.before, now];
             if is_exact {
-                simulation.within(&self.before, time, &bodies, &mut inside);
+                state_within(simulation, &self.schema, ends, time, &bodies, &mut inside);
             } else {
-                between(&self.schema, [&self.before, now], time, &bodies, &mut inside);
+                between(&self.schema, ends, time, &bodies, &mut inside);
                 let [a, b] = bodies;
                 if let Some(apart) = simulation.apart(a, b, time) {
                     inside.bodies[b].centre = inside.bodies[a].centre + apart; // paths need no interpolation
@@ -296,7 +292,14 @@ impl Touches {
     }
 
     /// Time at which the surfaces of a pair touched or parted between two times in the step [s], and q at that time.
-    fn when(&mut self, simulation: &dyn Simulation, bodies: [usize; 2], before: Known, ends: [f64; 2]) -> (f64, f64) {
+    fn when(
+        &mut self,
+        simulation: &dyn Simulation,
+        bodies: [usize; 2],
+        before: Known,
+        now: &Frame,
+        ends: [f64; 2],
+    ) -> (f64, f64) {
         let [mut low, mut high] = ends;
         let mut inside = std::mem::take(&mut self.inside);
         let mut known = before;
@@ -305,7 +308,7 @@ impl Touches {
             if high - low <= PRECISION || middle <= low || middle >= high || is_raised(self.interrupt) {
                 break;
             }
-            simulation.within(&self.before, middle, &bodies, &mut inside);
+            state_within(simulation, &self.schema, [&self.before, now], middle, &bodies, &mut inside);
             for body in bodies {
                 self.placed.remove(&body);
                 self.place(body, &inside);
@@ -313,7 +316,7 @@ impl Touches {
             self.update_contact(bodies, &mut known);
             if known.is_touching == before.is_touching { low = middle } else { high = middle }
         }
-        simulation.within(&self.before, high, &bodies, &mut inside);
+        state_within(simulation, &self.schema, [&self.before, now], high, &bodies, &mut inside);
         let [a, b] = bodies;
         let radii = self.schema.bodies[a].radius + self.schema.bodies[b].radius;
         let q = inside.bodies[a].centre.distance(inside.bodies[b].centre) / radii;
@@ -406,6 +409,21 @@ mod tests {
             all.append(&mut of_step);
         }
         all
+    }
+
+    /// In a scene of many bodies, too, a pair that comes within reach is followed from the step before on, even where the
+    /// simulation knows no states within a step.
+    #[test]
+    fn a_pair_that_comes_within_reach_among_many_touches_when_its_surfaces_do() {
+        let text = "duration = 2.0\nintegrator = \"verlet\"\n[influence]\nalpha = 0\nbeta = 0\n\
+                    [[grid]]\nname = \"far\"\ncount = [70, 1, 1]\nspacing = [9, 0, 0]\nradius = 1.0\n\
+                    shape = { sphere = { stacks = 3, slices = 4 } }\nmotion = { free = { from = [0, 50, 0] } }\n\
+                    [[body]]\nname = \"a\"\nradius = 1.0\nmotion = { free = { from = [-1.9, 0, 0], velocity = [1, 0, 0] } }\n\
+                    [[body]]\nname = \"b\"\nradius = 1.0\nmotion = { free = { from = [1.9, 0, 0], velocity = [-1, 0, 0] } }\n";
+        let found = found(text, 1.0 / 60.0);
+        let touches: Vec<_> = found.iter().filter(|event| event.what == Finding::Touch).collect();
+        assert_eq!(touches.len(), 1, "{touches:?}");
+        assert!((touches[0].time - 0.9).abs() < 1e-6 && (touches[0].q - 1.0).abs() < 1e-6, "{touches:?}");
     }
 
     #[test]

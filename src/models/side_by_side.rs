@@ -332,15 +332,13 @@ impl Simulation for SideBySideRun {
     }
 
     fn within(&self, before: &Frame, time: f64, bodies: &[usize], frame: &mut Frame) {
-        frame.at = Instant { step: self.steps_taken(), time };
-        frame.bodies.resize_with(self.schema.bodies.len(), BodyFrame::default);
         for Part { simulation, place, .. } in &self.parts {
             let own: Vec<usize> =
                 bodies.iter().filter(|&&body| place.has(body)).map(|body| body - place.first).collect();
             if own.is_empty() {
                 continue;
             }
-            let mut one = Frame::default();
+            let mut one = place.alone(frame);
             simulation.within(&place.alone(before), time, &own, &mut one);
             for (index, mut now) in one.bodies.into_iter().enumerate() {
                 now.centre += place.offset;

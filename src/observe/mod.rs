@@ -35,7 +35,7 @@ pub use row::EventRow;
 pub use run::Run;
 pub use schema::Schema;
 pub use simulation::{
-    Experiment, NearPair, Refusal, Shortfall, Simulation, StageFrame, StepFailure, StepSummary, between,
+    Experiment, NearPair, Refusal, Shortfall, Simulation, StageFrame, StepFailure, StepSummary, between, state_within,
 };
 pub use surface::SurfaceEvent;
 pub use verify::verify;

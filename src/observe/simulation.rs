@@ -94,13 +94,10 @@ pub trait Simulation {
         vec![stage("start", before.clone()), stage("end", frame)]
     }
 
-    /// Writes the centres of some bodies and their vertex positions relative to these [scene unit] to `frame` (reused),
-    /// at a time [s] within the step that led from `before` to the current state. The default interpolates with
-    /// [`between`].
+    /// Improves the states of some bodies in `frame` at a time [s] within the step that led from `before` to the current
+    /// state. They are interpolated by [`between`]; the default keeps them.
     fn within(&self, before: &Frame, time: f64, bodies: &[usize], frame: &mut Frame) {
-        let mut after = Frame::default();
-        self.observe(Want::default(), &mut after);
-        between(&self.schema(), [before, &after], time, bodies, frame);
+        let _ = (before, time, bodies, frame);
     }
 
     /// Touch and part events of pairs in the last step, in order of time, if the simulation detects them itself
@@ -120,6 +117,20 @@ pub trait Simulation {
         let bodies = frame.bodies.iter().zip(&schema.bodies);
         bodies.map(|(now, body)| (now.centre, f64::max(body.reach, body.radius))).collect()
     }
+}
+
+/// The state of some bodies at a time [s] within the last step of a simulation, which led from `ends[0]` to `ends[1]`, as
+/// accurately as the simulation knows it: centres, and vertex positions relative to these [scene unit]. `frame` is reused.
+pub fn state_within(
+    simulation: &dyn Simulation,
+    schema: &Schema,
+    ends: [&Frame; 2],
+    time: f64,
+    bodies: &[usize],
+    frame: &mut Frame,
+) {
+    between(schema, ends, time, bodies, frame);
+    simulation.within(ends[0], time, bodies, frame);
 }
 
 /// The state of some bodies at a time [s] between two frames. Displacements are interpolated by cubic Hermite

@@ -26,7 +26,7 @@ use crate::{
     model::{PairLaw, THESIS_IN_ENGLISH, influence::Influence, phase::Phase},
     observe::{
         BodyFrame, Frame, Instant, MotionFrame, NearPair, PairEvent, Schema, Shortfall, Simulation, StageFrame,
-        StepFailure, StepSummary, Want, between,
+        StepFailure, StepSummary, Want,
         schema::{
             BodySchema, OwnLevels, OwnSurfaces, PhaseSchema, PlaneSchema, PointSchema, ScalarOf, ScalarSchema,
             SchemaChange, SphereAt, Threshold,
@@ -215,12 +215,8 @@ impl Simulation for World {
         if is_exact && stages::within(before, self, time, bodies, frame) {
             return;
         }
-        let written = if is_exact { stages::within_coupled(before, self, time, bodies, frame) } else { Vec::new() };
-        let others: Vec<usize> = bodies.iter().copied().filter(|body| !written.contains(body)).collect();
-        if !others.is_empty() {
-            let mut after = Frame::default();
-            self.observe(Want::default(), &mut after);
-            between(&Simulation::schema(self), [before, &after], time, &others, frame);
+        if is_exact {
+            stages::within_coupled(before, self, time, bodies, frame);
         }
         for &index in bodies {
             if let Some(path) = self.scene().bodies[index].path() {

@@ -6,7 +6,7 @@
 use super::frames::{add_forces, pair_frame};
 use crate::{
     model::phase::Phase,
-    observe::{BodyFrame, Frame, Instant, PairFrame, Simulation as _, StageFrame, Want},
+    observe::{BodyFrame, Frame, Instant, PairFrame, Simulation, StageFrame, Want, state_within},
     scene::{Integrator, Scene},
     sim::{
         Cause, PairView, States, World,
@@ -40,23 +40,23 @@ pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
     ];
     let max = (MAX_VERTICES / world.scene().vertex_count().max(1)).max(MIN_STAGES) as usize;
     let work = Work::limited(MAX_WORK, world.options().interrupt);
+    let mut after = Frame::default();
+    world.observe(WANT, &mut after);
     let last = match Recomputed::new(world, before_step(before), &work) {
         Some(recomputed) => intervals(&recomputed, before, world, max, &mut stages),
-        None => events_of_free_bodies(before, world, max, &mut stages),
+        None => events_of_free_bodies([before, &after], world, max, &mut stages),
     };
-    let mut frame = Frame::default();
-    world.observe(WANT, &mut frame);
-    stages.push(stage(&last, frame));
+    stages.push(stage(&last, after));
     stages
 }
 
 /// Adds the states at the phase changes of a step of a coupled scene. Returns the name of the last stage.
-fn events_of_free_bodies(before: &Frame, world: &World, max: usize, stages: &mut Vec<StageFrame>) -> String {
-    let events = &world.report().events;
+fn events_of_free_bodies(ends: [&Frame; 2], world: &World, max: usize, stages: &mut Vec<StageFrame>) -> String {
+    let (events, schema) = (&world.report().events, Simulation::schema(world));
     let all: Vec<usize> = (0..world.body_count()).collect();
     for event in events.iter().take(max) {
-        let mut frame = Frame { pairs: before.pairs.clone(), ..Frame::default() };
-        world.within(before, event.time, &all, &mut frame);
+        let mut frame = Frame { pairs: ends[0].pairs.clone(), ..Frame::default() };
+        state_within(world, &schema, ends, event.time, &all, &mut frame);
         stages.push(StageFrame { name: name_of(event, world), frame });
     }
     match events.len().saturating_sub(max) {
@@ -191,22 +191,16 @@ pub fn within(before: &Frame, world: &World, time: f64, bodies: &[usize], frame:
     true
 }
 
-/// Like [`within`] for a coupled scene. Bodies that took no step in which they act on others are left unchanged; returns
-/// the others.
-pub fn within_coupled(before: &Frame, world: &World, time: f64, bodies: &[usize], frame: &mut Frame) -> Vec<usize> {
+/// Like [`within`] for a coupled scene. Bodies that took no step in which they act on others are left unchanged.
+pub fn within_coupled(before: &Frame, world: &World, time: f64, bodies: &[usize], frame: &mut Frame) {
     let work = Work::limited(MAX_WORK, world.options().interrupt);
-    frame.at = Instant { step: world.steps_taken(), time };
-    frame.bodies.resize_with(world.body_count(), BodyFrame::default);
-    let mut written = Vec::new();
     world.coupled_within(before.at.time, time, bodies, &work, |index, body| {
         let (now, rest) = (&mut frame.bodies[index], world.body(index).rest_shape());
         (now.centre, now.rotation) = (body.centre(), body.rotation());
         now.displacements.reset(rest.len());
         body.displacements().enumerate().for_each(|(i, x)| now.displacements.set(i, x));
         now.displaced(rest);
-        written.push(index);
     });
-    written
 }
 
 /// Whether a force comes from influence spheres.

@@ -5,7 +5,7 @@ use glam::DVec3;
 use crate::{
     Scene, World,
     model::phase::Phase,
-    observe::{BodyFrame, Frame, Simulation as _, Want},
+    observe::{BodyFrame, Frame, Simulation, Want, state_within},
     scene::{
         Force, Integrator, Motion, Path,
         path::{Bounds, Given, Kinematics},
@@ -489,16 +489,18 @@ fn states_within_a_step_follow_the_solution() {
         let fine = Scene { dt: scene.dt / f64::from(PARTS), ..scene.clone() };
         let [mut coarse, mut fine] = [scene, fine].map(|scene| World::new(scene).expect("it fits"));
         let all: Vec<usize> = (0..coarse.body_count()).collect();
-        let (mut before, mut within, mut expected) = (Frame::default(), Frame::default(), Frame::default());
+        let [mut before, mut now, mut within, mut expected] = std::array::from_fn(|_| Frame::default());
+        let schema = Simulation::schema(&coarse);
         let mut worst = 0.0f64;
         for _ in 0..steps {
             coarse.observe(Want::default(), &mut before);
             assert!(coarse.step().failure.is_none(), "{name}");
+            coarse.observe(Want::default(), &mut now);
             for _ in 0..PARTS {
                 assert!(fine.step().failure.is_none(), "{name}");
                 fine.observe(Want::default(), &mut expected);
                 let time = fine.time().min(coarse.time());
-                coarse.within(&before, time, &all, &mut within);
+                state_within(&coarse, &schema, [&before, &now], time, &all, &mut within);
                 for ((now, then), body) in expected.bodies.iter().zip(&within.bodies).zip(coarse.bodies()) {
                     let place = |frame: &BodyFrame| {
                         let vectors = frame.displacements.iter().enumerate();
