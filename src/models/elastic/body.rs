@@ -28,7 +28,7 @@ use crate::{
     text::bytes,
 };
 
-/// Safety factor of explicit steps below the limit: stretched springs are stiffer than at rest.
+/// Length of explicit steps over the limit of their stability: stretched springs are stiffer than at rest.
 pub const OF_LIMIT: f64 = 0.7;
 /// Upper limit on the springs that a body evaluates in a step; more would take forever.
 pub const MAX_SPRINGS: f64 = 2e8;
@@ -38,8 +38,6 @@ const MAX_CELLS: f64 = 1e7;
 const SPRINGS_PER_CHECK: u64 = 1 << 22;
 /// A body whose nodes are farther away than this has diverged [radii].
 const DIVERGED: f64 = 1e6;
-/// External forces are explicit in an implicit step h; their stiffness is limited to (this/h)².
-const MAX_PHASE: f64 = 1.0;
 
 /// The material model of a body.
 pub enum Matter {
@@ -171,7 +169,7 @@ fn divisions(scene: &Scene, contact: f64) -> u64 {
     let planes = scene.planes.iter().map(|plane| plane.stiffness).sum::<f64>() * contact;
     let of = |pick: fn(f64, f64) -> f64, start| scene.bodies.iter().map(|body| body.mass).fold(start, pick);
     let ratio = if is_coupled(scene) { of(f64::max, 0.0) / of(f64::min, f64::INFINITY) } else { 0.0 };
-    (scene.dt * ((2.0 + ratio) * strongest + planes).sqrt() / MAX_PHASE).ceil().max(1.0) as u64
+    (scene.dt * ((2.0 + ratio) * strongest + planes).sqrt() / (2.0 * OF_LIMIT)).ceil().max(1.0) as u64
 }
 
 /// Upper bound of a body's memory without the factor [bytes]; `is_new` if no earlier body shares its elements.

@@ -12,13 +12,11 @@ use crate::{
     model::hermite::Hermite,
     sim::{
         free::{Body, Field, Island, Pair, Parts, Report, Scratch},
+        numerics::control::INTERPOLATED,
         work::Tally,
     },
 };
 
-/// Largest error of an interpolated position of a vertex [radii]. `bench` has no figure for it: an error of this size
-/// moves the time of a contact at 1 R/s by a tenth of the precision to which such times are searched for.
-const PRECISION: f64 = 1e-8;
 /// An interval between two steps is halved at most this often; then the solver answers.
 const MAX_HALVINGS: u32 = 6;
 /// Largest memory for the states of a step [bytes].
@@ -160,7 +158,7 @@ impl Dense {
             let is_accurate = bodies.iter().all(|&body| {
                 let found = &self.states[middle].bodies[body];
                 let error = self.interpolate(span, self.states[middle].time, body).error(found);
-                error / 16.0 <= PRECISION * found.radius
+                error / 16.0 <= INTERPOLATED * found.radius
             });
             span = if time <= self.states[middle].time { first } else { first + 1 };
             if is_accurate {

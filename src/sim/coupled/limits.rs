@@ -5,7 +5,6 @@ use crate::{
     scene::Scene,
     sim::{
         free,
-        numerics::control::CALM,
         report::{Failure, Fallback, Overworked, Shortfall, StepReport, Toil},
         solver::Step,
         span::Span,
@@ -28,7 +27,7 @@ impl Coupled {
         let before = self.fixed_steps_of(bodies);
         let allowed = scene.tolerance * span.length();
         let (error, body) = (job.report.error, job.report.shortest.map_or(0, |(_, body)| body as usize));
-        let is_calm = error <= CALM * allowed;
+        let is_calm = error <= allowed;
         let fixed = match before.left {
             0 => before.begin(),
             left => FixedSteps { left: left - u16::from(is_calm), ..before },

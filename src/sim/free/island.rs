@@ -19,7 +19,7 @@ use super::{
 use crate::{
     model::phase::Phase,
     sim::numerics::{
-        control::{GROWTH, MAX_GROWTH, SAFETY},
+        control::{GROWTH, MAX_GROWTH, ORDER, SAFETY, STANDING},
         larger,
     },
 };
@@ -204,6 +204,11 @@ impl Scratch {
     }
 }
 
+/// The ratio of the step length that is expected to meet the tolerance to one with this error, over tolerance.
+fn growth(error: f64) -> f64 {
+    SAFETY * libm::pow(error.max(f64::MIN_POSITIVE), -1.0 / f64::from(ORDER))
+}
+
 /// Resizes a list to `count` elements. Surplus elements go to `spare` and come from there, so that they keep their
 /// allocations.
 fn resize<T: Default>(list: &mut Vec<T>, spare: &mut Vec<T>, count: usize) {
@@ -348,7 +353,7 @@ impl Island {
                 scratch.pairs_of[body].push(index);
             }
         }
-        Advance { end, shortest: (end - self.time) * 1e-9, tried: 0 }
+        Advance { end, shortest: (end - self.time) * STANDING, tried: 0 }
     }
 
     /// Takes one step of the solver, of the length that the tolerance allows.
@@ -373,9 +378,9 @@ impl Island {
             let (h, factor) = match attempt {
                 Some(attempt) if attempt.outcome.error <= 1.0 => break attempt,
                 Some(Attempt { end, outcome, .. }) => {
-                    (end - self.time, (SAFETY * libm::pow(outcome.error, -0.2)).clamp(0.1, 0.7))
+                    (end - self.time, growth(outcome.error).clamp(1.0 / MAX_GROWTH, SAFETY))
                 }
-                None => (next - self.time, 0.4),
+                None => (next - self.time, 1.0 / MAX_GROWTH),
             };
             report.rejected += 1;
             if h < advance.shortest || advance.tried >= MAX_STEPS {
@@ -388,7 +393,7 @@ impl Island {
         let Attempt { end: next, outcome, crossing } = attempt;
         let (start, h) = (self.time, next - self.time);
         if h > 0.0 {
-            let factor = SAFETY * libm::pow(outcome.error.max(1e-9), -0.2);
+            let factor = growth(outcome.error);
             // a step that was cut short does not limit the next one
             self.step_length = if factor > MAX_GROWTH { self.step_length.max(MAX_GROWTH * h) } else { factor * h };
             report.steps += 1;

@@ -117,7 +117,6 @@ impl Island {
         }
         let wanted = |body: &Body| small_correction(self.tolerance, body.radius, span.h);
         let mut before = f64::INFINITY;
-        let mut growing = 0;
         for sweep in 0..MAX_SWEEPS {
             if !work.spend(sweep_work) {
                 return None;
@@ -153,16 +152,12 @@ impl Island {
             }
             let rate = if sweep > 0 { change / before } else { 1.0 };
             // the remaining corrections are the rest of a geometric series
-            let left = if rate < 0.9 { change * rate / (1.0 - rate) } else { change };
+            let left = if rate < 1.0 { change * rate / (1.0 - rate) } else { change };
             if sweep > 0 && left <= 1.0 {
                 return Some(left);
             }
             if sweep > 0 {
                 change = larger(change, correct(1..3));
-            }
-            growing = if change > 0.8 * before { growing + 1 } else { 0 };
-            if growing >= 4 {
-                return None;
             }
             before = change;
         }

@@ -26,7 +26,7 @@ use super::{
 use crate::{
     model::shape_matching::{best_rotation, outer, resistance, solve},
     sim::numerics::{
-        control::{GROWTH, MAX_ANGLE, MAX_WAY},
+        control::{GROWTH, MAX_ANGLE},
         larger,
     },
 };
@@ -404,7 +404,7 @@ impl Island {
             smallest = f64::min(smallest, body.radius);
         }
         let by_angle = span * f64::sqrt(stiffest.0) / MAX_ANGLE;
-        let by_way = span * fastest / (MAX_WAY * smallest);
+        let by_way = span * fastest / (MAX_ANGLE * smallest);
         (larger(MIN_SUBSTEPS, larger(by_angle, by_way).ceil()), stiffest.1)
     }
 

@@ -1,12 +1,12 @@
-//! The constants that decide how accurate a step is, or how long. A few more stand where they are used: the precision of
-//! searches for instants (`coupled::dense`, the rims), the factors of rejected steps (`free::island`) and the rates of
-//! convergence that still pay (`free::solve`).
+//! The constants that decide how accurate a step is, or how long.
 //!
 //! Most are bounds, or what a textbook advises. Where it says "by `bench error`", that shows whether errors stay within the
 //! tolerance with the value.
 
 // Both solvers
 
+/// Order of the error of a step per unit of time, with three nodes beside the start that are corrected at least once.
+pub const ORDER: i32 = 5;
 /// A step that has not converged after this many corrections of the force on a vertex is rejected, or goes on with the
 /// next sweep. A correction reduces a change by s h²/2 or more, a factor of 0.014 for a strength s = 100 1/s² and h = 1/60 s:
 /// six reach rounding.
@@ -14,11 +14,13 @@ pub const MAX_CORRECTIONS: usize = 6;
 /// The mean force that the cubic through the nodes leaves out, over its residual in the middle. At most 0.45, where a force
 /// acts at once; by `bench error` for one that acts by a spring.
 pub const RESIDUAL: f64 = 0.1;
-
 // Bodies on paths
 
-/// Ratio of the error per unit of time of a step to that of a step of half the length: the order of the error is five.
-pub const SHORTER: f64 = 32.0;
+/// Share of the acceptable error that corrections, and how spheres move between the samples, may leave each: a fourth, as
+/// the residual is to take most of it.
+pub const SETTLED: f64 = 0.25;
+/// Ratio of the error per unit of time of a step to that of a step of half the length.
+pub const SHORTER: f64 = (1 << ORDER) as f64;
 /// Time of the sixth sample, as a fraction of the step [–]: near an extremum of the quintic that vanishes at the nodes
 /// and in the middle.
 pub const ASIDE: f64 = 0.13;
@@ -30,15 +32,13 @@ pub const USUAL: f64 = 0.3;
 /// number of time scales that pass in the step: the residual of a cubic is at most h⁴/384 times the fourth derivative, of
 /// which a thirty-second counts by `bench error`. Larger errors come from kinks.
 pub const OSCILLATION: f64 = RESIDUAL / 384.0 / 32.0;
-/// Relative error after a few roundings.
-pub const ROUNDING: f64 = 8.0 * f64::EPSILON;
 
 // Free bodies
 
 /// Factor on the step length that is expected to meet the tolerance (Hairer, Nørsett & Wanner, Solving Ordinary
 /// Differential Equations I, II.4: 0.8 to 0.9).
 pub const SAFETY: f64 = 0.9;
-/// Largest ratio by which the expected step length grows from one step to the next (ibid.: 1.5 to 5).
+/// Largest ratio by which the expected step length grows from one step to the next, or shrinks (ibid.: 1.5 to 5).
 pub const MAX_GROWTH: f64 = 4.0;
 /// Largest number of sweeps of a step before a shorter one is tried: those of a step that converges as slowly as pays off,
 /// by half in each.
@@ -51,12 +51,12 @@ pub const NEGLIGIBLE: f64 = 0.1;
 /// Larger tolerances than this make steps longer, but do not allow to leave out more [radii/s]. Otherwise what corrections
 /// leave, which is of low order, would dominate the error of steps much shorter than the tolerance requires.
 pub const NEGLIGIBLE_TOLERANCE: f64 = 1e-6;
-/// Distances within this fraction of a threshold, and instants within this fraction of a step, are the same: a few
-/// thousand roundings.
-pub const STANDING: f64 = 1e-12;
 /// The reported sum of estimates is meant to bound the error: it allows for errors that grow after their step, and for
 /// residuals that are larger between the midpoints. `bench error --random` counts errors beyond it.
 pub const GROWTH: f64 = 2.0;
+/// Largest error of an interpolated position of a vertex [radii]: it moves the time of a contact at 1 R/s by a tenth of the
+/// precision to which such times are searched for.
+pub const INTERPOLATED: f64 = 1e-8;
 
 // Rest
 
@@ -72,11 +72,14 @@ pub const MAX_SLOW_TOLERANCE: f64 = 1e-2;
 
 // Steps of fixed length
 
-/// Largest angle by which the stiffest oscillation advances in a substep [rad]: velocity Verlet is stable up to 2, and its
-/// frequency is off by 1 % here (1/24 of the square).
+/// Largest angle by which the stiffest oscillation advances in a substep [rad], and largest way of a vertex [radii of the
+/// smallest body]: velocity Verlet is stable up to 2, and its frequency is off by 1 % here (1/24 of the square).
 pub const MAX_ANGLE: f64 = 0.5;
-/// Largest way of a vertex in a substep [radii of the smallest body]: it is in a sphere for a few substeps.
-pub const MAX_WAY: f64 = 0.25;
-/// They are calm if their estimated error is at most this many times what the tolerance allows: adaptive steps may then be
-/// possible. A heap of 500 balls that tries them whether it is calm or not runs at half the speed.
-pub const CALM: f64 = 10.0;
+
+// Rounding, which decides no accuracy
+
+/// Relative error after a few roundings.
+pub const ROUNDING: f64 = 8.0 * f64::EPSILON;
+/// Distances within this fraction of a threshold, and instants within this fraction of a step, are the same: a few
+/// thousand roundings.
+pub const STANDING: f64 = 1e-12;

@@ -12,7 +12,7 @@ use crate::{
     scene::{Material, path::Bounds},
     sim::{
         numerics::{
-            control::{ASIDE, MAX_CORRECTIONS, OSCILLATION, RESIDUAL, RESOLVED, ROUNDING, USUAL},
+            control::{ASIDE, MAX_CORRECTIONS, OSCILLATION, RESIDUAL, RESOLVED, ROUNDING, SETTLED, USUAL},
             dense::Dense,
             lagrange::{combine, quartic, quartic_through},
             lanes::{LANES, Mask, Reals, Vector},
@@ -229,7 +229,7 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
         // Effect of a force error on the displacement, now or after the oscillator has converted the velocity.
         let gain = weights.gain();
         let left = stiffness * (USUAL * weights.constant.abs() * gain);
-        let enough = Reals::splat(simd, 0.25 * wanted);
+        let enough = Reals::splat(simd, SETTLED * wanted);
         let mut unsettled = Reals::splat(simd, f64::INFINITY);
         let mut settled = Mask::none(simd);
         for _ in 0..MAX_CORRECTIONS {
@@ -425,7 +425,7 @@ impl Step {
         let stiffness: f64 = course.spheres.iter().map(|sphere| sphere.strength.abs()).sum();
         let seen = stiffness * self.weights.gain();
         let of_cubic = seen * f64::min(1.0, (omega + 2.0 * damping) * self.h);
-        [of_cubic, seen].map(|seen| 0.25 * wanted / seen)
+        [of_cubic, seen].map(|seen| SETTLED * wanted / seen)
     }
 
     /// See [`Step::noise`].
