@@ -4,10 +4,10 @@ use glam::DVec3;
 
 use super::{
     body::States,
-    coupled::{dense::Interpolated, member::driven},
+    coupled::dense::Interpolated,
     free::{Conserved, Forces, Ledger, Snapshot},
     numerics::arrays::Vectors,
-    terms::{Cause, Source, Surroundings, oscillator, spheres},
+    terms::{self, Cause, Source, Surroundings, oscillator, spheres},
     work::{Tally, Work},
     world::World,
 };
@@ -45,7 +45,7 @@ impl World {
     /// Computes the forces by cause on every vertex of body `index` in the current state, into `forces` (reused).
     pub fn forces(&self, index: usize, forces: &mut BodyForces) {
         if let Some(snapshot) = self.current() {
-            snapshot.forces(index, self.carry(index), &mut forces.0);
+            snapshot.forces(index, terms::uniform_on(self.scene(), index, self.time()), &mut forces.0);
         } else {
             let (states, surroundings) = (self.body(index).states(), self.surroundings(index));
             let seen = self.seen(index, [&states.displacement, &states.velocity], &surroundings);
@@ -59,11 +59,6 @@ impl World {
     /// The current state of all bodies of a coupled scene; `None` for other scenes.
     pub(crate) fn current(&self) -> Option<Snapshot<'_>> {
         Some(self.solver.coupled()?.snapshot(self.scene(), self.time()))
-    }
-
-    /// The inertial response of a body on a path to its own motion [scene unit/s²]; zero for a free body.
-    pub(crate) fn carry(&self, index: usize) -> DVec3 {
-        driven(self.scene(), index as u32, self.time(), false).carry
     }
 
     /// Momentum, angular momentum and energy by kind of the free bodies; `None` if the scene is not coupled.

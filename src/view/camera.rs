@@ -28,7 +28,7 @@ fn positions(scene: &Scene) -> Vec<Vec<DVec3>> {
         let position = |(body, stays): (&Body, &Option<DVec3>)| match (&body.motion, stays) {
             (_, Some(stays)) => *stays,
             (Motion::Prescribed(path), _) => path.position(time),
-            (Motion::Free(free), _) => free.from + time * (free.velocity + 0.5 * time * scene.gravity),
+            (Motion::Free(free), _) => free.from + time * (free.velocity + 0.5 * time * scene.free_fall()),
         };
         let positions: Vec<DVec3> = bodies.iter().zip(&stays).map(position).collect();
         for (i, body) in bodies.iter().enumerate().filter(|(_, body)| body.path().is_none()) {

@@ -12,7 +12,7 @@ use crate::{
         Cause, PairView, World,
         free::{Forces, Snapshot},
         observe::Observed,
-        terms::Surroundings,
+        terms::{self, Surroundings},
     },
 };
 
@@ -29,7 +29,7 @@ pub(super) fn add_coupled_forces(
     forces: &mut Forces,
     now: &mut BodyFrame,
 ) {
-    snapshot.forces(index, world.carry(index), forces);
+    snapshot.forces(index, terms::uniform_on(world.scene(), index, world.time()), forces);
     now.has_forces = true;
     now.terms.resize_with(Cause::of(world.scene()).count(), Default::default);
     let rest = world.body(index).rest_shape();

@@ -6,7 +6,7 @@ use crate::scene::{Body, Scene};
 /// whichever is larger.
 pub fn net_force_scale(scene: &Scene) -> f64 {
     let radius = scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
-    arrow_length(2.5 * radius, f64::max(scene.gravity.length(), 0.25 * strongest_pull(scene, radius)))
+    arrow_length(2.5 * radius, f64::max(scene.free_fall().length(), 0.25 * strongest_pull(scene, radius)))
 }
 
 /// The strongest influence on any vertex [scene unit/s²], of the largest body, whose radius is given, and of force points.

@@ -141,10 +141,10 @@ fn the_net_force_moves_the_vertices() {
     let mut wrong = Vec::new();
     for model in [Model::Oscillators, Model::Lattice, Model::Fem] {
         let mut acted = BTreeSet::new();
-        let mut expected = BTreeSet::new();
+        // a term that cannot act in either scene is not tested at all
+        let expected: BTreeSet<&str> = Cause::ALL.into_iter().map(Cause::name).collect();
         for (is_free, text) in [(false, on_paths()), (true, free())] {
             let common = Scene::parse(&text, "forces.toml").unwrap_or_else(|error| panic!("{error}"));
-            expected.extend(Cause::of(&common).map(Cause::name));
             let mut supported = 0;
             for integrator in Integrator::ALL.into_iter().filter(|&integrator| integrator != Integrator::Thesis) {
                 let scene = Scene { model, integrator, ..common.clone() };

@@ -12,7 +12,11 @@ use crate::{
     },
     observe::PairEvent,
     scene::{Material, Path, Point, Push, Response, Scene, path::Kinematics},
-    sim::{Cause, span::Span, terms::carry},
+    sim::{
+        Cause,
+        span::Span,
+        terms::{self, carry},
+    },
 };
 
 use super::PHASES;
@@ -90,8 +94,8 @@ pub struct Instantaneous {
     pub spheres: Vec<(Cause, u32, DVec3, f64, f64)>,
     /// Pushes: direction and strength [scene unit/s²].
     pub pushes: Vec<(DVec3, f64)>,
-    /// Carry: minus the acceleration of the body's own motion [scene unit/s²].
-    pub carry: DVec3,
+    /// The acceleration that all nodes of a body on a path share [scene unit/s²].
+    pub uniform: DVec3,
 }
 
 impl StepContext<'_> {
@@ -317,9 +321,8 @@ impl Part<'_> {
     pub fn at(&self, t: f64, now: &mut Instantaneous) {
         // a centre with position jumps stays in place throughout the part
         let place = |path: &Path| path.position(if path.is_held() { 0.5 * (self.start + self.end) } else { t });
-        let own = if t == self.end { self.path.before(t) } else { self.path.at(t) };
         let centre = place(self.path);
-        now.carry = DVec3::ZERO - carry::carry(&self.material, &own);
+        now.uniform = terms::uniform(self.scene, &self.material, &self.motion(t));
         now.pushes.clear();
         now.pushes.extend_from_slice(&self.pushes);
         now.spheres.clear();
@@ -327,18 +330,25 @@ impl Part<'_> {
         now.spheres.extend(self.sources.iter().map(of));
     }
 
-    /// Like [`Part::at`], but averaged over the part: the carry is the change of velocity, including jumps.
+    /// The motion of the centre at time `t` in the part [s]; the left limit at its end.
+    pub fn motion(&self, t: f64) -> Kinematics {
+        if t == self.end { self.path.before(t) } else { self.path.at(t) }
+    }
+
+    /// Like [`Part::at`], but averaged over the part: the acceleration of its own motion is the change of velocity, including jumps.
     pub fn averaged(&self, now: &mut Instantaneous) {
         let middle = 0.5 * (self.start + self.end);
         self.at(middle, now);
         let (first, last) = (self.path.at(self.start), self.path.at(self.end));
         let length = self.end - self.start;
+        let still = Kinematics { velocity: DVec3::ZERO, acceleration: DVec3::ZERO, ..first };
         let mean = Kinematics {
             velocity: (last.position - first.position) / length,
             acceleration: (last.velocity - first.velocity) / length,
             ..first
         };
-        now.carry = if self.path.is_held() { DVec3::ZERO } else { DVec3::ZERO - carry::carry(&self.material, &mean) };
+        let motion = if self.path.is_held() { &still } else { &mean };
+        now.uniform = terms::uniform(self.scene, &self.material, motion);
     }
 
     /// Jump of the nodes' velocities at the start of the part [scene unit/s]. At t = 0 every velocity is zero.
@@ -368,7 +378,7 @@ impl Instantaneous {
     /// unit/s²].
     #[inline]
     pub fn acceleration(&self, weight: Weight, place: DVec3, facing: DVec3) -> DVec3 {
-        let mut sum = self.carry;
+        let mut sum = self.uniform;
         for &(_, _, centre, strength, radius) in &self.spheres {
             let to_centre = centre - place;
             if to_centre.length_squared() < radius * radius {

@@ -174,7 +174,7 @@ struct Loads<'a> {
 impl Loads<'_> {
     /// Writes accelerations to `into`, for a free body minus their mean.
     fn act(&self, positions: &[DVec3], velocities: &[DVec3], into: &mut [DVec3], acted: &mut ExternalForces) {
-        into.fill(self.now.carry);
+        into.fill(self.now.uniform);
         acted.pulls.clear();
         // nodes that are no longer part of a free body have no mass
         let mass = |node: usize| if self.rotation.is_some() && self.held[node] { 0.0 } else { self.masses[node] };
@@ -371,12 +371,12 @@ impl Elastic {
         for body in &self.bodies {
             body.acted.pulls.iter().for_each(|&(source, pull)| reactions[source as usize] -= pull);
         }
-        let gravity = self.scene.gravity;
+        let free_fall = self.scene.free_fall();
         for (body, reaction) in self.bodies.iter_mut().zip(reactions) {
             let mass = body.free_mass();
             if let Some(free) = &mut body.free {
                 let back = if mass > 0.0 { reaction / mass } else { DVec3::ZERO };
-                free.acceleration = body.acted.mean + gravity + back;
+                free.acceleration = body.acted.mean + free_fall + back;
             }
         }
     }
@@ -605,7 +605,7 @@ impl Body {
         centres: &[DVec3],
         now: &mut Instantaneous,
     ) {
-        now.carry = DVec3::ZERO;
+        now.uniform = DVec3::ZERO;
         if let Some(path) = around.scene.bodies[self.index].path() {
             let part = around.part(path, self.index, &[], &[], ends);
             match t {

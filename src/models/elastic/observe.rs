@@ -20,7 +20,7 @@ use crate::{
         schema::{ScalarOf, ScalarSchema},
     },
     scene::{Integrator, Model, Scene, TearMode},
-    sim::{Cause, World},
+    sim::{Cause, World, terms},
     view::{
         self,
         scalars::{ANGULAR_MOMENTUM, MOMENTUM, least_range},
@@ -296,8 +296,11 @@ impl Elastic {
             let towards = back * direction;
             add(Cause::Push, &|node| direction * (strength * f64::max(0.0, -body.directions[node].dot(towards))));
         }
-        if acting.carry != DVec3::ZERO {
-            add(Cause::Carry, &|_| acting.carry);
+        if let Some(part) = &part {
+            let material = &self.scene.bodies[body.index].material;
+            for (cause, force) in terms::uniform_by_cause(&self.scene, material, &part.motion(time)) {
+                add(cause, &|_| force);
+            }
         }
         if !self.scene.planes.is_empty() {
             let velocity = match (&body.free, &part) {
@@ -348,7 +351,7 @@ impl Elastic {
         }
         now.net_force = body.free.is_some().then(|| {
             let outer = [Cause::Attraction, Cause::Repulsion, Cause::Core, Cause::Point, Cause::Push, Cause::Plane];
-            let (mut force, mut torque) = (back_at_centre + self.scene.gravity * body.free_mass(), DVec3::ZERO);
+            let (mut force, mut torque) = (back_at_centre + self.scene.free_fall() * body.free_mass(), DVec3::ZERO);
             for (_, nodes) in by_cause.iter().filter(|(cause, _)| outer.contains(cause)) {
                 for ((f, m), place) in nodes.iter().zip(body.masses()).zip(&positions) {
                     force += *f * *m;

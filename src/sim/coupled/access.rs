@@ -1,13 +1,6 @@
 //! Access to the state.
 
-use glam::DVec3;
-
-use super::{
-    Coupled,
-    dense::Interpolated,
-    islands::Job,
-    member::{Member, driven},
-};
+use super::{Coupled, dense::Interpolated, islands::Job, member::Member};
 use crate::{
     model::phase::Phase,
     scene::{self, Scene},
@@ -16,7 +9,7 @@ use crate::{
         free::{self, Field, Pair, Snapshot, Window},
         solver::Setting,
         span::Span,
-        terms::{Cause, Origin, Source, Surroundings, Weighted},
+        terms::{self, Cause, Origin, Source, Surroundings, Weighted},
         work::Tally,
     },
 };
@@ -85,17 +78,14 @@ impl Coupled {
         found.map_or(Phase::Apart, |(_, pair)| pair.phase)
     }
 
-    /// What acts on a body at `time` [s], except its own oscillators and planes: gravity, carry, spheres in reach, pushes.
+    /// What acts on a body at `time` [s], except its own oscillators, gravity and planes: carry, spheres in reach, pushes.
     pub fn surroundings_into(&self, scene: &Scene, index: usize, time: f64, surroundings: &mut Surroundings) {
         let Surroundings { uniform, weighted, sources } = surroundings;
         uniform.clear();
         weighted.clear();
         sources.clear();
         let member = &self.members[index];
-        let carry = driven(scene, index as u32, time, false).carry;
-        if carry != DVec3::ZERO {
-            uniform.push((Cause::Carry, -carry));
-        }
+        uniform.extend(terms::uniform_on(scene, index, time));
         let acting = member.pushes.iter().filter(|push| push.start <= time && time < push.end);
         weighted.extend(acting.map(|push| Weighted {
             cause: Cause::Push,
@@ -139,16 +129,14 @@ impl Coupled {
             acting.map(move |&push| free::Push { body, ..push })
         });
         let forces = (0..).zip(&scene.bodies).filter_map(|(index, body)| Some((index, body.force.clone()?)));
-        Field {
-            gravity: scene.gravity,
-            planes: scene.planes.clone(),
+        let mut field = Field {
             pushes: pushes.collect(),
             forces: forces.collect(),
-            weight: scene.influence.weight,
-            scaling: scene.influence.scaling,
             first_point: scene.bodies.len() as u32,
             ..Field::default()
-        }
+        };
+        field.set_common(scene);
+        field
     }
 
     /// The current state of all bodies, for their forces and conserved quantities.

@@ -48,7 +48,7 @@ impl Coupled {
             if wake_all && !member.is_awake {
                 (member.is_awake, member.slow_steps) = (true, 0);
             }
-            member.bound_motion(&scene.bodies[index], scene.gravity, span);
+            member.bound_motion(&scene.bodies[index], scene.free_fall(), span);
         }
         // what was not apart before is listed below
         let among = Among { scene, members: &mut self.members, time: 0.0 };
@@ -154,7 +154,7 @@ impl Coupled {
             (member.body.centre, member.body.velocity) = (motion.position, motion.velocity);
         }
         member.is_awake = true;
-        member.bound_motion(&scene.bodies[body], scene.gravity, Span { start: time, end: time + scene.dt });
+        member.bound_motion(&scene.bodies[body], scene.free_fall(), Span { start: time, end: time + scene.dt });
         member
     }
 

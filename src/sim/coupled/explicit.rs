@@ -57,7 +57,8 @@ struct Frame {
     velocity: DVec3,
     rotation: DQuat,
     spin: DVec3,
-    carry: DVec3,
+    /// The acceleration that all vertices of a body on a path share [scene unit/s²].
+    uniform: DVec3,
 }
 
 impl Frame {
@@ -69,7 +70,7 @@ impl Frame {
                 velocity: now.velocity,
                 rotation: DQuat::IDENTITY,
                 spin: DVec3::ZERO,
-                carry: now.carry,
+                uniform: now.uniform,
             };
         }
         let (masses, rest) = (body.shape.masses(), body.shape.rest());
@@ -87,7 +88,7 @@ impl Frame {
             rotation = best_rotation(fit, body.rotation);
             spin = solve(resistance(spread), momentum);
         }
-        Frame { centre, velocity, rotation, spin, carry: DVec3::ZERO }
+        Frame { centre, velocity, rotation, spin, uniform: DVec3::ZERO }
     }
 }
 
@@ -122,7 +123,7 @@ impl Step<'_> {
                 let Frame { centre, velocity, .. } = frames[index];
                 let given = self.scene.bodies[index].force.as_ref();
                 let given = given.map_or(DVec3::ZERO, |force| force.acceleration(t, centre, velocity));
-                let shared = self.scene.gravity + given + reaction / member.body.mass();
+                let shared = self.scene.free_fall() + given + reaction / member.body.mass();
                 forces.outer.iter_mut().for_each(|force| *force += shared);
             }
         }
@@ -159,7 +160,7 @@ impl Step<'_> {
         for (i, (&r, &v)) in particles.r.iter().zip(&particles.v).enumerate() {
             let (s, rate) = if is_free { (r - frame.centre, v - frame.velocity) } else { (r, v) };
             let a = axes * body.shape.rest()[i];
-            let mut force = -frame.carry;
+            let mut force = frame.uniform;
             for ((_, strength, radius, apart), reaction) in sources.iter().zip(&mut reactions) {
                 let pull = influence::acceleration(scene.influence.weight, *strength, *radius, *apart - s);
                 force += pull;

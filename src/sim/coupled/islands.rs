@@ -213,12 +213,9 @@ impl Job {
         let Parts { bodies: copies, field, pairs: between, step_lengths, .. } = &mut parts;
         step_lengths.clear();
         step_lengths.extend(bodies.iter().map(|&body| members[body as usize].step_length));
-        field.gravity = scene.gravity;
-        field.planes.clone_from(&scene.planes);
+        field.set_common(scene);
         field.pushes.clear();
         field.forces.clear();
-        let influence = &scene.influence;
-        (field.weight, field.scaling) = (influence.weight, influence.scaling);
         field.breaks.clear();
         span.jumps_of(scene, self.all.iter().copied(), &mut field.breaks);
         field.breaks.sort_by(f64::total_cmp);

@@ -19,7 +19,7 @@ use crate::{
         neighbours::{FatBounds, Neighbours},
         numerics::control::{MAX_SLOW_TOLERANCE, NEGLIGIBLE, NEGLIGIBLE_TOLERANCE, SLOW, SLOW_TIME},
         span::Span,
-        terms::carry,
+        terms::{self, carry},
     },
 };
 
@@ -204,14 +204,14 @@ impl Member {
 
     /// Sets the expected bounds on its motion during `span`. If it moves farther, [`Member::left_bounds`] detects that and
     /// the step is repeated.
-    pub fn bound_motion(&mut self, scene: &scene::Body, gravity: DVec3, span: Span) {
+    pub fn bound_motion(&mut self, scene: &scene::Body, free_fall: DVec3, span: Span) {
         let Member { body, extent, speed, .. } = self;
         let (slack, h) = (SLACK * body.radius, span.length());
         let way = match scene.path() {
             Some(path) => path.bounds(span.start, span.end).speed * h,
             None => {
                 let given = scene.force.as_ref().map_or(0.0, scene::Force::bound);
-                1.5 * body.velocity.length() * h + 0.5 * (gravity.length() + given) * h * h
+                1.5 * body.velocity.length() * h + 0.5 * (free_fall.length() + given) * h * h
             }
         };
         self.bounds = StepBounds { way: slack + way, extent: *extent + slack + 1.5 * *speed * h };
@@ -406,8 +406,8 @@ pub(in crate::sim) fn driven(scene: &Scene, source: u32, t: f64, before: bool) -
     let Some(path) = scene.source_path(source as usize) else { return Driven::default() };
     let motion = if before { path.before(t) } else { path.at(t) };
     let body = scene.bodies.get(source as usize);
-    let carry = body.map_or(DVec3::ZERO, |body| carry::carry(&body.material, &motion));
-    Driven { position: motion.position, velocity: motion.velocity, carry }
+    let uniform = body.map_or(DVec3::ZERO, |body| terms::uniform(scene, &body.material, &motion));
+    Driven { position: motion.position, velocity: motion.velocity, uniform }
 }
 
 /// The jump of the velocities of a body's vertices at `t` [s], see [`carry::kick`]; zero for a free body and for a force

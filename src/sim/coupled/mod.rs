@@ -159,7 +159,7 @@ impl Coupled {
         };
         let first = Span { start: 0.0, end: scene.dt };
         for (member, body) in coupled.members.iter_mut().zip(&scene.bodies) {
-            member.bound_motion(body, scene.gravity, first);
+            member.bound_motion(body, scene.free_fall(), first);
         }
         let among = Among { scene, members: &mut coupled.members, time: 0.0 };
         coupled.near = Near::of_all(among, max_pairs, work)?;
@@ -242,7 +242,7 @@ impl Coupled {
                 let motion = path.at(span.start);
                 (member.body.centre, member.body.velocity) = (motion.position, motion.velocity);
             }
-            member.bound_motion(&scene.bodies[body as usize], scene.gravity, span);
+            member.bound_motion(&scene.bodies[body as usize], scene.free_fall(), span);
         }
         let tally = Tally::new(step.work, None);
         let mut among = Among { scene, members: &mut self.members, time: span.start };
@@ -271,7 +271,7 @@ impl Coupled {
                 }
                 if !is_awake {
                     self.wake(other);
-                    self.members[other as usize].bound_motion(&scene.bodies[other as usize], scene.gravity, span);
+                    self.members[other as usize].bound_motion(&scene.bodies[other as usize], scene.free_fall(), span);
                     self.forest.plant(other);
                 }
             }
@@ -514,12 +514,12 @@ impl Coupled {
                 continue;
             }
             let free::Body { centre, velocity, .. } = &mut member.body;
-            *centre += h * (*velocity + 0.5 * h * scene.gravity);
-            *velocity += h * scene.gravity;
+            *centre += h * (*velocity + 0.5 * h * scene.free_fall());
+            *velocity += h * scene.free_fall();
             member.step_length = f64::INFINITY;
             if let Some(spin) = member.rigid_spin {
                 member.turn(spin, h);
-            } else if scene.gravity == DVec3::ZERO && member.body.velocity == DVec3::ZERO {
+            } else if scene.free_fall() == DVec3::ZERO && member.body.velocity == DVec3::ZERO {
                 self.put_to_sleep(body);
             }
         }

@@ -9,7 +9,7 @@ use crate::{
         phase::{Phase, Transition},
         shape_matching::Plane,
     },
-    scene::Force,
+    scene::{Force, Scene},
 };
 
 /// External forces, and the parameters that all pairs share.
@@ -111,6 +111,18 @@ impl Pair {
 }
 
 impl Field {
+    /// Sets what acts on all bodies of a scene, and the parameters that all pairs share.
+    pub(in crate::sim) fn set_common(&mut self, scene: &Scene) {
+        self.gravity = scene.gravity;
+        self.planes.clone_from(&scene.planes);
+        (self.weight, self.scaling) = (scene.influence.weight, scene.influence.scaling);
+    }
+
+    /// The acceleration of a free body on which nothing else acts [scene unit/s²].
+    pub(super) fn free_fall(&self) -> DVec3 {
+        self.gravity
+    }
+
     /// Acceleration of free body `index` by forces set by a program, at `t` [s] [scene unit/s²].
     pub(super) fn given(&self, index: usize, t: f64, centre: DVec3, velocity: DVec3) -> DVec3 {
         let own = self.forces.iter().filter(|(body, _)| *body as usize == index);
@@ -136,8 +148,8 @@ pub struct Driven {
     pub position: DVec3,
     /// Velocity c′ [scene unit/s].
     pub velocity: DVec3,
-    /// Carry: the body's inertial response to its own motion [scene unit/s²].
-    pub carry: DVec3,
+    /// The acceleration that all its vertices share, as by its inertial response to its own motion [scene unit/s²].
+    pub uniform: DVec3,
 }
 
 /// The motion of bodies on prescribed paths.

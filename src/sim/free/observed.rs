@@ -84,9 +84,9 @@ impl<'a> Snapshot<'a> {
         of_source.fold(DVec3::ZERO, |sum, pair| sum + self.sphere(index, &pair, |_, _| ()))
     }
 
-    /// Computes the forces on body `index`, into `forces` (reused). `carry` is the response of a body on a path to its
-    /// own motion [scene unit/s²].
-    pub fn forces(&self, index: usize, carry: DVec3, forces: &mut Forces) {
+    /// Computes the forces on body `index`, into `forces` (reused). `uniform` are the accelerations that
+    /// all vertices of a body on a path share [scene unit/s²].
+    pub fn forces(&self, index: usize, uniform: impl Iterator<Item = (Cause, DVec3)>, forces: &mut Forces) {
         let body = self.bodies[index];
         let (shape, n) = (&*body.shape, body.shape.rest.len());
         let Forces { by_cause, sources, force, torque } = forces;
@@ -125,19 +125,19 @@ impl<'a> Snapshot<'a> {
             }
         }
         (*force, *torque) = (DVec3::ZERO, DVec3::ZERO);
-        let mut uniform = |cause: Cause, acceleration: DVec3| {
+        let mut add_uniform = |(cause, acceleration): (Cause, DVec3)| {
             if acceleration != DVec3::ZERO {
                 by_cause[cause as usize].resize(n);
                 by_cause[cause as usize].fill(acceleration);
             }
         };
         if body.is_free() {
-            uniform(Cause::Gravity, self.field.gravity);
-            uniform(Cause::Reaction, reaction / body.mass());
-            *force = sum + body.mass() * self.field.gravity + reaction;
+            add_uniform((Cause::Gravity, self.field.gravity));
+            add_uniform((Cause::Reaction, reaction / body.mass()));
+            *force = sum + body.mass() * self.field.free_fall() + reaction;
             *torque = if body.turns() { moment } else { DVec3::ZERO };
         } else {
-            uniform(Cause::Carry, -carry);
+            uniform.for_each(add_uniform);
         }
         let (omega, damping) = (body.oscillator.omega, body.oscillator.damping);
         let (frame_spin, spin) = if body.turns() {

@@ -285,7 +285,7 @@ impl Island {
         for (i, (body, course)) in self.bodies.iter().zip(courses).enumerate() {
             let Place { centre, velocity } = places[i][sample];
             let given = self.field.given(i, span.time(sample), centre, velocity);
-            course.drive(body, sample, self.field.gravity + given, reactions[i], &places[i][sample], span);
+            course.drive(body, sample, self.field.free_fall() + given, reactions[i], &places[i][sample], span);
         }
     }
 

@@ -88,7 +88,7 @@ pub struct Frame {
     pub acceleration: DVec3,
     /// Torque about [`Span::origin`], without these pieces.
     pub torque: DVec3,
-    /// Acceleration that all vertices share: −f̄, or −carry [scene unit/s²].
+    /// Acceleration that all vertices share: −f̄, or that of a body on a path [scene unit/s²].
     pub common: DVec3,
     /// Matrix D of the acceleration D l of a vertex with rest position l [1/s²].
     pub drive: DMat3,
@@ -327,7 +327,7 @@ impl Course {
         };
         let swings = self.weights.iter().map(|w| (w.xx - 1.0).abs() * x + w.xu.abs() * u).fold(0.0, f64::max);
         let own = swings + 1.5 * turning * span.h * extent;
-        let margin = 0.01 * body.radius + 0.5 * field.gravity.length() * span.h * span.h;
+        let margin = 0.01 * body.radius + 0.5 * field.free_fall().length() * span.h * span.h;
         let at = places[0];
         self.spheres.clear();
         for sphere in &mut acting.spheres {
@@ -650,14 +650,14 @@ impl Course {
     }
 
     /// Updates the body at a sample for the forces on its vertices and for `reaction`, the force on its sphere.
-    pub fn drive(&mut self, body: &Body, sample: usize, gravity: DVec3, reaction: DVec3, place: &Place, span: &Span) {
+    pub fn drive(&mut self, body: &Body, sample: usize, free_fall: DVec3, reaction: DVec3, place: &Place, span: &Span) {
         let mass = body.mass();
         let frame = &mut self.frames[sample];
         if !body.is_free() {
-            frame.common = -self.driven[sample].carry;
+            frame.common = self.driven[sample].uniform;
             return;
         }
-        frame.acceleration = frame.mean + (gravity + reaction / mass);
+        frame.acceleration = frame.mean + (free_fall + reaction / mass);
         frame.torque = frame.spinning + span.arm(place.centre).cross(mass * frame.acceleration);
         frame.common = -frame.mean;
         if body.turns() {

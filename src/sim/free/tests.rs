@@ -309,7 +309,7 @@ fn chatter_is_reported_and_a_core_width_prevents_it() {
 fn a_free_body_follows_one_on_a_path() {
     let o = Oscillator { omega: 12.0, damping: 1.5 };
     let path = |body: usize, t: f64, _: bool| match body {
-        0 => Driven { position: 0.5 * t * DVec3::X, velocity: 0.5 * DVec3::X, carry: DVec3::ZERO },
+        0 => Driven { position: 0.5 * t * DVec3::X, velocity: 0.5 * DVec3::X, uniform: DVec3::ZERO },
         _ => Driven::default(),
     };
     let led = body(0.5, o, DVec3::new(1.0, 0.0, 0.0), DVec3::ZERO, DVec3::ZERO);
@@ -508,7 +508,7 @@ fn the_ledger_accounts_for_bodies_on_paths() {
         0 => Driven {
             position: DVec3::new(0.6 * libm::sin(t), 0.1, 0.0),
             velocity: DVec3::new(0.6 * libm::cos(t), 0.0, 0.0),
-            carry: DVec3::new(-0.6 * libm::sin(t), 0.0, 0.0),
+            uniform: DVec3::new(0.6 * libm::sin(t), 0.0, 0.0),
         },
         _ => Driven::default(),
     };
@@ -542,7 +542,7 @@ fn observed_forces_are_those_that_move_the_bodies() {
     let forces: Vec<Forces> = (0..2)
         .map(|index| {
             let mut forces = Forces::default();
-            snapshot.forces(index, DVec3::ZERO, &mut forces);
+            snapshot.forces(index, std::iter::empty(), &mut forces);
             forces
         })
         .collect();

@@ -380,7 +380,7 @@ impl Island {
         for (i, body) in self.bodies.iter().enumerate().take(scratch.pairs_of.len()) {
             let all = &scratch.verlet.all[i];
             let speed = body.velocity.length();
-            let reach = all.extent + 1.5 * span * speed + self.field.gravity.length() * span * span;
+            let reach = all.extent + 1.5 * span * speed + self.field.free_fall().length() * span * span;
             let mut stiffness = body.oscillator.omega * body.oscillator.omega;
             let planes = self.field.planes.iter().filter(|plane| plane.depth(body.centre) + reach > 0.0);
             stiffness += planes.map(|plane| plane.stiffness).sum::<f64>();
@@ -491,9 +491,9 @@ impl Island {
                 let body = &self.bodies[i];
                 let shared = if body.is_free() {
                     let given = self.field.given(i, t, centres[i].centre, centres[i].velocity);
-                    self.field.gravity + given + reactions[i] / body.mass()
+                    self.field.free_fall() + given + reactions[i] / body.mass()
                 } else {
-                    -paths.at(i, t, false).carry
+                    paths.at(i, t, false).uniform
                 };
                 if k > 0.0 {
                     own.add_error(body, shared.distance(own.shared), h);

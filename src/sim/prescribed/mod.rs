@@ -243,7 +243,7 @@ impl Prescribed {
     fn find_neighbours(&mut self, step: &Step<'_>) -> Result<(), Failure> {
         let (Prescribed { bodies, tracks, pairs, .. }, &Step { setting: Setting { scene, .. }, span, .. }) =
             (self, step);
-        tracks.evaluate(span);
+        tracks.evaluate(scene, span);
         let updated = pairs.update(Moving { scene, bodies, tracks, work: step.work }, span);
         updated.map_err(|(stop, body)| too_many_neighbours(step, stop, body, pairs))
     }

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::{
     scene::{
         Material, Path, Response, Scene,
-        path::{Bounds, Turns},
+        path::{Bounds, Kinematics, Turns},
     },
     sim::{events::PairPaths, numerics::nodes::SAMPLES, span::Span, terms},
 };
@@ -29,6 +29,8 @@ pub struct Tracks {
     motion_bounds: Vec<MotionBounds>,
     /// Index in `movers` of each body, or [`STILL`].
     of_body: Vec<u32>,
+    /// The acceleration that the vertices of a body that never moves share [scene unit/s²].
+    uniform_still: DVec3,
 }
 
 /// Bounds of a body's motion and extent during a step.
@@ -131,7 +133,10 @@ impl Tracks {
                 movers.push(Mover::new(scene, body, path));
             }
         }
-        Tracks { paths, bodies: scene.bodies.len(), movers, motion_bounds, of_body }
+        let rigid = Material { omega: 0.0, damping: 0.0, response: Response::Rigid };
+        let still = Kinematics { position: DVec3::ZERO, velocity: DVec3::ZERO, acceleration: DVec3::ZERO };
+        let uniform_still = terms::uniform(scene, &rigid, &still);
+        Tracks { paths, bodies: scene.bodies.len(), movers, motion_bounds, of_body, uniform_still }
     }
 
     /// Adds the track of a body of the scene at `time` [s], before those of later ones.
@@ -165,7 +170,7 @@ impl Tracks {
     }
 
     /// Evaluates the motion of all movers over a step.
-    pub(in crate::sim) fn evaluate(&mut self, span: Span) {
+    pub(in crate::sim) fn evaluate(&mut self, scene: &Scene, span: Span) {
         let paths = &self.paths;
         let evaluate = |track: &mut Mover| {
             let path = &paths[track.body as usize];
@@ -178,7 +183,7 @@ impl Tracks {
             let kinematics = path.kinematics(span.start, span.end, &SAMPLES, &track.turns);
             track.samples = Samples {
                 positions: kinematics.map(|kinematics| kinematics.position),
-                uniform: kinematics.map(|kinematics| terms::uniform(&track.material, &kinematics)),
+                uniform: kinematics.map(|kinematics| terms::uniform(scene, &track.material, &kinematics)),
             };
             track.bounds = path.bounds(span.start, span.end);
             track.kicks = path.kicks(span.start, span.end);
@@ -241,10 +246,10 @@ impl Tracks {
         PairPaths { a: self.path(a), b: self.path(b), radii }
     }
 
-    /// A body's motion at the step's [`SAMPLES`]. The vertices of a body that stands still share no acceleration.
+    /// A body's motion at the step's [`SAMPLES`].
     #[inline]
     pub fn samples(&self, body: usize) -> Samples {
-        let still = || Samples { positions: [self.motion_bounds[body].centre; 5], uniform: [DVec3::ZERO; 5] };
+        let still = || Samples { positions: [self.motion_bounds[body].centre; 5], uniform: [self.uniform_still; 5] };
         self.of(body).map_or_else(still, |track| track.samples)
     }
 
@@ -286,14 +291,14 @@ mod tests {
             let mut tracks = Tracks::new(&scene);
             for step in 0..scene.steps() {
                 let span = Span { start: step as f64 * scene.dt, end: (step + 1) as f64 * scene.dt };
-                tracks.evaluate(span);
+                tracks.evaluate(&scene, span);
                 for track in tracks.all() {
                     let path = scene.bodies[track.body as usize].path().unwrap();
                     for (sample, theta) in SAMPLES.into_iter().enumerate() {
                         let (t, is_end) = (span.start + theta * scene.dt, theta == 1.0);
                         let exact = if is_end { path.before(span.end) } else { path.at(t) };
                         let Samples { positions, uniform } = track.samples;
-                        let (position, carry) = (exact.position, terms::uniform(&track.material, &exact));
+                        let (position, carry) = (exact.position, terms::uniform(&scene, &track.material, &exact));
                         assert!(positions[sample].distance(position) < 1e-14 * position.length().max(1.0));
                         assert!(uniform[sample].distance(carry) < 1e-12 * carry.length().max(1.0));
                     }

@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::{Cause, On, Term};
 use crate::{
     scene::{
-        Material, Path, Response,
+        Material, Path, Response, Scene,
         path::{Bounds, Kinematics},
     },
     sim::span::Span,
@@ -33,7 +33,7 @@ pub fn carry(material: &Material, motion: &Kinematics) -> DVec3 {
 }
 
 impl Term for Carry {
-    fn uniform(material: &Material, motion: &Kinematics) -> Option<(Cause, DVec3)> {
+    fn uniform(_: &Scene, material: &Material, motion: &Kinematics) -> Option<(Cause, DVec3)> {
         let carry = carry(material, motion);
         (carry != DVec3::ZERO).then_some((Cause::Carry, -carry))
     }

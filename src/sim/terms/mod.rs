@@ -62,10 +62,19 @@ macro_rules! terms {
         }
 
         /// The acceleration that all vertices of a body share at an instant, given its motion [scene unit/s²].
-        pub(super) fn uniform(material: &Material, motion: &Kinematics) -> DVec3 {
+        pub(crate) fn uniform(scene: &Scene, material: &Material, motion: &Kinematics) -> DVec3 {
             let mut sum = DVec3::ZERO;
-            $(sum += $module::$Term::uniform(material, motion).map_or(DVec3::ZERO, |(_, force)| force);)*
+            $(sum += $module::$Term::uniform(scene, material, motion).map_or(DVec3::ZERO, |(_, force)| force);)*
             sum
+        }
+
+        /// The same, by cause.
+        pub(crate) fn uniform_by_cause(
+            scene: &Scene,
+            material: &Material,
+            motion: &Kinematics,
+        ) -> impl Iterator<Item = (Cause, DVec3)> + use<> {
+            [$($module::$Term::uniform(scene, material, motion)),*].into_iter().flatten()
         }
 
         impl<P: Phases> On<'_, P> {
@@ -74,7 +83,7 @@ macro_rules! terms {
             pub fn surroundings_into(&self, moment: Moment, farthest: f64, surroundings: &mut Surroundings) {
                 let motion = self.tracks.path(self.index as usize).at(moment.time);
                 surroundings.clear();
-                $(surroundings.uniform.extend($module::$Term::uniform(self.material, &motion));)*
+                surroundings.uniform.extend(uniform_by_cause(self.scene, self.material, &motion));
                 $($module::$Term::at(self, moment, &motion, farthest, surroundings);)*
             }
 
@@ -110,7 +119,8 @@ macro_rules! terms {
 }
 
 // In the order in which their accelerations are summed. For bodies on paths, a new term is a file beside this one and a line
-// here. Free bodies (`free::force`, `coupled::explicit`) and the elastic models (`models::elastic`) sum terms themselves.
+// here; if all vertices share its acceleration, that holds for coupled scenes and the elastic models, too. Apart from that, free
+// bodies (`free::force`, `coupled::explicit`) and the elastic models (`models::elastic`) sum terms themselves.
 terms! {
     spheres::Spheres => [
         /// (3.4): influence spheres of merged bodies.
@@ -148,10 +158,18 @@ terms! {
     ];
 }
 
+/// The accelerations at `t` [s] that all vertices of a body on a path share, by cause; none of a free body
+/// [scene unit/s²].
+pub(crate) fn uniform_on(scene: &Scene, index: usize, t: f64) -> impl Iterator<Item = (Cause, DVec3)> + use<> {
+    let body = &scene.bodies[index];
+    let on_path = body.path().map(|path| uniform_by_cause(scene, &body.material, &path.at(t)));
+    on_path.into_iter().flatten()
+}
+
 /// A term's contribution to the acceleration of a body's vertices. Every method defaults to no contribution.
 trait Term {
     /// The acceleration that all vertices of a body share at an instant, given its motion [scene unit/s²].
-    fn uniform(_material: &Material, _motion: &Kinematics) -> Option<(Cause, DVec3)> {
+    fn uniform(_scene: &Scene, _material: &Material, _motion: &Kinematics) -> Option<(Cause, DVec3)> {
         None
     }
 

@@ -83,7 +83,7 @@ impl Course<'_> {
         let own = if t >= self.end() { path.before(t) } else { path.at(t) };
         centres.clear();
         centres.extend((0..self.spheres.len()).map(|j| self.sphere_path(j).position(t) - own.position));
-        terms::uniform(&self.material, &own)
+        terms::uniform(self.scene, &self.material, &own)
     }
 
     /// Bounds on the motion of a sphere's centre relative to the body's within `[start, end]` [s].
