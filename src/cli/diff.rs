@@ -48,7 +48,7 @@ pub fn diff(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> {
     let difference = diff::diff([&a, &b], tolerance)?;
     drop(progress);
     let (first, second) = (a.path.display(), b.path.display());
-    for (recorded, again) in [&a, &b].into_iter().zip(difference.run_again) {
+    for ([recorded, other], again) in [[&a, &b], [&b, &a]].into_iter().zip(difference.run_again) {
         let again = if again { "; recorded without surfaces, so it was run again" } else { "" };
         print(&format!(
             "{}: {}, {} of {} s{}{}, by meldscope {}{again}",
@@ -57,7 +57,7 @@ pub fn diff(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> {
             counted(recorded.last(), "step"),
             recorded.schema.dt,
             recorded.schema.method(),
-            recorded.overridden(),
+            recorded.overridden_beside(other),
             recorded.version,
         ));
     }

@@ -9,6 +9,7 @@ use pulp::Arch;
 use super::{
     events::Change,
     existing::{self, Existing},
+    quantities::Deviation,
 };
 use crate::{
     analysis::worst::Worst,
@@ -216,8 +217,23 @@ impl Comparison {
             Change::Appeared(_) => COLORS[1],
             Change::Moved(..) | Change::Reordered(_) => LIMIT,
         };
-        self.chunks.log(EVENTS.path, at, &TextLog::new(change.to_string()).with_color(color(rgb)));
+        let line = match change {
+            // what differs first: long lines are cut
+            Change::Moved(was, is) => {
+                let later = is.time - was.time;
+                let word = if later > 0.0 { "later" } else { "earlier" };
+                format!("{:.3e} s {word}: {was}, now at {:.9} s", later.abs(), is.time)
+            }
+            _ => change.to_string(),
+        };
+        self.chunks.log(EVENTS.path, at, &TextLog::new(line).with_color(color(rgb)));
         self.changes += 1;
+    }
+
+    /// Logs a difference between quantities of the surfaces, where it begins.
+    pub fn deviation(&mut self, deviation: &Deviation) {
+        let at = Instant { step: deviation.step, time: deviation.time };
+        self.chunks.log(EVENTS.path, at, &TextLog::new(deviation.to_string()));
     }
 
     /// Logs that the events are equal, if no change was logged.

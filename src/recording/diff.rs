@@ -245,10 +245,10 @@ pub fn save(
         bodies = (0..schema.bodies.len()).collect();
     }
     let plan = Plan {
-        labels: recorded.map(|recorded| {
+        labels: [[recorded[0], recorded[1]], [recorded[1], recorded[0]]].map(|[recorded, other]| {
             let name = recorded.path.file_name().unwrap_or_default().to_string_lossy();
             let Schema { integrator, dt, .. } = &recorded.schema;
-            format!("{name} ({integrator}, Δt = {} s{})", step_size(*dt), recorded.overridden())
+            format!("{name} ({integrator}, Δt = {} s{})", step_size(*dt), recorded.overridden_beside(other))
         }),
         listed: [(difference.first_beyond.as_ref(), "first beyond tolerance"), (difference.bodies.first(), "largest")]
             .into_iter()
@@ -265,6 +265,9 @@ pub fn save(
         comparison.change(schema, change);
     }
     comparison.events_compared(difference.event_count);
+    for deviation in difference.surfaces.iter().flatten().take(LISTED) {
+        comparison.deviation(deviation);
+    }
     let walked = walk(recorded, |frames| {
         comparison.frame(schema, frames[0].at(), tolerance, |index| frames.map(|frame| frame.world_positions(index)))
     })?;

@@ -8,7 +8,7 @@ use std::{
 use super::{ReadError, contents::Contents, read::End};
 use crate::{
     hash, models,
-    observe::{Experiment, Refusal, Schema, Simulation, simulation::ReadExperiment},
+    observe::{Experiment, Parameter, Refusal, Schema, Simulation, simulation::ReadExperiment},
     sdk::{
         Chunk, ComponentDescriptor, Loggable, TextLog,
         arrow::{
@@ -116,6 +116,25 @@ impl Recorded {
     /// What the run overrode of its scene, to follow other settings in a line; empty if nothing.
     pub fn overridden(&self) -> String {
         self.overrides.lines().filter(|line| !line.trim().is_empty()).map(|line| format!(", {line}")).collect()
+    }
+
+    /// Like [`Recorded::overridden`], beside another recording: also with what else differs in the parameters of both.
+    pub fn overridden_beside(&self, other: &Recorded) -> String {
+        /// Upper limit on the parameters that are named.
+        const NAMED: usize = 8;
+
+        let is_overridden = |of: &Recorded, key: &str| {
+            of.overrides.lines().any(|line| line.split_once(" = ").is_some_and(|(known, _)| known == key))
+        };
+        // these are the values in the texts of the scenes
+        let others = other.experiment.parameters();
+        let differs = |of: &Parameter| {
+            let is_other = |other: &Parameter| other.key == of.key && other.value != of.value;
+            is_overridden(other, &of.key) || others.iter().any(is_other)
+        };
+        let parameters = self.experiment.parameters();
+        let values = parameters.iter().filter(|of| differs(of) && !is_overridden(self, &of.key)).take(NAMED);
+        self.overridden() + &values.map(|of| format!(", {} = {}", of.key, of.value)).collect::<String>()
     }
 
     /// Reads the recording of a scene in a file, complete or truncated.

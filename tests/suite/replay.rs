@@ -623,9 +623,24 @@ fn diff_compares_two_runs_of_a_scene() {
     fs::write(dir.file("other.toml"), other).expect("disk space");
     succeeds(&dir, &["run", "other.toml", "--quiet", "--save", "other.rrd"]);
     let output = fails(&dir, 1, &["diff", "a.rrd", "other.rrd"]);
-    for part in ["the texts of the two scenes differ", "event moved: merge a~b", "event vanished: split a~b"] {
+    for part in [
+        "the texts of the two scenes differ",
+        "event moved: merge a~b",
+        "event vanished: split a~b",
+        "exponential, influence.merge_at = 1.05, influence.split_at = 1.2, by",
+        "exponential, influence.merge_at = 1.06, influence.split_at = 1.4, by",
+    ] {
         assert!(output.contains(part), "{part}: {output}");
     }
+    succeeds(&dir, &["run", "two", "--quiet", "--set", "influence.merge_at=1.0", "--save", "set.rrd"]);
+    let output = fails(&dir, 1, &["diff", "a.rrd", "set.rrd"]);
+    for part in ["exponential, influence.merge_at = 1.05, by", "exponential, influence.merge_at = 1.0, by"] {
+        assert!(output.contains(part), "{part}: {output}");
+    }
+    fails(&dir, 1, &["diff", "a.rrd", "other.rrd", "--save", "moved.rrd"]);
+    let events = Recording::open(&dir.file("moved.rrd")).rows(&"/events".into());
+    let is_there = |part: &str| events.iter().any(|(_, row)| row.text("TextLog:text").contains(part));
+    assert!(is_there("s earlier: merge a~b at t = ") && is_there("gap of a~b: "), "{events:?}");
 }
 
 /// Every line has a point in every kept frame, and no line connects one window to the next.
