@@ -21,6 +21,10 @@ pub const BLUE: Rgb = [0x3D, 0x8B, 0xD9];
 pub const LIME: Rgb = [0xB4, 0xD4, 0x4A];
 /// A pale red.
 pub const PINK: Rgb = [0xE8, 0xA0, 0x9A];
+/// A clear magenta.
+pub const MAGENTA: Rgb = [0xE0, 0x52, 0xC2];
+/// A light brown.
+pub const BROWN: Rgb = [0xBC, 0x8A, 0x5F];
 /// A light grey.
 pub const SILVER: Rgb = [0x9A, 0xA4, 0xB0];
 /// Nearly white.
@@ -37,14 +41,18 @@ pub fn hex([r, g, b]: Rgb) -> String {
 pub fn name(rgb: Rgb) -> &'static str {
     match rgb {
         ORANGE => "orange",
-        SKY_BLUE | BLUE => "blue",
+        SKY_BLUE => "light blue",
+        BLUE => "blue",
         GREEN => "green",
         YELLOW => "yellow",
         VERMILION => "red",
         PURPLE => "purple",
         LIME => "lime",
         PINK => "pink",
-        SILVER | GREY => "grey",
+        BROWN => "brown",
+        MAGENTA => "magenta",
+        SILVER => "light grey",
+        GREY => "grey",
         WHITE => "white",
         _ => "",
     }

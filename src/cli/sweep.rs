@@ -193,8 +193,8 @@ pub fn sweep(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> 
         }
     }
     running.summarize(total, arguments.refine)?;
-    running.draw()?;
-    axis.map_or(Ok(()), |axis| running.bisect(axis))
+    let thresholds = axis.map(|axis| running.bisect(axis)).transpose()?;
+    running.draw((axis.unwrap_or(0), &thresholds.unwrap_or_default()), &arguments.sweep)
 }
 
 /// The axis with this key or name.
@@ -311,12 +311,12 @@ impl RunningSweep<'_> {
         Ok(())
     }
 
-    /// Draws the map.
-    fn draw(&self) -> Result<(), Failure> {
-        let Some(map) = Map::new(self.sweep, self.store)? else { return Ok(()) };
+    /// Draws the map, with thresholds along an axis. `name` is the sweep's on the command line.
+    fn draw(&self, thresholds: (usize, &[Threshold]), name: &str) -> Result<(), Failure> {
+        let Some(map) = Map::new(self.sweep, self.store, thresholds)? else { return Ok(()) };
         let first = self.sweep.text.lines().next().and_then(|line| line.strip_prefix('#')).unwrap_or(&self.sweep.file);
         let about = format!(
-            "{}, {} {}{MARK}{}; {}",
+            "{}, {} {}{MARK}{}\n{}",
             counted(map.rows, "run"),
             if self.sweep.experiment.is_none() { "scene" } else { "experiment" },
             self.sweep.scene_file,
@@ -326,7 +326,8 @@ impl RunningSweep<'_> {
         let drawn = svg::svg(&map, first.trim(), &about);
         let path = self.store.write(MAP, |to| to.write_all(drawn.as_bytes()))?;
         let recording = self.store.path().join(MAP_RECORDING);
-        picture::save(&map, self.sweep, self.store, first.trim(), &recording)
+        let open = format!("{} sweep {name} --out {} --open ROW", text::program(), self.store.path().display());
+        picture::save(&map, self.sweep, self.store, [first.trim(), &open], &recording)
             .map_err(|error| Failure::Run(error.to_string()))?;
         let size = bytes(drawn.len() as u64);
         print(&format!("map: {}, {size}, and for the viewer {}", path.display(), recording.display()));
@@ -335,7 +336,7 @@ impl RunningSweep<'_> {
     }
 
     /// Finds the thresholds along an axis.
-    fn bisect(&self, axis: usize) -> Result<(), Failure> {
+    fn bisect(&self, axis: usize) -> Result<Vec<Threshold>, Failure> {
         let design = &self.sweep.design;
         let mut classes: HashMap<u64, u8> = HashMap::new();
         self.store.read(0..1, None, &self.store.named(&["outcome"]), |(row, cells)| {
@@ -369,7 +370,7 @@ impl RunningSweep<'_> {
             "note: searched between neighbours of the grid that differ in outcome: two changes between neighbours of the \
              same outcome are not found, and of three only one; a finer grid separates them",
         );
-        Ok(())
+        Ok(found)
     }
 }
 

@@ -83,7 +83,7 @@ impl SideBySide {
             place.schema.bodies.iter().map(named)
         });
         // arrows on all vertices of all models would hide the bodies
-        let net = TermSchema { is_shown: false, is_sum: true, ..TermSchema::new("net", "Net", colors::WHITE) };
+        let net = TermSchema { is_shown: false, is_sum: true, ..TermSchema::new("net", "Net", colors::MAGENTA) };
         let mut warnings: Vec<String> = places.iter().flat_map(|place| place.schema.warnings.clone()).collect();
         warnings.dedup();
         let names: Vec<String> = self.models.iter().map(|model| format!("\"{model}\"")).collect();

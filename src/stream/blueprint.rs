@@ -8,17 +8,18 @@ use glam::DVec3;
 use super::{
     chunks::{Chunks, blueprint_time},
     contract::{
-        ABOUT, ALONG, BODY, BODY_FORCE, BODY_SCALAR, BODY_SURFACE, DEFORMING, DIAGNOSTIC, DRAWN, EVENTS, Entity, FORCE,
-        GROUP_LINE, INFLUENCE, LAG, LARGEST, LEGEND, LOG_DIFFERENCE, MAP, MARKS_AT_Q, MARKS_ON_AXIS, MEASURE, MERGED,
-        MERGED_SURFACE, NAMES, PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_LEVEL, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE,
-        PAIR_SCALAR, PLANE, RESTING, SIM_TIME, SLICE, SPEED, STAGE, STAGES, STEP, TRAILS, VOLUME, WORLD,
+        ABOUT, ACCURACY, ARROWS, BODY, BODY_FORCE, BODY_SCALAR, BODY_SURFACE, DEFORMING, DIAGNOSTIC, DRAWN, EVENTS,
+        Entity, FORCE, GROUP_LINE, INFLUENCE, LAG, LARGEST, LEGEND, LOG_DIFFERENCE, MAP, MARKS_AT_Q, MARKS_ON_AXIS,
+        MEASURE, MERGED, MERGED_SURFACE, NAMES, PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_LEVEL, PAIR_NECK,
+        PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR, PLANE, RECENT_PAIR, RESTING, SIM_TIME, SLICE, SPEED, STAGE, STAGES,
+        STEP, TRAILS, VOLUME, WORLD,
     },
     focus::Focus,
     light, palette,
     parts::{
         body_forces, heat, net_forces, numbers,
         pairs::{self, MEASURES},
-        trails,
+        recent, trails,
     },
     settings::{Detail, Entities, Frames, Settings},
 };
@@ -32,7 +33,7 @@ use crate::{
             archetypes::{
                 ActiveVisualizers, Background, ContainerBlueprint, EntityBehavior, EyeControls3D, LineGrid3D,
                 PanelBlueprint, PlotLegend, ScalarAxis, TextLogColumns, TimeAxis, TimePanelBlueprint, ViewBlueprint,
-                ViewContents, ViewportBlueprint, VisibleTimeRanges, VisualizerInstruction,
+                ViewContents, ViewportBlueprint, VisibleTimeRanges, VisualBounds2D, VisualizerInstruction,
             },
             components::{
                 AbsoluteTimeRange, BackgroundKind, ContainerKind, Corner2D, Eye3DKind, LinkAxis, LoopMode, PanelState,
@@ -85,12 +86,14 @@ pub struct Measured<'a> {
     pub medians: Vec<(&'static str, f64)>,
     /// Typical total duration of a step and of its recording [ms]: the upper ends of the timing plots.
     pub typical: [f64; 2],
+    /// The largest speed [steps per second]; 0 if there is none.
+    pub fastest: f64,
     /// Smallest and largest plotted q [–], if any.
     pub distances: Option<[f64; 2]>,
     /// Smallest and largest plotted value of each scalar of the schema.
     pub scalars: Vec<Option<[f64; 2]>>,
-    /// The pairs that have plots, as `A~B`.
-    pub pairs: Vec<String>,
+    /// The pairs that have plots, as `A~B`: in each list those whose lines of q are one and the same.
+    pub pairs: Vec<Vec<String>>,
     /// The initial focus of the viewer.
     pub focus: Option<&'a Focus>,
     /// The times between which a flight recorder has frames [s], if there is one and it has some.
@@ -112,7 +115,8 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         let is_recording = stages.iter().any(|stage| numbers::RECORDING.contains(stage));
         let typical = measured.typical[usize::from(is_recording)];
         if typical > 0.0 {
-            let axis = ScalarAxis::new().with_range(Range1D::new(-0.02 * typical, HEADROOM * typical));
+            let [low, high] = readable([0.0, HEADROOM * typical]);
+            let axis = ScalarAxis::new().with_range(Range1D::new(low, high));
             layout.log(&format!("{}/ScalarAxis", plot.path), &axis);
         }
         for (stage, median) in measured.medians.iter().filter(|(stage, _)| stages.contains(stage)) {
@@ -120,8 +124,12 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             let name = format!("{stage}, median {median} ms");
             let entity = numbers::stacked(subject.schema, stage);
             let style = SeriesLines::update_fields().with_names([name]);
-            layout.visualize(&plot, &entity, &[("SeriesLines", &[], &style)]);
+            layout.visualize(&plot.path, &entity, &[("SeriesLines", &[], &style)]);
         }
+    }
+    if let Some(speeds) = layout.speeds.take().filter(|_| measured.fastest > 0.0) {
+        let [low, high] = readable([0.0, measured.fastest]);
+        layout.log(&format!("{speeds}/ScalarAxis"), &ScalarAxis::new().with_range(Range1D::new(low, high)));
     }
     if let Some([low, high]) = measured.distances {
         // an automatic axis would begin at 0
@@ -131,19 +139,33 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         }
     }
     let owned = || subject.schema.body_scalars.iter().chain(&subject.schema.pair_scalars);
+    let ranges = || subject.schema.scalars.iter().zip(&measured.scalars);
+    let is_energy = |plot: &str| plot.starts_with(ENERGY);
+    let energies = ranges().filter(|(scalar, _)| is_energy(scalar.plot)).filter_map(|(_, range)| *range);
+    let exchanged = energies.map(|[low, high]| high - low).fold(0.0, f64::max);
     for (plot, name) in std::mem::take(&mut layout.scalars) {
-        if owned().any(|scalar| scalar.plot == name) {
+        if measured.duration == 0.0 || owned().any(|scalar| scalar.plot == name) {
             continue; // their ranges are not known
         }
-        let scalars = subject.schema.scalars.iter().zip(&measured.scalars).filter(|(scalar, _)| scalar.plot == name);
-        let (mut plotted, mut least) = ([0.0, 0.0], 0.0); // events are marked at 0
-        for (scalar, range) in scalars {
-            let [low, high] = range.unwrap_or_default();
-            (plotted, least) = ([low.min(plotted[0]), high.max(plotted[1])], scalar.least_range.max(least));
+        let ([mut low, mut high], mut least, mut lines) = ([0.0_f64; 2], 0.0, 0); // events are marked at 0
+        for (scalar, range) in ranges().filter(|(scalar, _)| scalar.plot == name) {
+            let of = range.unwrap_or_default();
+            (low, high) = (low.min(of[0]), high.max(of[1]));
+            (least, lines) = (scalar.least_range.max(least), lines + 1);
         }
-        if plotted[1] - plotted[0] < least {
-            let axis = ScalarAxis::new().with_range(Range1D::new(-0.5 * least, 0.5 * least));
-            layout.log(&format!("{plot}/ScalarAxis"), &axis);
+        let range = if high - low < least { [-0.5 * least, 0.5 * least] } else { readable([low, high]) };
+        if range[0] < range[1] {
+            layout.log(&format!("{plot}/ScalarAxis"), &ScalarAxis::new().with_range(Range1D::new(range[0], range[1])));
+        }
+        let largest = high.max(-low);
+        if lines == 1 && largest > 0.0 {
+            let share = match is_energy(name) && exchanged > 0.0 {
+                true => format!(", {:.0e} of the largest exchange", largest / exchanged),
+                false => String::new(),
+            };
+            let largest = if largest < 1e-3 { format!("{largest:.1e}") } else { significant(largest) };
+            let title = format!("{name}: at most {largest}{share}");
+            layout.log(&plot, &ViewBlueprint::update_fields().with_display_name(title));
         }
     }
     for (view, has_acted) in std::mem::take(&mut layout.forces).into_iter().zip(measured.have_acted) {
@@ -168,15 +190,24 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             layout.log(&format!("{view}/EyeControls3D"), &camera);
         }
     }
-    if !pairs::has_named_pairs(subject.schema) && !measured.pairs.is_empty() {
-        // the pairs that have plots are known only now
+    let is_alike = measured.pairs.iter().any(|alike| alike.len() > 1);
+    if is_alike || (!pairs::has_named_pairs(subject.schema) && !measured.pairs.is_empty()) {
+        // the pairs that have plots, and what they plot, are known only now
         let mut lines = vec![family(&MARKS_AT_Q)];
         let mut lanes = vec![];
-        for pair in &measured.pairs {
+        for alike in &measured.pairs {
+            lanes.extend(alike.iter().map(|pair| including(&PAIR_PHASE.of(&[pair]))));
+            let Some(pair) = alike.first() else { continue };
             lines.push(including(&PAIR_DISTANCE.of(&[pair])));
             let levels = subject.schema.thresholds.iter().map(|threshold| PAIR_LEVEL.of(&[pair, threshold.name]));
             lines.extend(levels.map(|level| including(&level)));
-            lanes.push(including(&PAIR_PHASE.of(&[pair])));
+            if alike.len() > 1 {
+                let others = counted(alike.len() as u64 - 1, "other pair");
+                let style = SeriesLines::update_fields().with_names([format!("q {pair}, and {others} like it")]);
+                for plot in layout.distances.clone() {
+                    layout.visualize(&plot, &PAIR_DISTANCE.of(&[pair]), &[("SeriesLines", &[], &style)]);
+                }
+            }
         }
         let views = [(std::mem::take(&mut layout.distances), lines), (std::mem::take(&mut layout.phases), lanes)];
         for (paths, lines) in views {
@@ -195,6 +226,20 @@ fn scene_title(schema: &Schema) -> &'static str {
         true => "Bodies, forces",
         false => "Bodies, influence spheres, forces",
     }
+}
+
+/// The range of an axis that has numbers: the viewer labels the multiples of a power of ten, unless they are dense. Some
+/// more is shown where that lets it label the next power.
+fn readable([low, high]: [f64; 2]) -> [f64; 2] {
+    /// Multiples that have labels in a plot of usual height.
+    const LABELLED: f64 = 6.0;
+    const MARGIN: f64 = 0.04;
+
+    let decade = 10f64.powf(high.max(-low).log10().floor());
+    let ten = if high - low > LABELLED * decade { 10.0 * decade } else { 0.0 };
+    let [low, high] = if high >= -low { [low, high.max(ten)] } else { [low.min(-ten), high] };
+    let margin = MARGIN * (high - low);
+    [low - margin, high + margin]
 }
 
 /// The layout for a page that has its own controls of time, curves and list of events: what is in space alone, paused.
@@ -236,7 +281,7 @@ pub fn of_comparison(
     let dots =
         Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(2.0)]).with_colors([palette::color(rgb)]);
     for surface in second {
-        layout.visualize(&surfaces, surface, &[("Points3D", &[VERTICES], &dots)]);
+        layout.visualize(&surfaces.path, surface, &[("Points3D", &[VERTICES], &dots)]);
     }
     let about = layout.view("TextDocument", "What is what", ABOUT.path, &[&including(ABOUT.path)], &[]);
     let left = layout.container(ContainerKind::Vertical, "Surfaces", vec![surfaces, about], &[3.4, 1.0]);
@@ -251,25 +296,40 @@ pub fn of_comparison(
     layout.finish(root)
 }
 
-/// The layout of the map of a sweep: the map, its legend, and measures along a line.
-pub fn of_map(measures: &[&str], recording: &StoreId, has_slices: bool) -> Vec<LogMsg> {
+/// The layout of the map of a sweep: the map, its legend, and measures along a line, one at a time. What is selected is
+/// shown beside it. `picture` is the size of the map and of the diagrams [px].
+pub fn of_map(measures: &[&str], recording: &StoreId, picture: [f64; 2]) -> Vec<LogMsg> {
     let mut layout = Layout::of(recording);
-    layout.timeline = if has_slices { SLICE } else { ALONG };
-    let map = layout.view("2D", "Map", MAP.family(), &[&family(&MAP)], &[]);
+    layout.timeline = SLICE;
+    let [x, y] = picture;
+    let bounds = VisualBounds2D::new(datatypes::Range2D {
+        x_range: [-0.11 * x, 1.05 * x].into(),
+        y_range: [-0.14 * y, 1.12 * y].into(),
+    });
+    let bounds: [(&str, &dyn AsComponents); 1] = [("VisualBounds2D", &bounds)];
+    let map = layout.view("2D", "Map", MAP.family(), &[&family(&MAP)], &bounds);
     let about = layout.view("TextDocument", "What is what", ABOUT.path, &[&including(ABOUT.path)], &[]);
     let plots = measures.iter().map(|measure| {
         let entity = format!("{}/{measure}", MEASURE.family());
-        let legend = PlotLegend::new().with_corner(Corner2D::LeftTop);
-        let name = if has_slices { format!("{measure} (timeline: along)") } else { (*measure).to_owned() };
-        layout.view("TimeSeries", &name, &entity, &[&format!("+ {entity}/**")], &[("PlotLegend", &legend)])
+        layout.view("2D", &capitalized(&measure.replace('_', " ")), &entity, &[&format!("+ {entity}/**")], &bounds)
     });
     let plots: Vec<Part> = plots.collect();
-    let shares = vec![1.0; plots.len()];
-    let plots = layout.container(ContainerKind::Vertical, "Along the first axis", plots, &shares);
-    let left = layout.container(ContainerKind::Vertical, "Map", vec![map, about], &[4.0, 1.0]);
-    let root = layout.container(ContainerKind::Horizontal, "meldscope", vec![left, plots], &[1.8, 1.0]);
-    layout.finish(root)
+    let left = layout.container(ContainerKind::Vertical, "Map", vec![map, about], &[3.2, 1.0]);
+    let mut parts = vec![left];
+    if !plots.is_empty() {
+        parts.push(layout.container(ContainerKind::Tabs, "Along the first axis", plots, &[]));
+    }
+    let root = layout.container(ContainerKind::Horizontal, "meldscope", parts, &[1.4, 1.0]);
+    let mut messages = layout.finish(root);
+    layout.log("selection_panel", &PanelBlueprint::new().with_state(PanelState::Expanded));
+    let activation = messages.pop();
+    messages.extend(layout.chunks.take());
+    messages.extend(activation);
+    messages
 }
+
+/// How the names of plots of energies begin: they are shown large, beside the others.
+const ENERGY: &str = "Energy";
 
 /// Upper limit on the number of bodies that are drawn transparent in views of forces.
 const MAX_SHEER: usize = 16;
@@ -335,6 +395,8 @@ struct Layout {
     next_id: u64,
     /// The plots of timings, with their stages.
     timings: Vec<(Part, Vec<&'static str>)>,
+    /// The plot of speed.
+    speeds: Option<String>,
     /// The plots of q.
     distances: Vec<String>,
     /// The plots of scalars, with their names.
@@ -380,6 +442,7 @@ impl Layout {
             chunks: Chunks::new(store),
             next_id: 0,
             timings: Vec::new(),
+            speeds: None,
             distances: Vec::new(),
             scalars: Vec::new(),
             phases: Vec::new(),
@@ -447,15 +510,7 @@ impl Layout {
             tabs.push((Tab::Pairs, self.container(ContainerKind::Vertical, "Pairs", parts, &[2.0, 1.0, 0.8])));
         }
         tabs.push((Tab::Timings, self.timings_tab(schema)));
-        let plots = self.diagnostics(schema);
-        // stacked if there is room
-        let energy = if plots.len() > 5 {
-            self.grid("Energy", plots, 2)
-        } else {
-            let shares = vec![1.0; plots.len()];
-            self.container(ContainerKind::Vertical, "Energy", plots, &shares)
-        };
-        tabs.push((Tab::Energy, energy));
+        tabs.push((Tab::Energy, self.energy_tab(schema)));
         if matches!(settings.detail, Detail::Stages { .. }) {
             tabs.push((Tab::Stages, self.stages_tab(&framing, schema, settings)));
         }
@@ -468,18 +523,47 @@ impl Layout {
         root
     }
 
+    /// Energies, what changed them, and the events that made them jump; the other scalars one at a time.
+    fn energy_tab(&mut self, schema: &Schema) -> Part {
+        let (energies, others): (Vec<_>, Vec<_>) =
+            self.diagnostics(schema).into_iter().partition(|(name, _)| name.starts_with(ENERGY));
+        // a model without energies shows its other scalars there
+        let (large, small) = if energies.is_empty() { (others, energies) } else { (energies, others) };
+        let [large, small]: [Vec<Part>; 2] =
+            [large, small].map(|plots| plots.into_iter().map(|(_, plot)| plot).collect());
+        let shares = vec![1.0; large.len()];
+        let left = self.container(ContainerKind::Vertical, "Energies", large, &shares);
+        let mut right = vec![self.lines("Events, and steps beyond the tolerance", EVENTS.path)];
+        if !small.is_empty() {
+            right.insert(0, self.container(ContainerKind::Tabs, "Others", small, &[]));
+        }
+        let shares = vec![1.0; right.len()];
+        let right = self.container(ContainerKind::Vertical, "Beside them", right, &shares);
+        self.container(ContainerKind::Horizontal, "Energy", vec![left, right], &[1.2, 1.0])
+    }
+
     /// The stages inside steps, on the timeline `stage`.
     fn stages_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         let view = self.scene_view((framing, NARROW), schema, "Inside of a step (timeline: stage)", settings);
         let lines = self.lines("Stages", STAGES.path);
-        self.container(ContainerKind::Horizontal, "Stages", vec![view, lines], &[2.0, 1.0])
+        self.container(ContainerKind::Horizontal, "Stages", vec![view, lines], &[1.3, 1.0])
+    }
+
+    /// The events of pairs and bodies. Steps beyond the tolerance, which may be all of them, are listed beside the error.
+    fn events(&mut self) -> Part {
+        let contents = [format!("+ {}/**", EVENTS.path), format!("- {}", ACCURACY.path)];
+        self.listed("Events", EVENTS.path, &contents.each_ref().map(String::as_str))
     }
 
     fn lines(&mut self, name: &str, entity: &str) -> Part {
+        self.listed(name, entity, &[&format!("+ {entity}/**")])
+    }
+
+    fn listed(&mut self, name: &str, entity: &str, contents: &[&str]) -> Part {
         let columns = TextLogColumns::new()
             .with_timeline_columns(Vec::<TimelineColumn>::new())
             .with_text_log_columns([TextLogColumn { kind: TextLogColumnKind::Body, visible: true.into() }]);
-        self.view("TextLog", name, entity, &[&format!("+ {entity}/**")], &[("TextLogColumns", &columns)])
+        self.view("TextLog", name, entity, contents, &[("TextLogColumns", &columns)])
     }
 
     /// An overview of everything.
@@ -489,13 +573,20 @@ impl Layout {
         let left = self.container(ContainerKind::Vertical, "Space", vec![scene_view, about], &[2.6, 1.0]);
         let right = if schema.bodies.len() > 1 {
             // a lane for each pair, as far as there is room
-            let shares = if schema.bodies.len() == 2 { [1.5, 0.5, 0.9, 1.0] } else { [1.4, 1.1, 0.8, 0.9] };
             let mut parts = self.pair_views(schema);
-            parts.push(self.small_timings(schema));
+            let shares = match schema.bodies.len() {
+                2 => [1.5, 0.5, 0.9, 1.0],
+                _ if recent::is_drawn_alone(schema) => [1.2, 0.9, 0.8, 1.4],
+                _ => [1.4, 1.1, 0.8, 0.9],
+            };
+            parts.push(match recent::is_drawn_alone(schema) {
+                true => self.recent_pair(),
+                false => self.small_timings(schema),
+            });
             self.container(ContainerKind::Vertical, "Time", parts, &shares)
         } else {
             // a single body: show its motion and its timings
-            let mut parts = self.diagnostics(schema);
+            let mut parts: Vec<Part> = self.diagnostics(schema).into_iter().take(2).map(|(_, plot)| plot).collect();
             parts.push(self.small_timings(schema));
             let shares = vec![1.0; parts.len()];
             self.container(ContainerKind::Vertical, "Time", parts, &shares)
@@ -508,16 +599,17 @@ impl Layout {
         let view = self.surface_view((framing, NARROW), schema, settings);
         let mut parts = Vec::new();
         if pairs::has_named_pairs(schema) {
-            let titles = [
-                "Gap, below 0 the depth of overlap, and neck (thin) [R of the smaller]",
-                "Overlap: volume in both bodies [R³ of the smaller]",
+            let measures: [(&str, &[&Entity]); 2] = [
+                ("Gap and neck (thin) [R of the smaller]", &[&PAIR_GAP, &PAIR_NECK]),
+                ("Overlap [R³ of the smaller]", &[&PAIR_OVERLAP]),
             ];
-            for (title, measures) in titles.into_iter().zip([[&PAIR_GAP, &PAIR_NECK].as_slice(), &[&PAIR_OVERLAP]]) {
+            let plots = measures.map(|(title, measures)| {
                 let lines = measures.iter().flat_map(|measure| pairs::named(schema, measure));
                 let contents: Vec<String> = lines.map(|line| including(&line)).collect();
                 let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
-                parts.push(self.plot(title, "/", &contents, Corner2D::RightTop));
-            }
+                self.plot(title, "/", &contents, Corner2D::RightTop)
+            });
+            parts.push(self.container(ContainerKind::Tabs, "Pairs", plots.into(), &[]));
         }
         let title = "Phase, and whether surfaces touch (red, yellow: they disagree)";
         parts.push(self.view("StateTimeline", title, PAIR_PHASE.family(), &[&family(&PAIR_PHASE)], &[]));
@@ -528,7 +620,7 @@ impl Layout {
         } else {
             parts.push(self.plot("Groups: volume, bodies, genus", "/", &[&family(&GROUP_LINE)], Corner2D::RightTop));
         }
-        parts.push(self.lines("Events", EVENTS.path));
+        parts.push(self.events());
         let shares = vec![1.0; parts.len()];
         let right = self.container(ContainerKind::Vertical, "Measures", parts, &shares);
         self.container(ContainerKind::Horizontal, "Surface", vec![view, right], &[1.6, 1.0])
@@ -571,16 +663,18 @@ impl Layout {
             views.push(view);
         }
         let causes = self.container(ContainerKind::Tabs, "Causes", views, &[]);
+        let scale = including(ARROWS.path);
+        let scale = self.view("TextDocument", "What arrows and lines mean", ARROWS.path, &[&scale], &[]);
+        let causes = self.container(ContainerKind::Vertical, "Forces", vec![causes, scale], &[4.2, 1.0]);
         if schema.bodies.len() > body_forces::MOST_BODIES {
-            return self.container(ContainerKind::Vertical, "Forces", vec![causes], &[1.0]);
+            return causes;
         }
-        let plots = schema.bodies.iter().enumerate().map(|(index, body)| {
+        let plots = schema.bodies.iter().map(|body| {
             let title = format!("Net force on {} by cause, over its mass [unit/s²]", body.name);
             let contents = format!("+ {}/{}/**", BODY_FORCE.family(), body.name);
             let plot = self.plot(&title, "/", &[&contents], Corner2D::RightTop);
-            if index > 0 {
-                self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
-            }
+            // the lines have the colours of the arrows; a legend would cover half of a small plot
+            self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
             plot
         });
         let plots: Vec<Part> = plots.collect();
@@ -601,7 +695,7 @@ impl Layout {
         const WHITE: palette::Rgb = [0xFF; 3];
         let bodies = [&BODY, &DEFORMING, &PLANE, &NAMES].map(family);
         let contents: Vec<&str> = bodies.iter().chain(arrows).map(String::as_str).collect();
-        let view = self.space((framing, NARROW), name, &contents);
+        let view = self.space((framing, WIDE), name, &contents);
         if schema.bodies.len() <= MAX_SHEER || settings.entities == Entities::Batch {
             for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
                 // a batch has a colour per vertex
@@ -625,11 +719,15 @@ impl Layout {
             .with_radii([sdk::Radius::new_ui_points(2.5)])
             .with_colors([palette::color(palette::DOT)]);
         for surface in surfaces(schema, settings) {
-            self.visualize(&view, &surface, &[("Mesh3D", &heat::MAPPINGS, &opaque), ("Points3D", &[VERTICES], &dots)]);
+            self.visualize(
+                &view.path,
+                &surface,
+                &[("Mesh3D", &heat::MAPPINGS, &opaque), ("Points3D", &[VERTICES], &dots)],
+            );
         }
         let scale = self.view(
             "2D",
-            "Displacement [radii], the scale of this instant",
+            "Displacement [radii]: the colours end at the largest on the surface at this instant",
             LEGEND.family(),
             &[&family(&LEGEND)],
             &[],
@@ -654,7 +752,7 @@ impl Layout {
         let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
         let phases = self.view("StateTimeline", "Pair phases", PAIR_PHASE.family(), &contents, &[]);
         self.phases.push(phases.path.clone());
-        let events = self.lines("Events", EVENTS.path);
+        let events = self.events();
         vec![distances, phases, events]
     }
 
@@ -690,11 +788,13 @@ impl Layout {
     fn speed(&mut self) -> Part {
         let contents = [&SPEED, &LAG].map(|line| including(line.path));
         let contents = [contents[0].as_str(), contents[1].as_str()];
-        self.plot("Steps per second, and milliseconds behind real time", "/", &contents, Corner2D::LeftTop)
+        let plot = self.plot("Steps per second, and milliseconds behind real time", "/", &contents, Corner2D::LeftTop);
+        self.speeds = Some(plot.path.clone());
+        plot
     }
 
-    /// Plots of the schema's scalars.
-    fn diagnostics(&mut self, schema: &Schema) -> Vec<Part> {
+    /// Plots of the schema's scalars, with their names.
+    fn diagnostics(&mut self, schema: &Schema) -> Vec<(&'static str, Part)> {
         let mut plots: Vec<(&'static str, Vec<String>)> = Vec::new();
         let lines = schema.scalars.iter().map(|scalar| (scalar.plot, including(&DIAGNOSTIC.of(&[scalar.name]))));
         let owned = [(&BODY_SCALAR, &schema.body_scalars), (&PAIR_SCALAR, &schema.pair_scalars)];
@@ -711,7 +811,7 @@ impl Layout {
             let contents: Vec<&str> = lines.iter().map(String::as_str).collect();
             let plot = self.plot(name, "/", &contents, Corner2D::RightTop);
             self.scalars.push((plot.path.clone(), name));
-            plot
+            (name, plot)
         };
         plots.into_iter().map(&mut plot).collect()
     }
@@ -795,16 +895,28 @@ impl Layout {
         view
     }
 
+    /// The pair of the last event, cut out of everything that may hide it.
+    fn recent_pair(&mut self) -> Part {
+        let contents = including(RECENT_PAIR.path);
+        let ground = self.ground.take();
+        let framing: Framing<'_> = (&[(DVec3::ZERO, 2.2)], WIDE);
+        let view = self.space(framing, "The pair of the last event, alone", &[&contents]);
+        self.ground = ground;
+        self.spaces.pop(); // its camera stays
+        self.draw_lit(&view, RECENT_PAIR.path, &Mesh3D::update_fields());
+        view
+    }
+
     /// Draws the own surface of a body only while it is not part of a merged one.
     fn draw_unmerged(&mut self, view: &Part, surface: &str, overrides: &dyn AsComponents) {
         let drawn = Mapping { target: "Mesh3D:triangle_indices", source: DRAWN.0 };
-        self.visualize(view, surface, &[("Mesh3D", &[drawn, light::COLORS, light::NO_LIGHT], overrides)]);
+        self.visualize(&view.path, surface, &[("Mesh3D", &[drawn, light::COLORS, light::NO_LIGHT], overrides)]);
     }
 
     /// Draws a surface with its baked lighting.
     fn draw_lit(&mut self, view: &Part, surface: &str, overrides: &dyn AsComponents) {
         let mappings = [light::COLORS, light::NO_LIGHT];
-        self.visualize(view, surface, &[("Mesh3D", &mappings, overrides)]);
+        self.visualize(&view.path, surface, &[("Mesh3D", &mappings, overrides)]);
     }
 
     /// Draws the undeformed bodies of a batched scene with baked lighting.
@@ -817,8 +929,8 @@ impl Layout {
     }
 
     /// Replaces the default visualizers of an entity in a view.
-    fn visualize(&mut self, view: &Part, entity: &str, visualizers: &[(&str, &[Mapping], &dyn AsComponents)]) {
-        let base = format!("{}/ViewContents/overrides{entity}/visualizers", view.path);
+    fn visualize(&mut self, view: &str, entity: &str, visualizers: &[(&str, &[Mapping], &dyn AsComponents)]) {
+        let base = format!("{view}/ViewContents/overrides{entity}/visualizers");
         let mut ids = Vec::new();
         for (class, mapping, overrides) in visualizers {
             let (id, text) = self.id();
@@ -883,12 +995,6 @@ impl Layout {
         };
         self.log(&path, &container);
         Part { id, path }
-    }
-
-    fn grid(&mut self, name: &str, parts: Vec<Part>, columns: u32) -> Part {
-        let grid = self.container(ContainerKind::Grid, name, parts, &[]);
-        self.log(&grid.path, &ContainerBlueprint::update_fields().with_grid_columns(columns));
-        grid
     }
 }
 
@@ -995,14 +1101,64 @@ fn hidden(eye: DVec3, wanted: &[(DVec3, f64)], others: &[(DVec3, f64)]) -> f64 {
     sum
 }
 
+/// A force term with its colour.
+fn called(term: &TermSchema) -> String {
+    format!("{} {}", colors::name(term.color), term.name)
+}
+
+/// The accelerations at which arrows are as long as the largest radius, with the terms of which this is true.
+fn lengths(schema: &Schema, is_listed: impl Fn(&TermSchema) -> bool) -> String {
+    let radius = schema.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
+    let mut lengths: Vec<(f64, Vec<String>)> = Vec::new();
+    for term in schema.terms.iter().filter(|term| term.can_act && is_listed(term)) {
+        let scale = schema.arrow_scale_of(term);
+        match lengths.iter_mut().find(|(of, _)| *of == scale) {
+            Some((_, terms)) => terms.push(called(term)),
+            None => lengths.push((scale, vec![called(term)])),
+        }
+    }
+    let lengths =
+        lengths.iter().map(|(scale, terms)| format!("{} = {} unit/s²", terms.join(", "), short(radius / scale)));
+    lengths.collect::<Vec<_>>().join("; ")
+}
+
+/// A number with three digits at most.
+fn short(x: f64) -> String {
+    let text = significant(x);
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+}
+
+/// The text about the arrows at the centres of free bodies.
+fn at_centres(schema: &Schema) -> String {
+    let radius = schema.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
+    let of = net_forces::KINDS.map(|(name, rgb, _)| format!("{} {}", colors::name(rgb), name.replace('_', " ")));
+    format!(
+        "- **At the centres** of free bodies: {} (over M, and over M R), 1 R long if {} unit/s², at most {} R\n",
+        of.join(", "),
+        short(radius / schema.net_force_scale),
+        net_forces::LONGEST,
+    )
+}
+
+/// The text of the panel beside arrows and plots of forces: their colours, and what their lengths mean.
+pub fn arrows(schema: &Schema) -> String {
+    let radius = schema.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
+    let is_uniform = schema.terms.iter().any(|term| term.can_act && term.is_uniform);
+    format!(
+        "An arrow is **1 R = {} unit long** if: {}.\n\nArrows begin at vertices{}. Lines beside them: the same colours, means over \
+         a body.\n",
+        short(radius),
+        lengths(schema, |_| true),
+        if is_uniform { "; those that act on all alike, at the centre" } else { "" },
+    )
+}
+
 /// The text of the panel: what the colours mean, the scene, integrator, step and settings. The recording begins with
 /// step `first`; `frame` is one of its states.
 pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame) -> String {
     let program = text::program();
     let frames = match (&settings.frames, settings.every) {
-        (Frames::Thin, _) => {
-            format!("no frames: only checksums (`{program} replay F.rrd --save G.rrd` makes the rest)")
-        }
+        (Frames::Thin, _) => "no frames".to_owned(),
         (Frames::All, 1) => "a frame every step".to_owned(),
         (Frames::All, every) => format!("a frame every {every} steps"),
         (Frames::Last { most: 1, on, .. }, _) if on.is_empty() => "the last frame".to_owned(),
@@ -1034,14 +1190,14 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame) ->
     let warnings = schema.warnings.iter().map(|warning| format!("\n**Warning**: {warning}.\n"));
     let warnings = warnings.collect::<String>();
     if settings.frames == Frames::Thin {
-        let how = format!(
-            "\nThis recording is thin: it holds what was simulated, the events beside this text, and a checksum of the exact \
-             state after every step, from which everything else can be made again:\n\n\
-             - `{program} replay F.rrd` verifies every step,\n\
-             - `{program} replay F.rrd --save full.rrd` makes all frames, `--from STEP --to STEP` those of some steps,\n\
-             - `{program} replay F.rrd --set KEY=VALUE` tries it another way.\n"
+        return format!(
+            "**This recording is thin**: what was simulated, its events, and a checksum of every step. It has no frames; make \
+             them:\n\n\
+             - `{program} replay F.rrd --save full.rrd`: all frames, to be opened here\n\
+             - `… --from STEP --to STEP`: those of some steps\n\
+             - `{program} replay F.rrd`: verifies every step\n\
+             - `{program} explain F.rrd --step N`: forces and phases in numbers\n\n{head}{warnings}"
         );
-        return head + &how;
     }
     let phases = schema.phases.iter().map(|phase| format!("{} {}", colors::name(phase.color), phase.name));
     let phases = phases.collect::<Vec<_>>().join(", ");
@@ -1055,23 +1211,12 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame) ->
     let arrows = match settings.detail {
         Detail::Surface => "- Force arrows were not recorded (`--detail forces`)\n".to_owned(),
         Detail::Forces | Detail::Stages { .. } => {
-            let named = |is_it: &dyn Fn(&&TermSchema) -> bool| {
-                let name = |term: &TermSchema| format!("{} {}", colors::name(term.color), term.name);
-                schema.terms.iter().filter(is_it).map(name).collect::<Vec<_>>().join(", ")
-            };
-            let lists = [
-                ("", named(&|term| term.can_act && term.is_shown)),
-                ("hidden at first: ", named(&|term| term.can_act && !term.is_shown)),
-            ];
-            let lists = lists.iter().filter(|(_, list)| !list.is_empty());
-            let lists: Vec<String> = lists.map(|(what, list)| format!("{what}{list}")).collect();
-            let scale = schema.arrow_scale;
-            let own = schema.terms.iter().filter(|term| term.can_act).filter_map(|term| {
-                let own = term.arrow_scale.filter(|own| *own != scale)?;
-                Some(format!(" ({}: {own})", term.name))
-            });
-            let own: String = own.collect();
-            format!("- **Arrows**, {scale} unit long per unit/s²{own}: {}\n", lists.join("; "))
+            let shown = lengths(schema, |term| term.is_shown);
+            let hidden: Vec<String> =
+                schema.terms.iter().filter(|term| term.can_act && !term.is_shown).map(called).collect();
+            let hidden =
+                if hidden.is_empty() { hidden.concat() } else { format!("; hidden at first: {}", hidden.join(", ")) };
+            format!("- **Arrows**, 1 R long if: {shown}{hidden}\n")
         }
     };
     let bound = if !settings.only.is_empty() {
@@ -1098,19 +1243,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame) ->
         String::new()
     };
     let has_net = frame.bodies.iter().any(|now| now.net_force.is_some());
-    let net_forces = match settings.detail {
-        Detail::Forces | Detail::Stages { .. } if has_net => {
-            let of =
-                net_forces::KINDS.map(|(name, rgb, _)| format!("{} {}", colors::name(rgb), name.replace('_', " ")));
-            format!(
-                "- **At the centres** of free bodies: {}, {} unit long per unit/s² (over M, and over M R), at most {} R\n",
-                of.join(", "),
-                schema.net_force_scale,
-                net_forces::LONGEST,
-            )
-        }
-        _ => String::new(),
-    };
+    let net_forces = if settings.detail != Detail::Surface && has_net { at_centres(schema) } else { String::new() };
     let is_free = schema.bodies.iter().any(|body| body.is_free);
     let trails = if is_free && settings.entities == Entities::Body {
         format!("- **Trails**: the centres of free bodies in the last {} s\n", trails::SECONDS)
@@ -1126,4 +1259,27 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame) ->
     };
     let credit = if schema.credit.is_empty() { String::new() } else { format!("\nAfter {}.\n", schema.credit) };
     head + &spheres + &springs + &merged + &arrows + &net_forces + &trails + &bound + &warnings + &credit
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn axes_have_a_labelled_number_beside_zero() {
+        for (range, expected) in [
+            ([0.0, 3.0], [0.0, 3.0]),
+            ([0.0, 0.819], [0.0, 1.0]),
+            ([-4.4e4, 8.6e4], [-4.4e4, 1e5]),
+            ([-7.0, 1.0], [-10.0, 1.0]),
+            ([0.0, 4.8e-7], [0.0, 4.8e-7]),
+        ] {
+            let [low, high] = readable(range);
+            let margin = 0.04 * (expected[1] - expected[0]);
+            let error = f64::max((low + margin - expected[0]).abs(), (high - margin - expected[1]).abs());
+            assert!(error <= 1e-12 * margin.max(1e-3), "{range:?}: {low} {high}");
+        }
+        let empty = readable([0.0, 0.0]);
+        assert!(empty[0].partial_cmp(&empty[1]) != Some(std::cmp::Ordering::Less), "no range: {empty:?}");
+    }
 }

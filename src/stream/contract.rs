@@ -105,8 +105,10 @@ entities! {
         "All influence spheres, coloured by the deepest phase of their body.";
     PAIR_LINES = "/world/pairs" ["LineStrips3D; with more than 64 bodies Ellipsoids3D"]
         "Lines between the centres of the closest pairs within reach, up to three labelled with the pair and q; with many bodies also the influence spheres that reach another body.";
-    RECENT = "/world/recent" ["LineStrips3D"]
-        "The pair that had the last event, for 24 frames, labelled with the event and q.";
+    RECENT = "/world/recent" ["LineStrips3D, Points3D"]
+        "The pair that had the last event, labelled with the event and q: for 24 frames, with more than 8 bodies until the next event, and then with a line up to the label, above all bodies.";
+    RECENT_PAIR = "/recent/pair" ["Mesh3D, lit_colors, unlit_normals"]
+        "With more than 8 bodies: the two of the last event alone, about the point midway between them [radii of the larger].";
     NAMES = "/world/names" ["Points3D"]
         "The names of up to 8 bodies.";
     FORCES = "/world/forces" ["AnnotationContext"]
@@ -175,14 +177,16 @@ entities! {
         "Groups that could not be united in time and are drawn as overlapping meshes.";
     LEGEND = "/legend/PART" ["Image; Points2D"]
         "The colour scale of displacements, and its numbers at the instant.";
-    LARGEST = "/largest" ["Points3D"]
-        "The vertex with the largest displacement of those that lie in no other body, labelled; also with the largest of all.";
+    LARGEST = "/largest" ["Points3D, LineStrips3D"]
+        "The vertex with the largest displacement of those that lie in no other body, and above it its label, also with the largest of all.";
     STAGES = "/stages" ["TextLog"]
         "One line per stage of the steps recorded in detail, with the largest displacement and how far vertices moved since the stage before, on the timeline stage, which the entities under /world have too.";
     CHECKSUM = "/checksum" ["checksum"]
         "A hash of the exact state after every step; a thin recording has several steps per row, at the time of the last one.";
     ABOUT = "/about" ["TextDocument"]
         "The text of the panel.";
+    ARROWS = "/about/arrows" ["TextDocument"]
+        "The text beside forces: their colours, and what the lengths of arrows mean.";
     RECORDING_INFO = "/__properties" ["RecordingInfo"]
         "The name of the recording.";
     PROPERTIES = "/__properties/meldscope" ["the properties below"]
@@ -204,9 +208,9 @@ entities! {
     LOG_DIFFERENCE = "/log10/difference/NAME" ["Scalars"]
         "In a comparison: the decimal logarithms of these, where they are not 0.";
     MAP = "/map/LAYER" ["Image, LineStrips2D, Points2D"]
-        "In the map of a sweep: its regions, their boundaries, every run as a point, and ticks; on the timeline slice, if there are several maps.";
-    MEASURE = "/along/COLUMN/LINE" ["Scalars"]
-        "In the map of a sweep: a measure along the first axis, on the timeline along.";
+        "In the map of a sweep: its regions, their boundaries, every run as a point, thresholds that were bisected, and ticks; on the timeline slice, which counts maps.";
+    MEASURE = "/along/COLUMN/LINE" ["LineStrips2D, Points2D"]
+        "In the map of a sweep: a measure along the first axis, for three values of the second, and ticks.";
 }
 
 macro_rules! components {
@@ -273,8 +277,6 @@ pub const SIM_TIME: &str = "sim_time";
 pub const STAGE: &str = "stage";
 /// Name of the timeline of maps in the map of a sweep.
 pub const SLICE: &str = "slice";
-/// Name of the timeline of indices on the first axis in the map of a sweep.
-pub const ALONG: &str = "along";
 
 #[cfg(test)]
 mod tests {

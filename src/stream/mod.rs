@@ -42,7 +42,8 @@
 //! | `/world/merged/seams` | LineStrips3D | The lines along which bodies meet. |
 //! | `/world/influence` | Ellipsoids3D | All influence spheres, coloured by the deepest phase of their body. |
 //! | `/world/pairs` | LineStrips3D; with more than 64 bodies Ellipsoids3D | Lines between the centres of the closest pairs within reach, up to three labelled with the pair and q; with many bodies also the influence spheres that reach another body. |
-//! | `/world/recent` | LineStrips3D | The pair that had the last event, for 24 frames, labelled with the event and q. |
+//! | `/world/recent` | LineStrips3D, Points3D | The pair that had the last event, labelled with the event and q: for 24 frames, with more than 8 bodies until the next event, and then with a line up to the label, above all bodies. |
+//! | `/recent/pair` | Mesh3D, lit_colors, unlit_normals | With more than 8 bodies: the two of the last event alone, about the point midway between them [radii of the larger]. |
 //! | `/world/names` | Points3D | The names of up to 8 bodies. |
 //! | `/world/forces` | AnnotationContext | Names of the pairs of bodies between which forces act, as classes of arrows. |
 //! | `/world/forces/CAUSE` | Arrows3D | Accelerations of vertices and of points of contact by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre. |
@@ -77,10 +78,11 @@
 //! | `/volume/OF` | Scalars | The volume that all surfaces enclose, of each group that of its sharp union, and the sum of the volumes of the bodies one by one [scene unit³]; with at most 16 bodies. |
 //! | `/diagnostics/overlapping_groups` | Scalars | Groups that could not be united in time and are drawn as overlapping meshes. |
 //! | `/legend/PART` | Image; Points2D | The colour scale of displacements, and its numbers at the instant. |
-//! | `/largest` | Points3D | The vertex with the largest displacement of those that lie in no other body, labelled; also with the largest of all. |
+//! | `/largest` | Points3D, LineStrips3D | The vertex with the largest displacement of those that lie in no other body, and above it its label, also with the largest of all. |
 //! | `/stages` | TextLog | One line per stage of the steps recorded in detail, with the largest displacement and how far vertices moved since the stage before, on the timeline stage, which the entities under /world have too. |
 //! | `/checksum` | checksum | A hash of the exact state after every step; a thin recording has several steps per row, at the time of the last one. |
 //! | `/about` | TextDocument | The text of the panel. |
+//! | `/about/arrows` | TextDocument | The text beside forces: their colours, and what the lengths of arrows mean. |
 //! | `/__properties` | RecordingInfo | The name of the recording. |
 //! | `/__properties/meldscope` | the properties below | What a replay needs, and how the recording was made. |
 //! | `/golden/vertices` | bodies, hashes | In a golden recording: a hash of two bytes for every vertex of every body that is free or not at rest, at every step. |
@@ -91,8 +93,8 @@
 //! | `/world/worst` | Points3D | In a comparison: the vertex that differs most, labelled. |
 //! | `/difference/NAME` | Scalars | In a comparison: the largest difference of a body [radii], and the tolerance. |
 //! | `/log10/difference/NAME` | Scalars | In a comparison: the decimal logarithms of these, where they are not 0. |
-//! | `/map/LAYER` | Image, LineStrips2D, Points2D | In the map of a sweep: its regions, their boundaries, every run as a point, and ticks; on the timeline slice, if there are several maps. |
-//! | `/along/COLUMN/LINE` | Scalars | In the map of a sweep: a measure along the first axis, on the timeline along. |
+//! | `/map/LAYER` | Image, LineStrips2D, Points2D | In the map of a sweep: its regions, their boundaries, every run as a point, thresholds that were bisected, and ticks; on the timeline slice, which counts maps. |
+//! | `/along/COLUMN/LINE` | LineStrips2D, Points2D | In the map of a sweep: a measure along the first axis, for three values of the second, and ticks. |
 
 pub mod blueprint;
 pub mod checksums;

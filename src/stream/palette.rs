@@ -21,7 +21,7 @@ pub const SEAM: Rgb = [0xE8, 0xEA, 0xEE];
 pub const IDLE_SPHERE_OF_MANY: Rgb = [0x26, 0x2B, 0x33];
 
 /// Colour of plot lines that are about all bodies together.
-pub const BODY_LINE: Rgb = SEAM;
+pub const BODY_LINE: Rgb = SKY_BLUE;
 
 /// Colour of resting bodies in a batched scene.
 pub const RESTING: Rgb = GREY;

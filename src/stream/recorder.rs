@@ -15,9 +15,9 @@ use super::{
     checksums::Checksums,
     chunks::{Audience, Chunks},
     contract::{
-        self, ABOUT, ACCURACY, BODY_EVENTS, Component, DIGEST, EVENTS, Entity, FAILURE, INTEGRATOR, MACHINE,
-        MARKS_AT_Q, MARKS_ON_AXIS, MODEL, OVERRIDES, PAIR_PHASE, PROPERTIES, RECORDING_INFO, SCENE, SETTINGS, STAGES,
-        STEPS, SURFACE_EVENTS, VERSION, WORLD, path_of,
+        self, ABOUT, ACCURACY, ARROWS, BODY_EVENTS, Component, DIGEST, EVENTS, Entity, FAILURE, INTEGRATOR, MACHINE,
+        MODEL, OVERRIDES, PAIR_PHASE, PROPERTIES, RECORDING_INFO, SCENE, SETTINGS, STAGES, STEPS, SURFACE_EVENTS,
+        VERSION, WORLD, path_of,
     },
     extract::Extractor,
     flight::FlightRecorder,
@@ -53,8 +53,8 @@ use crate::{
 pub const MOST_APPROACHES: usize = 5;
 
 /// What a flight recorder writes whether or not a trigger fires.
-static ALWAYS_WRITTEN: [&Entity; 7] =
-    [&EVENTS, &SURFACE_EVENTS, &BODY_EVENTS, &ACCURACY, &MARKS_ON_AXIS, &MARKS_AT_Q, &PAIR_PHASE];
+/// Not the marks of events, which would make plots as long as the run.
+static ALWAYS_WRITTEN: [&Entity; 5] = [&EVENTS, &SURFACE_EVENTS, &BODY_EVENTS, &ACCURACY, &PAIR_PHASE];
 
 /// Converts a simulation, step by step, to the messages of a recording.
 pub struct Recorder {
@@ -161,6 +161,9 @@ impl Recorder {
             chunks.log_static(WORLD.path, &ViewCoordinates::RIGHT_HAND_Z_UP());
         }
         log_about(blueprint::about(&schema, &settings, simulation.steps_taken(), &frame), &mut chunks);
+        if settings.frames != Frames::Thin && settings.detail != Detail::Surface {
+            log_text(&ARROWS, blueprint::arrows(&schema), &mut chunks);
+        }
         if settings.frames != Frames::Thin && !schema.planes.is_empty() {
             planes::log(&schema, &simulation.framing(false), now(simulation), &mut chunks);
         }
@@ -252,6 +255,7 @@ impl Recorder {
             duration: simulation.time(),
             medians: parts.numbers.medians(),
             typical: parts.numbers.typical(),
+            fastest: parts.numbers.fastest(),
             distances: parts.pairs.plotted(),
             scalars: parts.numbers.plotted().collect(),
             pairs: parts.pairs.names(&self.schema),
@@ -331,8 +335,8 @@ impl Recorder {
             parts.pairs.log_event(&self.schema, event, &mut parts.series, &mut self.chunks);
             parts.changed = Some(Instant { step: event.step, time: event.time });
             parts.focus.event(&self.schema, event);
-            parts.state.lines.event(&self.schema, event);
         }
+        parts.state.lines.events(&self.schema, &step.summary.events, &step.pairs, &mut self.chunks);
         if let Some(shortfall) = &step.summary.shortfall {
             pairs::log_shortfall(&self.schema, shortfall, at, &mut self.chunks);
         }
@@ -353,8 +357,8 @@ impl Recorder {
             let bodies = self.schema.bodies.iter().zip(&stage.frame.bodies);
             let largest = bodies.map(|(body, now)| now.max_displacement / body.radius).fold(0.0, f64::max);
             let moved = before.map_or(0.0, |before| furthest_move(&self.schema, [&before.frame, &stage.frame]));
-            let moved = if moved > 0.0 { format!("moved up to {moved:.1e} R, ") } else { String::new() };
-            let line = format!("step {}: {} — {moved}displaced up to {largest:.4} R", at.step, stage.name);
+            let moved = if moved > 0.0 { format!("moved {moved:.1e} R, ") } else { String::new() };
+            let line = format!("step {}: {} — {moved}displaced {largest:.4} R", at.step, stage.name);
             before = Some(stage);
             self.chunks.log(STAGES.path, at, &TextLog::new(line).with_level("stage"));
             state.log(FrameView { schema: &self.schema, frame: &stage.frame, at }, &[], &mut self.chunks);
@@ -446,7 +450,7 @@ impl Recorder {
 
     /// Describes the closest approaches of pairs that stayed in their first phase, closest first.
     pub fn approaches(&self) -> Vec<String> {
-        self.watch.approaches()
+        self.watch.approaches().iter().map(|approach| approach.describe(&self.schema)).collect()
     }
 
     /// Takes over from who observed the steps of this recording in its place.
@@ -469,6 +473,9 @@ impl Recorder {
                     let level = parts.pairs.plotted().map(|[low, _]| low);
                     let first = Instant { step: self.first, time: self.first as f64 * self.schema.dt };
                     marks::log_ends([first, now(simulation)], level, &mut self.chunks);
+                    let approaches = self.watch.approaches();
+                    let nearest = &approaches[..approaches.len().min(MOST_APPROACHES)];
+                    parts.pairs.log_approaches(&self.schema, nearest, &mut self.chunks);
                 }
             }
         }
@@ -520,7 +527,7 @@ impl FrameParts {
             focus: FocusFinder::new(settings),
             body_forces: (settings.detail != Detail::Surface).then(|| BodyForces::new(schema)),
             heat: (settings.detail != Detail::Surface)
-                .then(|| Heat::new(blueprint::surfaces(schema, settings), chunks)),
+                .then(|| Heat::new(&blueprint::surfaces(schema, settings), chunks)),
             changed: None,
         }
     }
@@ -537,8 +544,8 @@ impl FrameParts {
         if let Some(body_forces) = body_forces {
             body_forces.log(view, series, chunks);
         }
-        if let Some(heat) = heat {
-            heat.log(view, chunks);
+        if let (Some(heat), Some(forces)) = (heat, &state.forces) {
+            heat.log(view, &forces.largest, chunks);
         }
         let merged = state.merged.merged();
         pairs.log(view, &merged.pairs, number, series, chunks);
@@ -622,7 +629,11 @@ fn furthest_move(schema: &Schema, frames: [&Frame; 2]) -> f64 {
 }
 
 fn log_about(text: String, chunks: &mut Chunks) {
-    chunks.log_static(ABOUT.path, &TextDocument::new(text).with_media_type(MediaType::MARKDOWN));
+    log_text(&ABOUT, text, chunks);
+}
+
+fn log_text(entity: &Entity, text: String, chunks: &mut Chunks) {
+    chunks.log_static(entity.path, &TextDocument::new(text).with_media_type(MediaType::MARKDOWN));
 }
 
 fn log_properties(schema: &Schema, run: &str, overrides: &str, settings: &Settings, chunks: &mut Chunks) {

@@ -4,8 +4,8 @@ use std::time::{Duration, Instant as Clock};
 
 use super::settings::Settings;
 use crate::{
-    analysis::{Approaches, touch::Touches},
-    observe::{Frame, Schema, Simulation, StageFrame, StepSummary, SurfaceEvent, Want, verify},
+    analysis::{Approaches, approach::Approach, touch::Touches},
+    observe::{BodyFrame, Frame, PairEvent, Schema, Simulation, StageFrame, StepSummary, SurfaceEvent, Want, verify},
 };
 
 /// The data of a step to be recorded, apart from its frame. Reused.
@@ -23,6 +23,8 @@ pub struct StepRecord {
     pub lag: Option<Duration>,
     /// When the step was completed.
     pub end: Option<Clock>,
+    /// The bodies of the pair of each event, after the step.
+    pub pairs: Vec<[BodyFrame; 2]>,
     /// Surfaces that touch or part in the step, and remarks on its phase changes.
     pub surfaces: Vec<SurfaceEvent>,
     /// Stages inside the step, if they are recorded.
@@ -59,9 +61,8 @@ impl StepWatch {
     }
 
     /// The closest approaches of pairs that stayed in their first phase, closest first.
-    pub fn approaches(&self) -> Vec<String> {
-        let Some(PairWatch { approaches, .. }) = &self.pairs else { return Vec::new() };
-        approaches.closest().iter().map(|approach| approach.describe(&self.schema)).collect()
+    pub fn approaches(&self) -> Vec<Approach> {
+        self.pairs.as_ref().map_or_else(Vec::new, |pairs| pairs.approaches.closest())
     }
 
     /// Adds to the summary of the last step in `record` what is observed after it, and writes its frame to `frame` if one is due.
@@ -82,6 +83,7 @@ impl StepWatch {
         }
         verify::summary(&self.schema, &record.summary)?;
         record.surfaces.clear();
+        record.pairs.clear();
         let schema = &self.schema;
         if let Some(PairWatch { touches, approaches, frame: own }) = &mut self.pairs {
             let frame = match frame {
@@ -92,6 +94,8 @@ impl StepWatch {
                     own
                 }
             };
+            let of_pair = |event: &PairEvent| [event.a, event.b].map(|body| frame.bodies[body].clone());
+            record.pairs.extend(record.summary.events.iter().map(of_pair));
             touches.step(simulation, frame, &record.summary.events, &mut record.surfaces);
             approaches.step(simulation, schema, &record.summary.events);
         }

@@ -61,6 +61,17 @@ impl Classes {
     }
 }
 
+impl Classes {
+    /// What a class says of a run, as a sentence; empty if that is not known.
+    pub fn about(&self, class: u8) -> &'static str {
+        match (class, Outcome::ALL.get(usize::from(class))) {
+            (FAILED, _) => "The run failed.",
+            (_, Some(outcome)) if self.are_known => outcome.about(),
+            _ => "",
+        }
+    }
+}
+
 /// The colour of a class, and its name.
 pub fn color(class: u8) -> ([u8; 3], &'static str) {
     match class {

@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, HashMap};
 
 use super::{
     Sweep,
+    bisect::Threshold,
     classes::{self, Classes},
     design::{Axis, Sampling, Scale, Values},
     row::Cell,
@@ -55,6 +56,8 @@ pub struct Slice {
     pub values: Vec<f64>,
     /// The runs.
     pub dots: Vec<Dot>,
+    /// Places of the thresholds that were bisected, as fractions of the axes.
+    pub thresholds: Vec<[f64; 2]>,
 }
 
 /// A run on a map.
@@ -66,7 +69,7 @@ pub struct Dot {
     pub at: [f64; 2],
     /// Class of the outcome.
     pub class: u8,
-    /// Values on all axes, and the outcome.
+    /// The outcome, the values on all axes, and how to record the run.
     pub label: String,
 }
 
@@ -81,11 +84,15 @@ pub const MISSABLE: &str = "a region smaller than a cell of the first grid may b
                             boundary in sight";
 
 impl Map {
-    /// The maps of the rows in a folder; `None` if the sweep has no numeric axis, or combinations that cannot be drawn.
+    /// The maps of the rows in a folder, with thresholds that were bisected along an axis; `None` if the sweep has no numeric axis, or combinations that cannot be drawn.
     ///
     /// # Errors
     /// The rows cannot be read.
-    pub fn new(sweep: &Sweep, store: &Store) -> Result<Option<Map>, StoreError> {
+    pub fn new(
+        sweep: &Sweep,
+        store: &Store,
+        (axis, thresholds): (usize, &[Threshold]),
+    ) -> Result<Option<Map>, StoreError> {
         let design = &sweep.design;
         let numbers: Vec<usize> =
             (0..design.axes.len()).filter(|&axis| design.axes[axis].is_number()).take(2).collect();
@@ -144,7 +151,17 @@ impl Map {
             by_slice.entry(key).or_default().push(*row);
         }
         for rows in by_slice.values().take(MOST_SLICES) {
-            map.slices.push(slice(sweep, &map, &numbers, rows, &seen));
+            let mut slice = slice(sweep, &map, &numbers, rows, &seen);
+            let is_here = |threshold: &&Threshold| {
+                numbers.contains(&axis) && other_axes(sweep, &numbers, &threshold.point) == slice.title
+            };
+            let places = thresholds.iter().filter(is_here).map(|Threshold { point, bracket: [low, high], .. }| {
+                let mut point = point.clone();
+                point[axis] = Setting::Number(0.5 * (low + high));
+                place(sweep, &numbers, &point)
+            });
+            slice.thresholds = places.collect();
+            map.slices.push(slice);
         }
         Ok((!map.slices.is_empty()).then_some(map))
     }
@@ -163,28 +180,34 @@ impl Map {
     }
 }
 
+/// The values of a point on the axes that are not on the map, in words.
+fn other_axes(sweep: &Sweep, numbers: &[usize], point: &[Setting]) -> String {
+    let others = sweep.design.axes.iter().zip(point).enumerate().filter(|(axis, _)| !numbers.contains(axis));
+    let others = others.map(|(_, (axis, value))| format!("{} = {value}", axis.label()).replace('"', ""));
+    others.collect::<Vec<_>>().join(", ")
+}
+
+/// The place of a point on the map, as fractions of its axes.
+fn place(sweep: &Sweep, numbers: &[usize], point: &[Setting]) -> [f64; 2] {
+    let share = |&axis: &usize| match point.get(axis) {
+        Some(Setting::Number(value)) => sweep.design.axes[axis].share(*value),
+        _ => 0.5,
+    };
+    [0, 1].map(|side| numbers.get(side).map_or(0.5, share))
+}
+
 fn slice(sweep: &Sweep, map: &Map, numbers: &[usize], rows: &[u64], seen: &BTreeMap<u64, Seen>) -> Slice {
     let design = &sweep.design;
     let mut slice = Slice::default();
-    let others = |point: &[Setting]| {
-        let others = design.axes.iter().zip(point).enumerate().filter(|(axis, _)| !numbers.contains(axis));
-        others
-            .map(|(_, (axis, value))| format!("{} = {value}", axis.label()).replace('"', ""))
-            .collect::<Vec<_>>()
-            .join(", ")
-    };
-    let first = rows.first().and_then(|&row| design.point(row));
-    slice.title = if map.is_grid { first.map_or(String::new(), |first| others(&first)) } else { String::new() };
-    let share = |axis: usize, point: &[Setting]| match point.get(axis) {
-        Some(Setting::Number(value)) => design.axes[axis].share(*value),
-        _ => 0.5,
-    };
+    let first = rows.first().and_then(|&row| design.point(row)).filter(|_| map.is_grid);
+    slice.title = first.map_or(String::new(), |first| other_axes(sweep, numbers, &first));
     for &row in rows.iter().take(MAX_DOTS) {
         let (Some(Seen { class, .. }), Some(point)) = (seen.get(&row), design.point(row)) else { continue };
         let values = design.axes.iter().zip(&point).map(|(axis, value)| format!("{} = {value}", axis.label()));
-        let label = format!("row {row}: {}, {}", map.classes.name(*class), values.collect::<Vec<_>>().join(", "));
-        let up = numbers.get(1).map_or(0.5, |&axis| share(axis, &point));
-        slice.dots.push(Dot { row, at: [share(numbers[0], &point), up], class: *class, label });
+        let values = values.collect::<Vec<_>>().join(", ");
+        let recorded = if sweep.experiment.is_none() { format!("; record it: --open {row}") } else { String::new() };
+        let label = format!("row {row}: {}, {values}{recorded}", map.classes.name(*class));
+        slice.dots.push(Dot { row, at: place(sweep, numbers, &point), class: *class, label });
     }
     if !map.is_grid {
         return slice;
@@ -294,14 +317,16 @@ pub fn ticks(axis: &Axis) -> Vec<(f64, String)> {
             return numbers.map(|(k, value)| ((k as f64 + 0.5) / values.len() as f64, value.to_string())).collect();
         }
     };
-    let written = |x: f64| {
-        let text = format!("{x:.6}");
-        if x != 0.0 && !(1e-3..1e6).contains(&x.abs()) {
-            format!("{x:e}")
-        } else {
-            text.trim_end_matches('0').trim_end_matches('.').to_owned()
-        }
-    };
     let values = svg::ticks([from.min(to), from.max(to)], scale == Scale::Log);
     values.into_iter().map(|x| (axis.share(x), written(x))).collect()
+}
+
+/// A number of an axis, without trailing zeros.
+pub fn written(x: f64) -> String {
+    let text = format!("{x:.6}");
+    if x != 0.0 && !(1e-3..1e6).contains(&x.abs()) {
+        format!("{x:e}")
+    } else {
+        text.trim_end_matches('0').trim_end_matches('.').to_owned()
+    }
 }

@@ -1,28 +1,30 @@
 //! The map as a recording for the Rerun viewer.
 
-use std::path::Path;
+use std::{cmp::Ordering, path::Path};
 
 use super::{
     Sweep,
     classes::{self, FAILED},
-    map::{MISSABLE, Map, Slice, boundary, ticks},
+    design::Axis,
+    map::{MISSABLE, Map, Slice, boundary, ticks, written},
     row::Cell,
     store::{Store, StoreError},
 };
 use crate::{
+    scene::template::Setting,
     sdk::{
-        self, ApplicationId, Image, LineStrips2D, Points2D, Radius, Scalars, StoreId, StoreKind, TextDocument,
-        TimePoint, Timeline, components::MediaType,
+        self, ApplicationId, Image, LineStrips2D, Points2D, Radius, StoreId, StoreKind, TextDocument, TimePoint,
+        Timeline, components::MediaType,
     },
     stream::{
         blueprint,
         chunks::Chunks,
-        contract::{ABOUT, ALONG, MAP, MEASURE, RECORDING_INFO, SLICE},
+        contract::{ABOUT, MAP, MEASURE, RECORDING_INFO, SLICE},
         palette::{self, color},
-        series::{Interpolation, Series},
         settings::{application, file_stem},
         sinks::{Destinations, Saved, SinkError, Sinks},
     },
+    svg,
     text::counted,
 };
 
@@ -43,49 +45,60 @@ pub enum PictureError {
     Sink(#[from] SinkError),
 }
 
-/// Writes the recording of a map.
+/// Writes the recording of a map: its title, and the command that records a run.
 ///
 /// # Errors
 /// The rows cannot be read, or the file cannot be written.
-pub fn save(map: &Map, sweep: &Sweep, store: &Store, title: &str, path: &Path) -> Result<Option<Saved>, PictureError> {
+pub fn save(
+    map: &Map,
+    sweep: &Sweep,
+    store: &Store,
+    [title, open]: [&str; 2],
+    path: &Path,
+) -> Result<Option<Saved>, PictureError> {
     let destinations = Destinations { save: Some(path.to_owned()), ..Destinations::default() };
     let mut sinks = Sinks::open(&destinations)?;
     let id = ApplicationId::new_or_unknown(application("map"));
     let recording = StoreId::new(StoreKind::Recording, id, format!("map-{}", file_stem(&sweep.file)));
     let measures: Vec<&str> =
         MEASURES.into_iter().filter(|name| store.columns().iter().any(|column| column.name == *name)).collect();
-    for message in blueprint::of_map(&measures, &recording, map.slices.len() > 1) {
+    for message in blueprint::of_map(&measures, &recording, [WIDTH as f64, HEIGHT as f64]) {
         sinks.send(message)?;
     }
     let mut chunks = Chunks::new(recording);
     chunks.log_static(RECORDING_INFO.path, &sdk::RecordingInfo::new().with_name(title));
-    let outcomes: Vec<String> = (0..=FAILED)
+    let outcomes: String = (0..=FAILED)
         .filter(|class| map.slices.iter().any(|slice| slice.dots.iter().any(|dot| dot.class == *class)))
-        .map(|class| format!("{} **{}**", classes::color(class).1, map.classes.name(class)))
+        .map(|class| {
+            let about = map.classes.about(class);
+            format!("- {} **{}**: {about}\n", classes::color(class).1, map.classes.name(class))
+        })
         .collect();
     let axes: Vec<String> = map.axes.iter().map(|axis| format!("**{}**", axis.label())).collect();
     let directions = ["to the right", "upwards"];
     let axes: Vec<String> =
         axes.iter().zip(directions).map(|(axis, direction)| format!("{axis} {direction}")).collect();
     let colored = match map.range {
-        Some([low, high]) => format!("Map: **{}** from {low:.3} (dark) to {high:.3} (yellow). Points: ", map.color),
+        Some([low, high]) => {
+            format!("Map: **{}** from {low:.3} (dark) to {high:.3} (yellow). Points:\n", map.color)
+        }
         None => String::new(),
     };
-    let recorded = if sweep.experiment.is_none() { ": `meldscope sweep … --open ROW` records it" } else { "" };
+    let lines = if map.is_grid { "Lines are midway between runs of different outcome. " } else { "" };
+    let dots = match map.slices.iter().any(|slice| !slice.thresholds.is_empty()) {
+        true => "White points: where it changes, bisected to 1e-9. ",
+        false => "",
+    };
+    let recorded = if sweep.experiment.is_none() { format!(", and record it: `{open}`") } else { String::new() };
     let about = format!(
-        "**{title}**: {}; {}.  \n{colored}{}. Select a point to see its row{recorded}.  \n\
-         Note: {MISSABLE}.",
+        "**{title}**: {}; {}. Select a point to see its row{recorded}\n\n{colored}{outcomes}\n{lines}{dots}Note: {MISSABLE}.",
         counted(map.rows, "run"),
         axes.join(", "),
-        outcomes.join(", "),
     );
     chunks.log_static(ABOUT.path, &TextDocument::new(about).with_media_type(MediaType::MARKDOWN));
     log_ticks(&mut chunks, map);
     for (number, slice) in map.slices.iter().enumerate() {
-        let at = match map.slices.len() {
-            1 => TimePoint::STATIC,
-            _ => TimePoint::from_iter([(Timeline::new_sequence(SLICE), number as i64)]),
-        };
+        let at = TimePoint::from_iter([(Timeline::new_sequence(SLICE), number as i64)]);
         log_slice(&mut chunks, map, slice, &at);
     }
     log_along(&mut chunks, map, sweep, store, &measures)?;
@@ -127,10 +140,17 @@ fn log_slice(chunks: &mut Chunks, map: &Map, slice: &Slice, at: &TimePoint) {
         .with_radii([Radius::new_ui_points(if slice.dots.len() > 2000 { 0.8 } else { 2.0 })])
         .with_draw_order(20.0);
     chunks.row(&MAP.of(&["runs"]), at.clone(), &points);
+    if !slice.thresholds.is_empty() {
+        let thresholds = Points2D::new(slice.thresholds.iter().map(|&at| pixel(at)))
+            .with_colors([color([255; 3])])
+            .with_radii([Radius::new_ui_points(2.5)])
+            .with_draw_order(30.0);
+        chunks.row(&MAP.of(&["thresholds"]), at.clone(), &thresholds);
+    }
     if slice.title.is_empty() {
         return;
     }
-    let title = Points2D::new([[0.5 * WIDTH as f32, -26.0]])
+    let title = Points2D::new([[0.75 * WIDTH as f32, -50.0]])
         .with_labels([slice.title.as_str()])
         .with_show_labels(true)
         .with_radii([Radius::new_ui_points(0.1)]);
@@ -138,23 +158,39 @@ fn log_slice(chunks: &mut Chunks, map: &Map, slice: &Slice, at: &TimePoint) {
 }
 
 fn log_ticks(chunks: &mut Chunks, map: &Map) {
+    let of = |side: usize| map.axes.get(side).map_or_else(Vec::new, ticks);
+    let label = |side: usize| map.axes.get(side).map_or_else(String::new, Axis::label);
+    log_axes(chunks, &MAP.of(&["ticks"]), [of(0), of(1)], [&label(0), &label(1)]);
+}
+
+/// Logs the ticks of two axes as labelled points, below and on the left, and the names of the axes, the second one on top.
+fn log_axes(chunks: &mut Chunks, entity: &str, ticks: [Vec<(f64, String)>; 2], names: [&str; 2]) {
     let (mut positions, mut labels) = (Vec::new(), Vec::new());
-    for (side, axis) in map.axes.iter().enumerate() {
-        for (share, number) in ticks(axis) {
+    for (side, ticks) in ticks.into_iter().enumerate() {
+        for (share, number) in ticks {
             let [x, y] = pixel(if side == 0 { [share, 0.0] } else { [0.0, share] });
-            positions.push(if side == 0 { [x, y + 10.0] } else { [x - 18.0, y] });
+            positions.push(if side == 0 { [x, y + 12.0] } else { [x - 24.0, y] });
             labels.push(number);
         }
-        let [x, y] = pixel(if side == 0 { [0.5, 0.0] } else { [0.0, 0.5] });
-        positions.push(if side == 0 { [x, y + 44.0] } else { [x - 70.0, y] });
-        labels.push(axis.label());
+    }
+    for (name, at) in names.into_iter().zip([[0.5 * WIDTH as f32, HEIGHT as f32 + 48.0], [0.25 * WIDTH as f32, -50.0]])
+    {
+        if !name.is_empty() {
+            positions.push(at);
+            labels.push(name.replacen(", ", ",\n", 1));
+        }
     }
     let ticks = Points2D::new(positions)
         .with_labels(labels)
         .with_show_labels(true)
         .with_colors([color([120, 120, 120])])
         .with_radii([Radius::new_ui_points(0.1)]);
-    chunks.log_static(&MAP.of(&["ticks"]), &ticks);
+    chunks.log_static(entity, &ticks);
+    let [[left, bottom], [right, top]] = [[0.0, 0.0], [1.0, 1.0]].map(pixel);
+    let frame = LineStrips2D::new([[[left, top], [left, bottom], [right, bottom]]])
+        .with_colors([color([120, 120, 120])])
+        .with_radii([Radius::new_ui_points(0.8)]);
+    chunks.log_static(entity, &frame);
 }
 
 /// Logs measures along the first axis, for three values of the second and the first value of all others.
@@ -173,32 +209,56 @@ fn log_along(
     let mut lines = vec![0, last / 2, last];
     lines.dedup();
     let columns = store.named(measures);
-    let mut values: Vec<(u64, usize, Vec<Cell>)> = Vec::new();
+    // values of the measures by line and place along the axis
+    let mut values: Vec<(usize, f64, Vec<Cell>)> = Vec::new();
     store.read(0..1, None, &columns, |(row, cells)| {
         let Some(place) = design.place(row).filter(|place| place.level == 0) else { return };
         let is_first =
             (0..place.index.len()).all(|axis| axis == first || Some(axis) == second || place.index[axis] == 0);
-        let line = second.map_or(0, |axis| place.index[axis]);
-        if let (true, Some(line)) = (is_first, lines.iter().position(|known| *known == line)) {
-            values.push((place.index[first], line, cells));
+        let line = lines.iter().position(|known| *known == second.map_or(0, |axis| place.index[axis]));
+        let Setting::Number(at) = design.axes[first].value(0, place.index[first]) else { return };
+        if let (true, Some(line)) = (is_first, line) {
+            values.push((line, design.axes[first].share(at), cells));
         }
     })?;
-    values.sort_by_key(|(index, line, _)| (*line, *index));
-    for (k, measure) in measures.iter().enumerate() {
+    values.sort_by(|x, y| (x.0, x.1).partial_cmp(&(y.0, y.1)).unwrap_or(Ordering::Equal));
+    for (k, (measure, column)) in measures.iter().zip(columns.iter().skip(1)).enumerate() {
+        let known = |cells: &[Cell]| match cells.get(k) {
+            Some(Cell::F64(value)) if value.is_finite() => Some(*value),
+            _ => None,
+        };
+        let all = || values.iter().filter_map(|(.., cells)| known(cells));
+        let [low, high] = [all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max)];
+        let share = |value: f64| if high > low { (value - low) / (high - low) } else { 0.5 };
         for (line, index) in lines.iter().enumerate() {
-            let entity = MEASURE.of(&[measure, &line.to_string()]);
-            let name = match second {
-                Some(axis) => format!("{} = {}", design.axes[axis].label(), design.axes[axis].value(0, *index)),
-                None => (*measure).to_owned(),
-            };
-            Series::style(chunks, &entity, &name, palette::line(line), 1.5, Interpolation::Linear);
-            for (at, _, cells) in values.iter().filter(|(_, known, _)| *known == line) {
-                if let Some(Cell::F64(value)) = cells.get(k) {
-                    let at = TimePoint::from_iter([(Timeline::new_sequence(ALONG), *at as i64)]);
-                    chunks.row(&entity, at, &Scalars::single(*value));
-                }
-            }
+            let name = second.map_or_else(
+                || (*measure).to_owned(),
+                |axis| format!("{} = {}", design.axes[axis].label(), design.axes[axis].value(0, *index)),
+            );
+            // a run without a value interrupts the line
+            let of_line: Vec<&(usize, f64, Vec<Cell>)> = values.iter().filter(|(of, ..)| *of == line).collect();
+            let parts = of_line.split(|(.., cells)| known(cells).is_none()).filter(|part| !part.is_empty());
+            let parts: Vec<Vec<[f32; 2]>> = parts
+                .map(|part| {
+                    part.iter().map(|(_, at, cells)| pixel([*at, share(known(cells).unwrap_or(low))])).collect()
+                })
+                .collect();
+            let labels = vec![name; parts.len().min(1)];
+            let lines = LineStrips2D::new(parts)
+                .with_labels(labels)
+                .with_show_labels(true)
+                .with_colors([color(palette::line(line))])
+                .with_radii([Radius::new_ui_points(1.2)]);
+            chunks.log_static(&MEASURE.of(&[measure, &line.to_string()]), &lines);
         }
+        let heights = svg::ticks([low, high], false).into_iter().map(|value| (share(value), written(value)));
+        let across = ticks(&design.axes[first]);
+        log_axes(
+            chunks,
+            &MEASURE.of(&[measure, "ticks"]),
+            [across, heights.collect()],
+            [&design.axes[first].label(), &column.about],
+        );
     }
     Ok(())
 }

@@ -15,12 +15,16 @@ const LEFT: f64 = 86.0;
 const BELOW: f64 = 66.0;
 const ABOVE: f64 = 40.0;
 const RIGHT: f64 = 30.0;
-const HEADER: f64 = 62.0;
-const LEGEND: f64 = 170.0;
+const HEADER: f64 = 80.0;
+const LEGEND: f64 = 250.0;
+/// Letters in a line of the legend.
+const LINE: usize = 30;
+/// Radius of a threshold [px].
+const THRESHOLD: f64 = 2.6;
 /// Maximum number of panels of a diagram.
 const MAX_PANELS: usize = 6;
 
-/// Draws the maps.
+/// Draws the maps; `about` has two lines.
 pub fn svg(map: &Map, title: &str, about: &str) -> String {
     let panels = &map.slices[..map.slices.len().min(MAX_PANELS)];
     let columns = if panels.len() > 1 { 2 } else { 1 };
@@ -29,7 +33,9 @@ pub fn svg(map: &Map, title: &str, about: &str) -> String {
     let panel = [LEFT + MAP[0] + RIGHT, ABOVE + height_of_map + BELOW];
     let mut svg = Svg::new([panel[0] * columns as f64 + LEGEND, HEADER + panel[1] * rows as f64]);
     svg.write([20.0, 32.0], 24.0, INK, Anchor::Start, title);
-    svg.write([20.0, 56.0], 15.0, GREY, Anchor::Start, about);
+    for (number, line) in about.lines().enumerate() {
+        svg.write([20.0, 56.0 + 18.0 * number as f64], 14.0, GREY, Anchor::Start, line);
+    }
     for (number, slice) in panels.iter().enumerate() {
         let x = LEFT + panel[0] * (number % columns) as f64;
         let y = HEADER + ABOVE + panel[1] * (number / columns) as f64;
@@ -53,6 +59,9 @@ fn draw(svg: &mut Svg, map: &Map, slice: &Slice, height: f64) {
             let color = classes::color(dot.class).0;
             svg.circle(pixel(dot.at), 3.0, Paint::Fill(color));
         }
+    }
+    for &threshold in &slice.thresholds {
+        svg.circle(pixel(threshold), THRESHOLD, Paint::Both { fill: INK, stroke: [255; 3], width: 0.8 });
     }
     svg.rectangle([0.0; 2], [width, height], Paint::Stroke(GREY, 1.0));
     if let Some(axis) = map.axes.first() {
@@ -118,7 +127,8 @@ fn fill(svg: &mut Svg, map: &Map, slice: &Slice, height: f64) {
     }
 }
 
-fn legend(svg: &mut Svg, map: &Map, panels: &[Slice], [x, y]: [f64; 2]) {
+fn legend(svg: &mut Svg, map: &Map, panels: &[Slice], [x, mut y]: [f64; 2]) {
+    let has_thresholds = panels.iter().any(|slice| !slice.thresholds.is_empty());
     if let Some([low, high]) = map.range {
         svg.write([x, y + 4.0], 15.0, INK, Anchor::Start, &map.color);
         for k in 0..32 {
@@ -128,17 +138,38 @@ fn legend(svg: &mut Svg, map: &Map, panels: &[Slice], [x, y]: [f64; 2]) {
         for (value, at) in [(high, 26.0), (low, 212.0)] {
             svg.write([x + 30.0, y + at], 14.0, INK, Anchor::Start, &format!("{value:.3}"));
         }
-        svg.write([x, y + 244.0], 14.0, INK, Anchor::Start, "line: where the");
-        svg.write([x, y + 262.0], 14.0, INK, Anchor::Start, "outcome changes");
-        return;
+        y += 240.0;
+    } else {
+        let is_shown = |class: &u8| {
+            panels.iter().any(|slice| slice.classes.contains(class) || slice.dots.iter().any(|dot| dot.class == *class))
+        };
+        for class in (0..=FAILED).filter(is_shown) {
+            let paint = Paint::Both { fill: classes::color(class).0, stroke: GREY, width: 1.0 };
+            svg.rectangle([x, y - 4.0], [20.0, 20.0], paint);
+            svg.write([x + 30.0, y + 11.0], 16.0, INK, Anchor::Start, &map.classes.name(class));
+            y = explain(svg, [x + 30.0, y + 28.0], map.classes.about(class)) + 10.0;
+        }
     }
-    let is_shown = |class: &u8| {
-        panels.iter().any(|slice| slice.classes.contains(class) || slice.dots.iter().any(|dot| dot.class == *class))
-    };
-    for (class, row) in (0..=FAILED).filter(is_shown).zip(0..) {
-        let y = y + 32.0 * f64::from(row);
-        let paint = Paint::Both { fill: classes::color(class).0, stroke: GREY, width: 1.0 };
-        svg.rectangle([x, y - 4.0], [20.0, 20.0], paint);
-        svg.write([x + 30.0, y + 11.0], 16.0, INK, Anchor::Start, &map.classes.name(class));
+    if map.is_grid {
+        svg.line(&[[x, y + 6.0], [x + 20.0, y + 6.0]], INK, 1.2);
+        y = explain(svg, [x + 30.0, y + 11.0], "midway between runs of different outcome") + 6.0;
     }
+    if has_thresholds {
+        svg.circle([x + 10.0, y + 6.0], THRESHOLD, Paint::Fill(INK));
+        explain(svg, [x + 30.0, y + 11.0], "where it changes, bisected to 1e-9");
+    }
+}
+
+/// Writes a small text in lines; returns where the next one would be.
+fn explain(svg: &mut Svg, [x, mut y]: [f64; 2], text: &str) -> f64 {
+    let mut line = String::new();
+    for word in text.split(' ') {
+        if !line.is_empty() && line.chars().count() + 1 + word.chars().count() > LINE {
+            svg.write([x, y], 13.0, GREY, Anchor::Start, &line);
+            (y, line) = (y + 16.0, String::new());
+        }
+        line = if line.is_empty() { word.to_owned() } else { format!("{line} {word}") };
+    }
+    svg.write([x, y], 13.0, GREY, Anchor::Start, &line);
+    y + 16.0
 }

@@ -45,15 +45,15 @@ pub struct StateNumbers<'a> {
 pub fn scalars(scene: &Scene) -> impl Iterator<Item = &'static Scalar> {
     let is_coupled = scene.is_coupled();
     let is_accounted_for = is_coupled && scene.integrator == Integrator::Exponential;
-    let parts = if is_coupled { CONSERVED } else { PARTS };
+    let (total, parts) = if is_coupled { (TOTAL_OF_FREE, CONSERVED) } else { (TOTAL_ON_PATHS, PARTS) };
     let has_points = !scene.points.is_empty();
     let occurs = move |scalar: &&Scalar| is_accounted_for && (has_points || scalar.name != BY_POINTS);
-    SCALARS.iter().chain(parts).chain(LEDGER.iter().filter(occurs))
+    [total].into_iter().chain(SCALARS).chain(parts).chain(LEDGER.iter().filter(occurs))
 }
 
 /// The scalars of all scenes.
 pub fn all() -> impl Iterator<Item = &'static Scalar> {
-    [SCALARS, PARTS, CONSERVED, LEDGER].into_iter().flatten()
+    [TOTAL_ON_PATHS, TOTAL_OF_FREE].into_iter().chain([SCALARS, PARTS, CONSERVED, LEDGER].into_iter().flatten())
 }
 
 /// A smooth scalar of the state.
@@ -66,28 +66,36 @@ const fn smooth(
     Scalar { name, label, plot, value: ScalarValue::State(value), is_smooth: true }
 }
 
+/// The energy of bodies on paths, which have no masses. What the paths do to it is not counted.
+static TOTAL_ON_PATHS: &Scalar = &smooth("energy", "energy [unit²/s²]", ON_PATHS, |state| state.energy.total());
+/// The energy of free bodies, and of those on paths by their masses.
+static TOTAL_OF_FREE: &Scalar = &smooth("energy", "energy [mass·unit²/s²]", OF_FREE, |state| state.energy.total());
+
+const ON_PATHS: &str = "Energy [unit²/s²]: no balance, paths bring and take some uncounted";
+const OF_FREE: &str = "Energy [mass·unit²/s²] by kind";
+
 /// The parts of the energy of bodies on paths, in units of scene unit²/s².
 const PARTS: &[Scalar] = &[
     smooth("energy_vibration", "kinetic [unit²/s²]", DEFORMED, |state| state.energy.kinetic),
     smooth("energy_elastic", "elastic", DEFORMED, |state| state.energy.elastic),
     // in its own plot: it is thousands of times as large, mostly from vertices that no sphere reaches
-    smooth("energy_influence", "influence", "Energy", |state| state.energy.influence),
+    smooth("energy_influence", "influence", ON_PATHS, |state| state.energy.influence),
 ];
 
-const DEFORMED: &str = "Energy of deformation";
+const DEFORMED: &str = "Energy of deformation [unit²/s²]";
 /// The plots of what free bodies conserve.
 pub const MOMENTUM: &str = "Momentum";
 pub const ANGULAR_MOMENTUM: &str = "Angular momentum";
 
 /// Conserved quantities of free bodies. Energies are in units of mass · scene unit²/s².
 const CONSERVED: &[Scalar] = &[
-    smooth("energy_kinetic", "kinetic", "Energy", |state| state.conserved.kinetic),
-    smooth("energy_spin", "spin", "Energy", |state| state.conserved.spin),
-    smooth("energy_vibration", "vibration", "Energy", |state| state.conserved.vibration),
-    smooth("energy_elastic", "elastic", "Energy", |state| state.conserved.elastic),
-    smooth("energy_influence", "influence", "Energy", |state| state.conserved.influence),
-    smooth("energy_gravity", "gravity", "Energy", |state| state.conserved.gravity),
-    smooth("energy_plane", "planes", "Energy", |state| state.conserved.plane),
+    smooth("energy_kinetic", "kinetic", OF_FREE, |state| state.conserved.kinetic),
+    smooth("energy_spin", "spin", OF_FREE, |state| state.conserved.spin),
+    smooth("energy_vibration", "vibration", OF_FREE, |state| state.conserved.vibration),
+    smooth("energy_elastic", "elastic", OF_FREE, |state| state.conserved.elastic),
+    smooth("energy_influence", "influence", OF_FREE, |state| state.conserved.influence),
+    smooth("energy_gravity", "gravity", OF_FREE, |state| state.conserved.gravity),
+    smooth("energy_plane", "planes", OF_FREE, |state| state.conserved.plane),
     smooth("momentum_x", "momentum x [mass·unit/s]", MOMENTUM, |state| state.conserved.momentum.x),
     smooth("momentum_y", "momentum y", MOMENTUM, |state| state.conserved.momentum.y),
     smooth("momentum_z", "momentum z", MOMENTUM, |state| state.conserved.momentum.z),
@@ -109,23 +117,17 @@ const LEDGER: &[Scalar] = &[
     smooth("brought_by_paths", "by bodies on paths", BROUGHT, |state| state.ledger.prescribed),
     smooth(BY_POINTS, "by force points", BROUGHT, |state| state.ledger.points),
     smooth("brought_by_rest", "by coming to rest", BROUGHT, |state| state.ledger.rest),
-    smooth("unaccounted_energy", "not accounted for [mass·unit²/s²]", "Energy not accounted for", |state| {
+    smooth("unaccounted_energy", "not accounted for [mass·unit²/s²]", UNACCOUNTED, |state| {
         state.conserved.energy() - state.first_energy - state.ledger.total()
     }),
 ];
 
 /// Only in scenes with force points.
 const BY_POINTS: &str = "brought_by_points";
-const BROUGHT: &str = "Energy brought since t = 0";
+const BROUGHT: &str = "Energy brought since t = 0 [mass·unit²/s²], by cause";
+const UNACCOUNTED: &str = "Energy not accounted for [mass·unit²/s²]";
 
 const SCALARS: &[Scalar] = &[
-    Scalar {
-        name: "energy",
-        label: "energy [unit²/s²]",
-        plot: "Energy",
-        value: ScalarValue::State(|state| state.energy.total()),
-        is_smooth: true,
-    },
     Scalar {
         name: "max_displacement",
         label: "largest displacement [radii]",

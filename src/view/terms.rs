@@ -11,7 +11,7 @@ use crate::{
     sim::Cause,
 };
 
-use super::scales::plane_scale;
+use super::scales::{net_force_scale, plane_scale};
 
 /// All phases in order of depth, deepest last.
 pub const PHASES: [Phase; 3] = [Phase::Apart, Phase::Merged, Phase::Core];
@@ -60,15 +60,21 @@ pub fn term(scene: &Scene, cause: Cause) -> TermSchema {
         Cause::Damping => ("Damping", colors::YELLOW, true, false),
         Cause::Push => ("Push", colors::VERMILION, !scene.pushes.is_empty(), !scene.pushes.is_empty()),
         Cause::Carry => ("Carry: its own motion", colors::SILVER, true, false),
-        Cause::Gravity => ("Gravity", colors::GREY, scene.ever_has_gravity(), false),
+        Cause::Gravity => ("Gravity", colors::BROWN, scene.ever_has_gravity(), false),
         Cause::Plane => ("Planes: pressure and friction", colors::BLUE, !scene.planes.is_empty(), true),
         Cause::Reaction => ("Reaction to its sphere", colors::PINK, has_free && has_pairs, false),
-        Cause::Net => ("Net", colors::WHITE, true, false),
+        // white lines would not be seen in the light theme
+        Cause::Net => ("Net", colors::MAGENTA, true, false),
         _ => (cause.name(), colors::BLUE, true, true),
     };
     let has_source = matches!(cause, Cause::Attraction | Cause::Repulsion | Cause::Core);
     let is_uniform = matches!(cause, Cause::Gravity | Cause::Reaction);
-    let arrow_scale = matches!(cause, Cause::Plane).then(|| plane_scale(scene)).flatten();
+    let arrow_scale = match cause {
+        Cause::Plane => plane_scale(scene),
+        // one arrow for a whole body, which would not be seen at the length of those at vertices
+        Cause::Gravity | Cause::Reaction => Some(net_force_scale(scene)),
+        _ => None,
+    };
     let (name, is_sum) = (cause.name(), cause == Cause::Net);
     TermSchema { name, label, color, has_source, can_act, is_shown, is_sum, is_uniform, arrow_scale }
 }

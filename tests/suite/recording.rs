@@ -436,6 +436,8 @@ impl Run {
             self.verify_largest();
         }
         self.verify_lines();
+        self.verify_recent();
+        self.verify_near_misses();
         self.verify_reaching_spheres();
         self.verify_pairs();
         self.verify_events();
@@ -461,7 +463,7 @@ impl Run {
             }
         }
         if self.settings.detail == Detail::Forces {
-            entities.push("/world/forces".to_owned());
+            entities.extend(["/world/forces", "/about/arrows"].map(str::to_owned));
             entities.extend(Cause::of(&self.scene).map(|cause| format!("/world/forces/{}", cause.name())));
         }
         for pair in self.pairs() {
@@ -473,9 +475,12 @@ impl Run {
         if self.scene.bodies.len() > 1 {
             entities.extend(["/world/merged", "/world/merged/surface", "/world/merged/seams"].map(str::to_owned));
         }
-        // these depend on groups, on touching surfaces, and on the forces that act
-        let depends =
-            |path: &String| path.starts_with("/groups/") || path.starts_with("/forces/") || path == "/events/surfaces";
+        // these depend on groups, on touching surfaces, on the forces that act, and on how close pairs come
+        let depends = |path: &String| {
+            path.starts_with("/groups/")
+                || path.starts_with("/forces/")
+                || ["/events/surfaces", "/marks/q/near_miss"].contains(&path.as_str())
+        };
         entities.extend(self.recording.entities().iter().map(ToString::to_string).filter(depends));
         if (2..=16).contains(&self.scene.bodies.len()) {
             entities.extend(["/volume/surfaces", "/volume/bodies"].map(str::to_owned));
@@ -485,6 +490,7 @@ impl Run {
         entities.extend(stacked.map(|(stage, number)| format!("/timings/stacked/{number}_{stage}")));
         entities.extend(["/timings/speed", "/timings/lag", "/world/pairs", "/world/recent"].map(str::to_owned));
         entities.extend((2..=8).contains(&self.scene.bodies.len()).then(|| "/world/names".to_owned()));
+        entities.extend((self.scene.bodies.len() > 8).then(|| "/recent/pair".to_owned()));
         if self.settings.detail == Detail::Forces {
             entities.extend(["/legend/bar", "/legend/ticks", "/largest"].map(str::to_owned));
         }
@@ -499,10 +505,30 @@ impl Run {
         assert_eq!(self.recording.entities(), entities);
         assert_eq!(Cause::of(&self.scene).map(Cause::name).collect::<Vec<_>>(), CAUSES);
 
+        if self.settings.detail == Detail::Forces {
+            self.verify_arrows();
+        }
+
         let up = self.recording.fixed("/world").get::<ViewCoordinates>("ViewCoordinates:xyz");
         assert_eq!(up, [ViewCoordinates::RIGHT_HAND_Z_UP]);
         let about = self.recording.fixed("/about").text("TextDocument:text");
         assert!(about.contains(&self.scene.name) && about.contains("the graduation thesis"), "{about}");
+    }
+
+    /// Verifies that the text beside forces says how strong a force is whose arrow is as long as the largest radius.
+    fn verify_arrows(&self) {
+        let text = self.recording.fixed("/about/arrows").text("TextDocument:text").to_owned();
+        let radius = self.scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
+        assert!(text.contains(&format!("**1 R = {radius} unit long**")), "{text}");
+        for cause in Cause::of(&self.scene) {
+            let term = term(&self.scene, cause);
+            let list = text.split([';', ':', '\n']).find(|list| list.contains(&format!(" {}", cause.name())));
+            assert_eq!(list.is_some(), term.can_act, "{}: {text}", cause.name());
+            let Some((_, strength)) = list.and_then(|list| list.split_once(" = ")) else { continue };
+            let strength: f64 = strength.trim_end_matches('.').trim_end_matches(" unit/s²").parse().expect("a number");
+            let length = strength * term.arrow_scale.unwrap_or(arrow_scale(&self.scene));
+            assert!((length - radius).abs() <= 0.01 * radius, "{}: {text}", cause.name());
+        }
     }
 
     /// Verifies that rows are at the frames or at the exact times of events, and that no row hides another.
@@ -516,6 +542,7 @@ impl Run {
                 if path == "/checksum"
                     || path.starts_with("/events")
                     || path.starts_with("/marks/")
+                    || ["/world/recent", "/recent/pair"].contains(&path.as_str())
                     // the gap where the energy jumps at an event
                     || (path.starts_with("/diagnostics/energy") && row.scalar().is_none())
                     || (path.starts_with("/pairs/") && path.ends_with("/phase"))
@@ -826,9 +853,10 @@ impl Run {
         }
     }
 
-    /// Verifies the label of the vertex with the largest displacement, if no other body is near.
+    /// Verifies the mark of the vertex with the largest displacement outside all other bodies, its label above them, and
+    /// the number at the end of the colours.
     fn verify_largest(&self) {
-        let track = self.track("/largest");
+        let (track, scale) = (self.track("/largest"), self.track("/legend/ticks"));
         self.walk_frames(|frame, world| {
             let hides = |at: DVec3, index: usize| {
                 let others = world.bodies().enumerate().filter(|(other, _)| *other != index);
@@ -836,25 +864,36 @@ impl Run {
                     .map(|(_, body)| (body.centre() - at).length() / body.scene().radius)
                     .fold(f64::INFINITY, f64::min)
             };
-            let (mut largest, mut of_all): (Option<(f64, String)>, f64) = (None, 0.0);
+            let (mut largest, mut of_all): (Option<(f64, DVec3, String)>, f64) = (None, 0.0);
             for (index, body) in world.bodies().enumerate() {
                 for vertex in 0..body.vertex_count() {
                     let displacement = body.displacement(vertex).length() / body.scene().radius;
                     of_all = of_all.max(displacement);
-                    let is_visible = hides(body.position(vertex), index) >= 0.95;
-                    if is_visible && displacement > largest.as_ref().map_or(0.0, |(largest, _)| *largest) {
+                    let is_outside = hides(body.position(vertex), index) >= 0.95;
+                    if is_outside && displacement > largest.as_ref().map_or(0.0, |(largest, ..)| *largest) {
                         let name = &body.scene().name;
-                        largest =
-                            Some((displacement, format!("largest visible: {name}:{vertex}, {displacement:.3} R")));
+                        let label = format!("largest on the surface: {name}:{vertex}, {displacement:.3} R");
+                        largest = Some((displacement, body.position(vertex), label));
                     }
                 }
             }
-            if let Some((displacement, label)) = largest {
-                let logged = track.held[frame].texts("Points3D:labels").concat();
-                let (visible, hidden) = logged.split_once("; inside another body: ").unwrap_or((&logged, ""));
-                assert_eq!(visible, label, "step {}", world.steps_taken());
+            if let Some((displacement, position, label)) = largest {
+                let held = &track.held[frame];
+                let logged = held.texts("Points3D:labels").concat();
+                let (outside, hidden) = logged.split_once("; inside another body: ").unwrap_or((&logged, ""));
+                assert_eq!(outside, label, "step {}", world.steps_taken());
                 let is_complete = of_all == displacement || hidden.ends_with(&format!(", {of_all:.3} R"));
                 assert!(is_complete, "step {}: {logged}, but {of_all}", world.steps_taken());
+                let ends = held.vectors("Points3D:positions");
+                assert_eq!((ends.len(), ends[0]), (2, position.as_vec3()), "step {}", world.steps_taken());
+                let above = |body: BodyView<'_>| {
+                    (body.centre() - position).truncate().length() >= 2.0 * body.scene().radius
+                        || f64::from(ends[1].z) > body.centre().z + body.scene().radius
+                };
+                assert!(ends[0].truncate() == ends[1].truncate() && world.bodies().all(above), "{ends:?}");
+                let [.., end] = &scale.held[frame].texts("Points2D:labels")[..] else { panic!("no numbers") };
+                let end: f64 = end.parse().expect("a number");
+                assert!((end - displacement.max(0.01)).abs() <= 6e-3 * end, "{end}, but {displacement}");
             }
         });
     }
@@ -888,6 +927,12 @@ impl Run {
         if self.settings.entities == Entities::Batch {
             return;
         }
+        let scale = self.track("/legend/ticks");
+        let ends: Vec<f32> = scale
+            .held
+            .iter()
+            .map(|row| row.texts("Points2D:labels").last().and_then(|end| end.parse().ok()).expect("a number"))
+            .collect();
         for (index, scene) in self.scene.bodies.iter().enumerate() {
             let track = self.track(&format!("/world/bodies/{}/surface", scene.name));
             let fixed = self.recording.fixed(&track.entity);
@@ -900,12 +945,17 @@ impl Run {
                 let displacement = held.get::<sdk::datatypes::Float32>("displacement_in_radii");
                 let net = held.get::<sdk::datatypes::Float32>("net_force");
                 let reach = held.texts("reach");
+                let heat = held.get::<sdk::datatypes::Vec2D>("heat_texcoords");
                 assert_eq!((displacement.len(), net.len(), reach.len()), (body.vertex_count(), net.len(), net.len()));
                 for i in 0..body.vertex_count() {
                     let at = format!("{}, vertex {i} at step {}", track.entity, world.steps_taken());
                     let expected = (body.displacement(i).length() / scene.radius) as f32;
                     assert!((displacement[i].0 - expected).abs() <= 1e-6 * expected.max(1e-30), "{at}");
                     assert_eq!(net[i].0, forces.of(Cause::Net).get(i).length() as f32, "{at}");
+                    // half of the texture is the colours, from no displacement to the largest on the surface
+                    let [place, _] = heat[i].0;
+                    let end: f32 = ends[frame];
+                    assert!((place - 0.5 * (expected / end).min(1.0)).abs() <= 4e-3, "{at}: {place}");
                     let felt = [Cause::Attraction, Cause::Repulsion, Cause::Core]
                         .map(|cause| forces.of(cause).get(i) != DVec3::ZERO);
                     let word = match felt {
@@ -930,10 +980,13 @@ impl Run {
             pairs.sort_by(|x, y| x.q.total_cmp(&y.q));
             pairs.truncate(self.settings.pairs);
             let held = &track.held[frame];
-            let highlighted = recent.held.get(frame).map(|held| held.texts("LineStrips3D:labels")).unwrap_or_default();
+            let highlighted = recent.held.get(frame).map(|held| held.texts("Points3D:labels")).unwrap_or_default();
             let is_highlighted = |pair: &PairView| {
                 let [a, b] = [pair.a, pair.b].map(|body| &self.scene.bodies[body].name);
-                highlighted.iter().any(|label| label.contains(&format!(" {a}~{b}, q = {:.3}", pair.q)))
+                let is_of = |label: &String| {
+                    label.contains(&format!(" {a}~{b}, ")) && label.ends_with(&format!(", q = {:.3}", pair.q))
+                };
+                highlighted.iter().any(is_of)
             };
             pairs.sort_by_key(is_highlighted);
             let plain = pairs.iter().filter(|pair| !is_highlighted(pair)).count();
@@ -952,6 +1005,79 @@ impl Run {
             }
             assert_eq!(strips.len(), pairs.len());
         });
+    }
+
+    /// Verifies that the highlight changes with every event, at its exact time, and that among many bodies the pair is drawn
+    /// alone, about the point midway between them and in units of the larger radius.
+    fn verify_recent(&self) {
+        let rows = self.recording.rows(&EntityPath::from("/world/recent"));
+        for event in self.events() {
+            let pair = self.pair_name((event.a as usize, event.b as usize));
+            let colon = if event.name().contains(' ') { ":" } else { "" };
+            let of_event = format!("{}{colon} {pair}, ", event.name());
+            let is_there = rows.iter().any(|(_, row)| {
+                (row.step, row.time) == (event.step as i64, nanoseconds(event.time))
+                    && row.texts("Points3D:labels").iter().any(|label| label.starts_with(&of_event))
+            });
+            assert!(is_there, "{of_event} at {}", event.time);
+        }
+        if self.scene.bodies.len() <= 8 {
+            return;
+        }
+        let (track, mut last) = (self.track("/recent/pair"), None);
+        let (mut frame, mut age) = (0, 0);
+        self.walk(|world| {
+            if let Some(event) = world.report().events.last() {
+                (last, age) = (Some([event.a as usize, event.b as usize]), 0);
+            }
+            if !self.is_frame(world) {
+                return;
+            }
+            age += 1;
+            let positions = track.held[frame].vectors("Mesh3D:vertex_positions");
+            frame += 1;
+            if age >= 24 && age % 8 != 0 {
+                return; // drawn more seldom
+            }
+            let bodies = last.map(|pair| pair.map(|index| world.body(index)));
+            let expected: Vec<Vec3> = bodies
+                .iter()
+                .flatten()
+                .flat_map(|body| {
+                    let [a, b] = bodies.expect("a pair");
+                    let middle = 0.5 * (a.centre() + b.centre());
+                    let radius = a.scene().radius.max(b.scene().radius);
+                    (0..body.vertex_count()).map(move |i| ((body.position(i) - middle) / radius).as_vec3())
+                })
+                .collect();
+            assert_eq!(positions.len(), expected.len(), "step {}", world.steps_taken());
+            let is_near = |(found, expected): (&Vec3, &Vec3)| found.distance(*expected) < 2e-5;
+            assert!(positions.iter().zip(&expected).all(is_near), "step {}", world.steps_taken());
+        });
+    }
+
+    /// Verifies the marks of pairs on paths that came near and stayed apart: each at the smallest q of its pair.
+    fn verify_near_misses(&self) {
+        let mut joined = BTreeSet::new();
+        self.walk(|world| {
+            joined.extend(world.pairs().filter(|pair| pair.phase != Phase::Apart).map(|pair| (pair.a, pair.b)))
+        });
+        joined.extend(self.events().iter().map(|event| (event.a as usize, event.b as usize)));
+        let quiet: Vec<_> = self.pairs().into_iter().filter(|pair| !joined.contains(pair)).collect();
+        let marks = self.recording.rows(&EntityPath::from("/marks/q/near_miss"));
+        assert_eq!(marks.is_empty(), quiet.is_empty());
+        assert!(marks.len() <= 5 && (quiet.len() > 5 || marks.len() == quiet.len()), "{} of {quiet:?}", marks.len());
+        let q = |(a, b): (usize, usize), time: f64| {
+            let [a, b] = [a, b].map(|body| &self.scene.bodies[body]);
+            a.path().unwrap().position(time).distance(b.path().unwrap().position(time)) / (a.radius + b.radius)
+        };
+        let end = self.steps() as f64 * self.scene.dt;
+        for (_, mark) in marks {
+            let (time, value) = (mark.time as f64 * 1e-9, mark.scalar().expect("q"));
+            let least = |pair| (0..=4096).map(|k| q(pair, end * f64::from(k) / 4096.0)).fold(f64::INFINITY, f64::min);
+            let is_of = |pair: &&(usize, usize)| (q(**pair, time) - value).abs() < 1e-6 && value < least(**pair) + 1e-6;
+            assert!(quiet.iter().any(|pair| is_of(&pair)), "q = {value} at {time} s");
+        }
     }
 
     /// Verifies distances while within reach, their thresholds, and lanes that change at the exact times.
@@ -1499,8 +1625,8 @@ fn a_file_ends_with_the_ranges_of_its_plots_and_opens_at_its_first_event() {
             opening.extend(chunk.components().keys().map(|component| component.to_string()));
         }
     }
-    // the plots of timings and of q, each in the first tab and in its own, and of the recording
-    assert_eq!(views.len(), 5, "{views:?}");
+    // the plots of timings and of q, each in the first tab and in its own, of the recording and of speed, and five of scalars
+    assert_eq!(views.len(), 11, "{views:?}");
     for component in ["TimePanelBlueprint:time_selection", "TimePanelBlueprint:play_state", "EyeControls3D:position"] {
         assert!(opening.iter().any(|logged| logged == component), "{opening:?}");
     }

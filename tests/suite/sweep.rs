@@ -152,6 +152,7 @@ fn a_boundary_in_closed_form_is_found_to_1e_9() {
     let svg = fs::read_to_string(dir.file("out/map.svg")).unwrap();
     assert!(svg.contains("a region smaller than a cell of the first grid may be missing"), "{svg}");
     assert!(svg.contains("influence.merge_at") && svg.contains(">split<") && svg.contains(">apart<"), "{svg}");
+    assert!(svg.contains("bisected to") && svg.contains("turn back."), "{svg}");
     let column = |name, kind| Column::required(name, kind, "");
     let columns = [
         column("row", Kind::Count),
@@ -159,8 +160,9 @@ fn a_boundary_in_closed_form_is_found_to_1e_9() {
         column("threshold", Kind::Float),
         column("below", Kind::Text),
     ];
-    let mut found = 0;
+    let (mut found, mut all) = (0, 0);
     table::read(&dir.file("out/thresholds-1.parquet"), &columns, |(_, cells)| {
+        all += 1;
         let [Cell::F64(offset), Cell::F64(threshold), Cell::Text(below)] = &cells[..] else { panic!("{cells:?}") };
         // the closest distance is the offset, and the sum of the radii is 2
         if below == "apart" {
@@ -170,6 +172,7 @@ fn a_boundary_in_closed_form_is_found_to_1e_9() {
     })
     .unwrap();
     assert!(found >= 3, "{found} offsets between 1.8 and 2.2");
+    assert_eq!(svg.matches("a2.6 2.6 0 ").count(), 2 * (all + 1), "each threshold, and the legend: {svg}");
     // and the closest approaches of runs without a merge are the offsets
     for cells in rows(&dir.file("out"), &of(&dir)).values() {
         let [Cell::F64(offset), Cell::F64(merge_at), Cell::Text(outcome), ..] = &cells[..] else { panic!("{cells:?}") };

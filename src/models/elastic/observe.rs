@@ -35,6 +35,8 @@ fn number(phase: Phase) -> usize {
     phase as usize
 }
 
+const ENERGY: &str = "Energy [mass·unit²/s²] by kind";
+
 /// A scalar and its value, of the state or of a step.
 struct Scalar {
     schema: ScalarSchema,
@@ -54,11 +56,11 @@ fn scalars(scene: &Scene) -> Vec<Scalar> {
         value,
     };
     let mut all = vec![
-        of("energy", "energy [mass·unit²/s²]", "Energy", ScalarOf::State, |simulation, _| {
+        of("energy", "energy [mass·unit²/s²]", ENERGY, ScalarOf::State, |simulation, _| {
             simulation.kinetic_energy() + simulation.elastic_energy()
         }),
-        of("energy_vibration", "kinetic", "Energy", ScalarOf::State, |simulation, _| simulation.kinetic_energy()),
-        of("energy_elastic", "elastic", "Energy", ScalarOf::State, |simulation, _| simulation.elastic_energy()),
+        of("energy_vibration", "kinetic", ENERGY, ScalarOf::State, |simulation, _| simulation.kinetic_energy()),
+        of("energy_elastic", "elastic", ENERGY, ScalarOf::State, |simulation, _| simulation.elastic_energy()),
         of(
             "max_displacement",
             "largest displacement [radii]",

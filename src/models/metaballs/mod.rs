@@ -423,7 +423,7 @@ const SCALARS: usize = 3;
 pub fn schema(scene: &Scene) -> Schema {
     let oscillators = view::schema(scene);
     let net =
-        TermSchema { can_act: false, is_shown: false, is_sum: true, ..TermSchema::new("net", "Net", colors::WHITE) };
+        TermSchema { can_act: false, is_shown: false, is_sum: true, ..TermSchema::new("net", "Net", colors::MAGENTA) };
     let mut warnings = oscillators.warnings;
     warnings.extend(idle(scene));
     Schema {

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, btree_map::Entry};
 
-use super::{FrameView, vertices};
+use super::{FrameView, heat::LargestOf, vertices};
 use crate::{
     observe::Schema,
     sdk::{self, AnnotationContext, Arrows3D},
@@ -27,6 +27,8 @@ pub struct Forces {
     origins: Vec<Float3>,
     /// Values of each body's vertices; for bodies at rest only if each body has its own entity.
     pub vertices: Vec<vertices::VertexNumbers>,
+    /// The largest displacements of the frame.
+    pub largest: LargestOf,
     at_rest: Vec<bool>,
     includes_resting: bool,
     sources: Sources,
@@ -46,7 +48,7 @@ impl Forces {
             let entity = FORCE.of(&[term.name]);
             let style = Arrows3D::update_fields()
                 .with_colors([color(term.color)])
-                .with_radii([sdk::Radius::new_ui_points(1.2)])
+                .with_radii([sdk::Radius::new_ui_points(if term.is_uniform { 2.5 } else { 1.2 })])
                 .with_show_labels(false);
             chunks.log_static(&entity, &style);
             let mut components = vec![Arrows3D::descriptor_origins(), Arrows3D::descriptor_vectors()];
@@ -60,6 +62,7 @@ impl Forces {
             terms,
             origins: Vec::new(),
             vertices: vec![vertices::VertexNumbers::default(); count],
+            largest: LargestOf::default(),
             at_rest: vec![false; count],
             includes_resting: entities == Entities::Body,
             sources: Sources::default(),
@@ -69,6 +72,8 @@ impl Forces {
     /// Extracts the forces of a frame.
     pub fn extract(&mut self, view: FrameView<'_>, extractor: &mut Extractor) {
         let FrameView { schema, .. } = view;
+        self.largest = LargestOf::frame(view);
+        let end = self.largest.end();
         self.terms.iter_mut().for_each(|term| term.next.clear());
         for (index, (body, now)) in view.bodies().enumerate() {
             let numbers = &mut self.vertices[index];
@@ -76,14 +81,14 @@ impl Forces {
                 if !std::mem::replace(&mut self.at_rest[index], true) {
                     numbers.clear();
                     if self.includes_resting {
-                        numbers.append(schema, body, now);
+                        numbers.append(schema, body, now, end);
                     }
                 }
                 continue;
             }
             self.at_rest[index] = false;
             numbers.clear();
-            numbers.append(schema, body, now);
+            numbers.append(schema, body, now, end);
             extractor.world_positions(body, now, &mut self.origins);
             for ((term, of_schema), arrows) in now.terms.iter().zip(&schema.terms).zip(&mut self.terms) {
                 let acts = of_schema.has_source && !term.accelerations.is_empty();

@@ -1,24 +1,26 @@
 //! The colours of displacements: a texture that the displacement view maps onto surfaces, and its colour scale.
 //!
-//! The displacement of a vertex is its texture coordinate. The colour range can thus follow what is visible in each
-//! frame: only the texture is logged again when the range changes.
+//! The place of a vertex in the texture is its displacement as a share of the largest one in the frame, so that the colours
+//! reach from end to end in every frame.
 
 use glam::DVec3;
 
 use super::FrameView;
+use crate::colors;
 use crate::observe::{BodyFrame, schema::BodySchema};
 use crate::sdk::{
-    self, AnyValues, Image, Points2D, Points3D,
+    self, AnyValues, Image, LineStrips3D, Points2D, Points3D,
     components::{ImageBuffer, ImageFormat},
 };
 use crate::stream::{
     blueprint::Mapping,
     chunks::{Chunks, TrackId},
     contract::{HEAT_FORMAT, HEAT_PLACES, HEAT_TEXTURE, LARGEST, LEGEND},
-    instant::Instant,
     light,
+    normals::Float3,
     palette::{self, color},
 };
+use crate::text::significant;
 
 /// Visualizer sources of surfaces in the displacement view, instead of their own colours and normals.
 pub const MAPPINGS: [Mapping; 4] = [
@@ -30,101 +32,105 @@ pub const MAPPINGS: [Mapping; 4] = [
 
 /// Texels of the colour range.
 const WIDTH: usize = 256;
-/// Displacement at the end of the texture [radii]. A texture coordinate is the root of the fraction of it, so that
-/// small displacements are resolved too.
-const END: f32 = 16.0;
-/// Possible ends of the colour range [radii].
-const RANGES: [f64; 14] = [0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0, 2.0, 4.0, 8.0, 16.0];
-/// The range becomes smaller once the largest displacement is below this share of the smaller range: otherwise it would
-/// flicker.
-const SHRINK: f64 = 0.9;
+/// The smallest end of the colour range [radii]: numbers below would look like displacements.
+const LEAST: f64 = 0.01;
 /// A vertex this close to the centre of another body is hidden by it [radii of that body].
 const INSIDE: f64 = 0.95;
+/// How far above all bodies near it the label of the largest displacement is [radii of its body], and which are near: those
+/// so far aside [their radii].
+const ABOVE: f64 = 0.3;
+const NEAR: f64 = 2.0;
 
-/// The texture coordinates of a displacement [radii]. The viewer repeats textures, so this one is mirrored in its
-/// second half, to have the same colour at both ends.
-pub fn place(displacement: f32) -> [f32; 2] {
-    [0.5 * (displacement / END).sqrt().min(1.0), 0.5]
+/// Colour of the mark and its label: it is none of the scale, and legible on dark and light.
+const MARK: palette::Rgb = colors::VERMILION;
+
+/// The texture coordinates of a displacement, if that at the end of the colours is `end` [radii]. The viewer repeats
+/// textures, so this one is mirrored in its second half, to have the same colour at both ends.
+pub fn place(displacement: f32, end: f64) -> [f32; 2] {
+    [0.5 * (displacement / end as f32).min(1.0), 0.5]
 }
 
-/// The colour range, the surfaces that use it, and the mark at the largest displacement.
+/// The numbers of the colour scale, and the mark at the largest displacement.
 pub struct Heat {
-    surfaces: Vec<String>,
-    range: usize,
+    ticks: TrackId,
+    end: f64,
     mark: TrackId,
-    last: Option<(DVec3, String)>,
+    last: Option<([DVec3; 2], String)>,
 }
 
 impl Heat {
-    /// Logs static data.
-    pub fn new(surfaces: Vec<String>, chunks: &mut Chunks) -> Heat {
-        let row: Vec<u8> = (0..WIDTH).flat_map(|i| palette::heat((i as f64 + 0.5) / WIDTH as f64)).collect();
-        let bar = Image::from_rgb24(row.repeat(HEIGHT), [WIDTH as u32, HEIGHT as u32]);
+    /// Logs static data, and the texture of each of these surfaces.
+    pub fn new(surfaces: &[String], chunks: &mut Chunks) -> Heat {
+        let texels = |count: usize| (0..count).flat_map(move |i| palette::heat((i as f64 + 0.5) / count as f64));
+        let bar = Image::from_rgb24(texels(WIDTH).collect::<Vec<u8>>().repeat(HEIGHT), [WIDTH as u32, HEIGHT as u32]);
         chunks.log_static(&LEGEND.of(&["bar"]), &bar);
+        let mirrored = (0..WIDTH).chain((0..WIDTH).rev());
+        let mirrored = mirrored.flat_map(|i| palette::heat((i as f64 + 0.5) / WIDTH as f64)).collect::<Vec<u8>>();
+        let texture = AnyValues::default()
+            .with_component::<ImageBuffer>(HEAT_TEXTURE.0, [ImageBuffer::from(mirrored)])
+            .with_component::<ImageFormat>(HEAT_FORMAT.0, [ImageFormat::rgb8([2 * WIDTH as u32, 1])]);
+        surfaces.iter().for_each(|surface| chunks.log_static(surface, &texture));
         let ticks = Points2D::update_fields()
             .with_positions(TICKS.map(|share| [(share * WIDTH as f64) as f32, HEIGHT as f32]))
             .with_radii([sdk::Radius::new_ui_points(2.0)])
             .with_colors([color(palette::DOT)])
             .with_show_labels(true);
         chunks.log_static(&LEGEND.of(&["ticks"]), &ticks);
-        let mark = Points3D::update_fields()
-            .with_radii([sdk::Radius::new_ui_points(5.0)])
-            .with_colors([color(palette::SEAM)])
+        let ends = Points3D::update_fields()
+            .with_radii([6.0, 0.0].map(sdk::Radius::new_ui_points))
+            .with_colors([color(MARK)])
             .with_show_labels(true);
-        chunks.log_static(LARGEST.path, &mark);
-        let mark = chunks.track(LARGEST.path, [Points3D::descriptor_positions(), Points3D::descriptor_labels()]);
-        Heat { surfaces, range: RANGES.len(), mark, last: None }
+        chunks.log_static(LARGEST.path, &ends);
+        let leader = LineStrips3D::update_fields()
+            .with_radii([sdk::Radius::new_ui_points(1.5)])
+            .with_colors([color(MARK)])
+            .with_show_labels(false);
+        chunks.log_static(LARGEST.path, &leader);
+        let mark = [Points3D::descriptor_positions(), Points3D::descriptor_labels(), LineStrips3D::descriptor_strips()];
+        Heat {
+            ticks: chunks.track(&LEGEND.of(&["ticks"]), [Points2D::descriptor_labels()]),
+            end: 0.0,
+            mark: chunks.track(LARGEST.path, mark),
+            last: None,
+        }
     }
 
-    /// Adapts the range to the largest displacement that is visible in a frame, and marks its vertex.
-    pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
-        let [largest, of_all] = largest(view);
-        let displacement = largest.map_or(0.0, |largest| largest.displacement);
-        let fits =
-            |share: f64| RANGES.iter().position(|range| displacement <= share * range).unwrap_or(RANGES.len() - 1);
-        let range = if fits(1.0) > self.range { fits(1.0) } else { fits(SHRINK).min(self.range) };
-        if range != self.range {
-            self.range = range;
-            self.log_range(view.at, chunks);
+    /// Logs the numbers of the scale, and marks the vertex with the largest displacement. Its label is above the bodies there, at
+    /// the end of a line that shows where the vertex is, even if that is on the far side.
+    pub fn log(&mut self, view: FrameView<'_>, largest: &LargestOf, chunks: &mut Chunks) {
+        let end = largest.end();
+        if end != self.end {
+            self.end = end;
+            let labels: Vec<String> = TICKS.map(|share| significant(share * end)).into();
+            chunks.push(self.ticks, view.at, &[&labels]);
         }
-        let mark = largest.filter(|largest| largest.displacement > 0.0).map(|largest| {
-            let hidden = of_all.filter(|of_all| of_all.displacement > largest.displacement);
+        let mark = largest.outside.filter(|largest| largest.displacement > 0.0).map(|outside| {
+            let hidden = largest.of_all.filter(|of_all| of_all.displacement > outside.displacement);
             let hidden = hidden.map(|hidden| format!("; inside another body: {}", hidden.text(view)));
-            (largest.position, format!("largest visible: {}{}", largest.text(view), hidden.unwrap_or_default()))
+            let is_near = |(body, now): &(&BodySchema, &BodyFrame)| {
+                !now.is_absent && (now.centre - outside.position).truncate().length() < NEAR * body.radius
+            };
+            let tops = view.bodies().filter(is_near).map(|(body, now)| now.centre.z + body.radius);
+            let top = tops.fold(outside.position.z, f64::max);
+            let top = outside.position.with_z(top + ABOVE * view.schema.bodies[outside.body].radius);
+            let label = format!("largest on the surface: {}{}", outside.text(view), hidden.unwrap_or_default());
+            ([outside.position, top], label)
         });
         if mark != self.last {
-            let position: Vec<_> = mark.iter().map(|(position, _)| position.as_vec3().to_array()).collect();
-            let label: Vec<_> = mark.iter().map(|(_, label)| label.clone()).collect();
-            chunks.push(self.mark, view.at, &[&position, &label]);
+            let ends: Vec<_> = mark.iter().flat_map(|(ends, _)| ends.map(|end| end.as_vec3().to_array())).collect();
+            let labels: Vec<_> = mark.iter().flat_map(|(_, label)| [String::new(), label.clone()]).collect();
+            let leader: Vec<[Float3; 2]> =
+                mark.iter().map(|(ends, _)| ends.map(|end| end.as_vec3().to_array())).collect();
+            chunks.push(self.mark, view.at, &[&ends, &labels, &leader]);
             self.last = mark;
         }
-    }
-
-    fn log_range(&self, at: Instant, chunks: &mut Chunks) {
-        let range = RANGES[self.range];
-        let texels = (0..WIDTH).chain((0..WIDTH).rev()).flat_map(|i| {
-            let share = (i as f64 + 0.5) / WIDTH as f64;
-            palette::heat(f64::from(END) * share * share / range)
-        });
-        let texture = AnyValues::default()
-            .with_component::<ImageBuffer>(HEAT_TEXTURE.0, [ImageBuffer::from(texels.collect::<Vec<u8>>())])
-            .with_component::<ImageFormat>(HEAT_FORMAT.0, [ImageFormat::rgb8([2 * WIDTH as u32, 1])]);
-        for surface in &self.surfaces {
-            chunks.log(surface, at, &texture);
-        }
-        let digits = if range < 0.1 { 4 } else { 3 };
-        let labels = TICKS.map(|share| {
-            let text = format!("{:.digits$}", share * range);
-            text.trim_end_matches('0').trim_end_matches('.').to_owned()
-        });
-        chunks.log(&LEGEND.of(&["ticks"]), at, &Points2D::update_fields().with_labels(labels));
     }
 }
 
 /// Height of the colour scale [texels].
 const HEIGHT: usize = 10;
 /// Places of its numbers, as shares of the range.
-const TICKS: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
+const TICKS: [f64; 3] = [0.0, 0.5, 1.0];
 
 /// The vertex with the largest displacement.
 #[derive(Clone, Copy)]
@@ -144,31 +150,45 @@ impl Largest {
 }
 
 /// The vertex with the largest displacement of those that lie in no other body, and of all.
-fn largest(view: FrameView<'_>) -> [Option<Largest>; 2] {
-    let (mut visible, mut any): (Option<Largest>, Option<Largest>) = (None, None);
-    for (index, (body, now)) in view.bodies().enumerate() {
-        let is_larger =
-            |length: f64, than: &Option<Largest>| than.is_none_or(|than| length / body.radius > than.displacement);
-        if !is_larger(now.max_displacement, &visible) {
-            continue;
-        }
-        for (vertex, &length) in now.lengths.iter().enumerate() {
-            if !is_larger(length, &visible) {
+#[derive(Clone, Copy, Default)]
+pub struct LargestOf {
+    outside: Option<Largest>,
+    of_all: Option<Largest>,
+}
+
+impl LargestOf {
+    /// Finds them in a frame.
+    pub fn frame(view: FrameView<'_>) -> LargestOf {
+        let (mut visible, mut any): (Option<Largest>, Option<Largest>) = (None, None);
+        for (index, (body, now)) in view.bodies().enumerate() {
+            let is_larger =
+                |length: f64, than: &Option<Largest>| than.is_none_or(|than| length / body.radius > than.displacement);
+            if !is_larger(now.max_displacement, &visible) {
                 continue;
             }
-            let position = now.centre + now.positions.get(vertex);
-            let found = Largest { displacement: length / body.radius, body: index, vertex, position };
-            if is_larger(length, &any) {
-                any = Some(found);
-            }
-            let mut others = view.bodies().enumerate().filter(|(other, _)| *other != index);
-            let hides = |(of, at): (&BodySchema, &BodyFrame)| {
-                !at.is_absent && at.centre.distance(position) < INSIDE * of.radius
-            };
-            if !others.any(|(_, other)| hides(other)) {
-                visible = Some(found);
+            for (vertex, &length) in now.lengths.iter().enumerate() {
+                if !is_larger(length, &visible) {
+                    continue;
+                }
+                let position = now.centre + now.positions.get(vertex);
+                let found = Largest { displacement: length / body.radius, body: index, vertex, position };
+                if is_larger(length, &any) {
+                    any = Some(found);
+                }
+                let mut others = view.bodies().enumerate().filter(|(other, _)| *other != index);
+                let hides = |(of, at): (&BodySchema, &BodyFrame)| {
+                    !at.is_absent && at.centre.distance(position) < INSIDE * of.radius
+                };
+                if !others.any(|(_, other)| hides(other)) {
+                    visible = Some(found);
+                }
             }
         }
+        LargestOf { outside: visible.or(any), of_all: any }
     }
-    [visible.or(any), any]
+
+    /// The displacement at the end of the colours [radii].
+    pub fn end(&self) -> f64 {
+        self.outside.map_or(0.0, |largest| largest.displacement).max(LEAST)
+    }
 }

@@ -1,24 +1,21 @@
-//! Lines in 3D between the centres of pairs within reach, coloured by phase and labelled with q; the names of bodies;
-//! and a highlight of the pair that had the last event.
+//! Lines in 3D between the centres of pairs within reach, coloured by phase and labelled with q; and the names of bodies.
 
 use glam::DVec3;
 
-use super::{FrameView, MAX_LABELS};
+use super::{FrameView, MAX_LABELS, recent::Recent};
 use crate::{
-    observe::{PairEvent, PairFrame, Schema, schema::titled},
+    observe::{BodyFrame, PairEvent, PairFrame, Schema},
     sdk::{self, LineStrips3D, Points3D},
     stream::{
         chunks::{Chunks, TrackId},
         columns::Cell,
-        contract::{NAMES, PAIR_LINES, RECENT},
+        contract::{NAMES, PAIR_LINES},
         normals::Float3,
-        palette::{self, Rgb, color},
+        palette::{self, color},
         settings::Settings,
     },
 };
 
-/// Number of frames for which an event is recent.
-const RECENT_FRAMES: u64 = 24;
 /// Upper limit on the number of labelled pairs: the highlighted one, then the closest. More labels would cover each
 /// other and the bodies.
 const MAX_LABELLED: usize = 3;
@@ -55,21 +52,6 @@ struct Names {
     named: Vec<usize>,
 }
 
-/// The pair that had the last event, while it is recent. With more pairs, labels would cover each other.
-struct Recent {
-    track: TrackId,
-    event: Option<RecentEvent>,
-    last: LineRows,
-}
-
-struct RecentEvent {
-    pair: (usize, usize),
-    label: String,
-    color: Rgb,
-    /// Frames since it happened.
-    age: u64,
-}
-
 impl Lines {
     /// Shows at most as many pairs as the settings allow.
     pub fn new(schema: &Schema, settings: &Settings, chunks: &mut Chunks) -> Lines {
@@ -80,11 +62,6 @@ impl Lines {
         let components =
             [LineStrips3D::descriptor_strips(), LineStrips3D::descriptor_colors(), LineStrips3D::descriptor_labels()];
         let track = chunks.track(PAIR_LINES.path, components);
-        let style = LineStrips3D::update_fields().with_radii([sdk::Radius::new_ui_points(4.0)]).with_show_labels(true);
-        chunks.log_static(RECENT.path, &style);
-        let components =
-            [LineStrips3D::descriptor_strips(), LineStrips3D::descriptor_colors(), LineStrips3D::descriptor_labels()];
-        let recent = Recent { track: chunks.track(RECENT.path, components), event: None, last: LineRows::default() };
         Lines {
             track,
             max_lines: settings.pairs,
@@ -92,16 +69,14 @@ impl Lines {
             last: None,
             next: LineRows::default(),
             names: (has_labels && schema.bodies.len() > 1).then(|| Names::new(schema, chunks)),
-            recent,
+            recent: Recent::new(schema, chunks),
             closest: Vec::new(),
         }
     }
 
-    /// Adds an event, before the first frame that it affects.
-    pub fn event(&mut self, schema: &Schema, event: &PairEvent) {
-        let label = titled(event.name, &schema.pair_name(event.a, event.b));
-        let color = schema.phases[event.to].color;
-        self.recent.event = Some(RecentEvent { pair: (event.a, event.b), label, color, age: 0 });
+    /// Adds the events of a step, each with the bodies of its pair after the step.
+    pub fn events(&mut self, schema: &Schema, events: &[PairEvent], pairs: &[[BodyFrame; 2]], chunks: &mut Chunks) {
+        self.recent.events(schema, events, pairs, chunks);
     }
 
     /// Logs changed values.
@@ -115,7 +90,7 @@ impl Lines {
         self.closest.truncate(self.max_lines);
         // the viewer labels the first lines, as many as there are labels; a highlighted pair has its label there
         self.recent.age();
-        let recent = self.recent.event.as_ref().map(|event| event.pair);
+        let recent = self.recent.pair();
         self.closest.sort_by_key(|pair| recent == Some((pair.a, pair.b)));
         let is_plain = |pair: &&PairFrame| recent != Some((pair.a, pair.b));
         let free = MAX_LABELLED - usize::from(recent.is_some());
@@ -193,26 +168,4 @@ fn labelled(points: Points3D, schema: &Schema, bodies: &[usize]) -> Points3D {
     points
         .with_labels(bodies.iter().map(|&body| schema.bodies[body].name.as_str()))
         .with_colors(bodies.iter().map(|&body| color(palette::of_body(schema, body))))
-}
-
-impl Recent {
-    /// Drops an event that is no longer recent.
-    fn age(&mut self) {
-        self.event.take_if(|event| event.age >= RECENT_FRAMES);
-    }
-
-    fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
-        let mut rows = LineRows::default();
-        if let Some(RecentEvent { pair: (a, b), label, color: rgb, age }) = &mut self.event {
-            rows.segments.push([*a, *b].map(|body| view.frame.bodies[body].centre.as_vec3().to_array()));
-            rows.colors.push(color(*rgb).to_u32());
-            let pair = view.frame.pairs.iter().find(|pair| (pair.a, pair.b) == (*a, *b));
-            rows.labels.push(pair.map_or_else(|| label.clone(), |pair| format!("{label}, q = {:.3}", pair.q)));
-            *age += 1;
-        }
-        if rows != self.last {
-            chunks.push(self.track, view.at, &[&rows.segments, &rows.colors, &rows.labels]);
-            self.last = rows;
-        }
-    }
 }

@@ -1,7 +1,8 @@
 //! Events as markers in every plot: at q in the plots of q, on the axis in all others.
 
 use crate::{
-    colors::GREY,
+    analysis::approach::Approach,
+    colors::{GREY, SILVER},
     observe::{PairEvent, Schema},
     sdk::{Scalars, SeriesPoints, components::MarkerShape},
     stream::{
@@ -45,6 +46,26 @@ impl Marks {
 fn entity(family: &Entity, event: &str) -> String {
     let name: String = event.chars().map(|c| if c.is_alphanumeric() { c } else { '_' }).collect();
     family.of(&[&name])
+}
+
+/// Marks where pairs came closest that stayed in their first phase, on their lines of q.
+pub fn log_near_misses(schema: &Schema, approaches: &[&Approach], chunks: &mut Chunks) {
+    if approaches.is_empty() {
+        return;
+    }
+    let entity = MARKS_AT_Q.of(&["near_miss"]);
+    let style = SeriesPoints::new()
+        .with_names(["near miss"])
+        .with_colors([color(SILVER)])
+        .with_markers([MarkerShape::Circle])
+        .with_marker_sizes([5.0]);
+    chunks.log_static(&entity, &style);
+    let mut approaches = approaches.to_vec();
+    approaches.sort_by(|x, y| x.time.total_cmp(&y.time));
+    for Approach { q, time, .. } in approaches {
+        let at = Instant { step: (time / schema.dt).ceil() as u64, time: *time };
+        chunks.log(&entity, at, &Scalars::new([*q]));
+    }
 }
 
 /// Marks the ends of a run in every plot, so that all of them show the same range of time; `level` is any plotted q, if

@@ -18,7 +18,8 @@
 //! | `/pairs/A~B/…`, `/events` | [`pairs`] |
 //! | `/legend/…`, `/largest` | [`heat`] |
 //! | `/marks/…` | [`marks`] |
-//! | `/world/pairs`, `/world/recent`, `/world/names` | [`lines`] |
+//! | `/world/pairs`, `/world/names` | [`lines`] |
+//! | `/world/recent`, `/recent/pair` | [`recent`] |
 //! | values of single vertices, on the entities of their surfaces | [`vertices`] |
 //! | `/diagnostics/…`, `/timings/…` | [`numbers`] |
 
@@ -36,6 +37,7 @@ pub mod numbers;
 pub mod pairs;
 pub mod planes;
 pub mod points;
+pub mod recent;
 pub mod spheres;
 pub mod springs;
 pub mod trails;

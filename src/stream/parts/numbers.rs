@@ -56,6 +56,8 @@ pub struct FrameNumbers {
     /// When the step of the last frame ended.
     last_frame: Option<Clock>,
     speed: TrackId,
+    /// The largest speed so far [steps per second].
+    fastest: f64,
     lag: Option<Duration>,
     lag_track: TrackId,
     /// Total duration of all stages on the simulation thread.
@@ -133,6 +135,7 @@ impl FrameNumbers {
             end: None,
             last_frame: None,
             speed,
+            fastest: 0.0,
             lag: None,
             lag_track: run_line(LAG.path, "behind real time [ms]", 1, chunks),
             total: Spread::default(),
@@ -203,6 +206,11 @@ impl FrameNumbers {
         self.timings.iter().filter_map(|timing| Some((timing.name, timing.spread.quantile(0.5)?))).collect()
     }
 
+    /// The largest speed of the run [steps per second]; 0 if there were no two frames.
+    pub fn fastest(&self) -> f64 {
+        self.fastest
+    }
+
     /// A duration that most steps, and their recordings, do not exceed [ms]; 0 if there were no frames: the 90th
     /// percentile, but not more than twice the 75th.
     pub fn typical(&self) -> [f64; 2] {
@@ -240,6 +248,7 @@ impl FrameNumbers {
         self.total.add(total);
         if let (Some(last), Some(end)) = (self.last_frame, self.end) {
             let speed = f64::from(steps) / (end - last).as_secs_f64().max(1e-9);
+            self.fastest = self.fastest.max(speed);
             chunks.push_apart(self.speed, at, &[&[speed]]);
         }
         self.last_frame = self.end;

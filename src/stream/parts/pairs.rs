@@ -1,9 +1,17 @@
 //! Plots of pairs: q and its thresholds, the phase, events, and geometric measures (gap, overlap and neck).
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::{
+    collections::{BTreeMap, BTreeSet, VecDeque},
+    hash::{DefaultHasher, Hash as _, Hasher as _},
+    sync::Arc,
+};
 
-use super::{FrameView, marks::Marks};
+use super::{
+    FrameView,
+    marks::{self, Marks},
+};
 use crate::{
+    analysis::approach::Approach,
     colors,
     observe::{
         BodyEvent, EventRow, Frame, PairEvent, PairFrame, Schema, Shortfall, SurfaceEvent,
@@ -11,7 +19,8 @@ use crate::{
     },
     sdk::{
         AnyValues, AsComponents, SerializedComponentBatch, SeriesLines, StateChange, StateConfiguration, TextLog,
-        components::{Scalar, Text},
+        arrow::array::{Array, Float64Array},
+        components::Text,
     },
     stream::{
         chunks::Chunks,
@@ -63,6 +72,8 @@ fn extended(range: Option<[f64; 2]>, number: f64) -> [f64; 2] {
 struct PairPlot {
     phase: String,
     distance: LineId,
+    /// A hash of the line of q so far.
+    drawn: DefaultHasher,
     thresholds: Vec<(LineId, usize)>,
     /// Lines of gap, overlap and neck.
     measures: [LineId; 3],
@@ -140,9 +151,24 @@ impl PairPlots {
         }
     }
 
-    /// The pairs that have plots, as `A~B`.
-    pub fn names(&self, schema: &Schema) -> Vec<String> {
-        self.known.keys().map(|&(a, b)| schema.pair_name(a, b)).collect()
+    /// The pairs that have plots, as `A~B`: in each list those whose lines of q are one and the same.
+    pub fn names(&self, schema: &Schema) -> Vec<Vec<String>> {
+        let mut names: Vec<(u64, Vec<String>)> = Vec::new();
+        for (&(a, b), plot) in &self.known {
+            let (drawn, name) = (plot.drawn.finish(), schema.pair_name(a, b));
+            match names.iter_mut().find(|(known, _)| *known == drawn) {
+                Some((_, alike)) => alike.push(name),
+                None => names.push((drawn, vec![name])),
+            }
+        }
+        names.into_iter().map(|(_, alike)| alike).collect()
+    }
+
+    /// Marks the closest approaches of pairs that have plots.
+    pub fn log_approaches(&self, schema: &Schema, approaches: &[Approach], chunks: &mut Chunks) {
+        let plotted: Vec<&Approach> =
+            approaches.iter().filter(|approach| self.known.contains_key(&(approach.a, approach.b))).collect();
+        marks::log_near_misses(schema, &plotted, chunks);
     }
 
     /// Smallest and largest number in any plot of distances: q or threshold.
@@ -236,6 +262,7 @@ impl PairPlots {
                 series.log_or_interrupt(chunks, line, value, at);
             }
             series.log(chunks, known.distance, pair.q, at);
+            (at.step, as_drawn(pair.q)).hash(&mut known.drawn);
             self.plotted = Some(extended(self.plotted, pair.q));
             for &(line, threshold) in &known.thresholds {
                 let Some(level) = view.schema.level(threshold, [pair.a, pair.b], at.time) else { continue };
@@ -276,12 +303,13 @@ impl PairPlots {
             if self.known.len() >= max || !self.is_shown(schema, &pair) {
                 return None;
             }
-            let pair = PairPlot::new(schema, a, b, palette::distance(self.known.len()), series, chunks);
+            let mut pair = PairPlot::new(schema, a, b, palette::distance(self.known.len()), series, chunks);
             let before = self.kept.remove(&(a, b)).unwrap_or_default();
             let since = before.front().map_or(at, |&(since, _)| since);
             chunks.log(&pair.phase, since, &StateChange::single(schema.phases[phase].name));
             for (at, q) in before {
                 series.log(chunks, pair.distance, q, at);
+                (at.step, as_drawn(q)).hash(&mut pair.drawn);
                 for &(line, threshold) in &pair.thresholds {
                     if let Some(level) = schema.level(threshold, [a, b], at.time) {
                         series.log(chunks, line, level, at);
@@ -306,6 +334,11 @@ impl PairPlots {
         }
         self.marks.log(schema, event, is_plotted, chunks);
     }
+}
+
+/// A value of q to as many digits as no plot shows: lines with equal ones lie on one another.
+fn as_drawn(q: f64) -> i64 {
+    (1e7 * q).round() as i64
 }
 
 /// Whether the layout names every pair of the scene.
@@ -372,7 +405,16 @@ impl PairPlot {
             .with_colors(Contact::ALL.map(|contact| color(contact.color())));
         chunks.log_static(&entity(&PAIR_CONTACT), &lane);
         let (phase, contact) = (entity(&PAIR_PHASE), entity(&PAIR_CONTACT));
-        PairPlot { phase, distance, thresholds, measures, scalars, contact, last_contact: None }
+        PairPlot {
+            phase,
+            distance,
+            drawn: DefaultHasher::new(),
+            thresholds,
+            measures,
+            scalars,
+            contact,
+            last_contact: None,
+        }
     }
 }
 
@@ -388,7 +430,7 @@ pub fn log_row(schema: &Schema, row: &EventRow<'_>, is_thin: bool, chunks: &mut 
             let at = Instant { step: event.step, time: event.time };
             match event.energy {
                 Some(energy) => {
-                    let energy = AnyValues::default().with_component::<Scalar>(ENERGY.0, [energy]);
+                    let energy = AnyValues::default().with_component_from_data(ENERGY.0, number(energy));
                     chunks.log(EVENTS.path, at, &Together(&[&line.0, &line.1, &energy]));
                 }
                 None => chunks.log(EVENTS.path, at, &Together(&[&line.0, &line.1])),
@@ -419,10 +461,15 @@ fn line(
     let typed = AnyValues::default()
         .with_component::<Text>(BODIES.0, bodies.map(|body| schema.bodies[body].name.as_str()))
         .with_component::<Text>(PHASES.0, phases.iter().copied())
-        .with_component::<Scalar>(TIME.0, [time])
-        .with_component::<Scalar>(Q.0, [q])
-        .with_component::<Scalar>(RATE.0, [rate]);
+        .with_component_from_data(TIME.0, number(time))
+        .with_component_from_data(Q.0, number(q))
+        .with_component_from_data(RATE.0, number(rate));
     (line, typed)
+}
+
+/// A number that is no scalar of a plot: the viewer draws those of a recording without a layout as lines.
+fn number(value: f64) -> Arc<dyn Array> {
+    Arc::new(Float64Array::from(vec![value]))
 }
 
 /// Logs the line of a surface event.

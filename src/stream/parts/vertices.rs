@@ -22,7 +22,7 @@ pub struct VertexNumbers {
     displacement: Vec<f32>,
     /// |x″| [scene unit/s²], `[drawn_vertex_count]`.
     net: Vec<f32>,
-    /// The displacement as texture coordinates of its colour.
+    /// Texture coordinates of the displacement's colour.
     heat: Vec<[f32; 2]>,
     /// Description of the forces that act on the vertex.
     reach: Vec<&'static str>,
@@ -37,14 +37,14 @@ impl VertexNumbers {
         self.reach.extend_from_slice(&of.reach);
     }
 
-    /// Appends the values of a body's vertices.
-    pub fn append(&mut self, schema: &Schema, body: &BodySchema, now: &BodyFrame) {
+    /// Appends the values of a body's vertices; `end_of_heat` is the displacement at the end of the colours [radii].
+    pub fn append(&mut self, schema: &Schema, body: &BodySchema, now: &BodyFrame, end_of_heat: f64) {
         let first = self.displacement.len();
         let end = first + now.mesh_of(body).vertex_count();
         let inverse = 1.0 / body.radius;
         self.displacement.extend(now.lengths.iter().map(|length| (length * inverse) as f32));
         self.displacement.resize(end, 0.0);
-        self.heat.extend(self.displacement[first..].iter().map(|&displacement| heat::place(displacement)));
+        self.heat.extend(self.displacement[first..].iter().map(|&displacement| heat::place(displacement, end_of_heat)));
         match schema.terms.iter().position(|term| term.is_sum) {
             Some(sum) => {
                 let net = now.terms.get(sum).into_iter().flat_map(|net| net.accelerations.iter());
@@ -102,10 +102,11 @@ impl Vertices {
     /// Logs changed values.
     pub fn log(&mut self, at: Instant, next: &VertexNumbers, chunks: &mut Chunks) {
         let VertexNumbers { displacement, net, heat, reach } = next;
-        if (displacement, net) != (&self.last.displacement, &self.last.net) {
+        if (displacement, net, heat) != (&self.last.displacement, &self.last.net, &self.last.heat) {
             chunks.push(self.numbers, at, &[displacement, net, heat]);
             self.last.displacement.clone_from(displacement);
             self.last.net.clone_from(net);
+            self.last.heat.clone_from(heat);
         }
         if *reach != self.last.reach {
             chunks.push(self.reach, at, &[reach]);

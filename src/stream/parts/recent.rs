@@ -1,0 +1,215 @@
+//! The pair that had the last event: a thick line between its centres, labelled with the event. Among many bodies the label
+//! stands above all of them, at the end of a line that leads to the pair, and the pair is drawn once more, alone.
+
+use glam::DVec3;
+
+use super::{FrameView, MAX_LABELS};
+use crate::{
+    colors,
+    observe::{BodyFrame, PairEvent, Schema, schema::titled},
+    sdk::{self, LineStrips3D, Mesh3D, Points3D},
+    stream::{
+        chunks::{Chunks, TrackId},
+        contract::{LIT, RECENT, RECENT_PAIR},
+        extract::{Extractor, Surface},
+        instant::Instant,
+        light::{self, Light},
+        normals::Float3,
+        palette::{self, Rgb, color},
+    },
+};
+
+/// Number of frames for which an event is recent, where names and other labels share the view with it.
+const FRAMES: u64 = 24;
+/// Interval between drawings of the pair alone, once its event is no longer recent [frames].
+const SELDOM: u64 = 8;
+/// How far above all bodies the label is [diagonals of the box around them].
+const ABOVE: f64 = 0.12;
+
+/// Colour of the line to the label and of the label: of no phase, and legible on dark and light.
+const LEADER: Rgb = colors::MAGENTA;
+
+/// Whether the last event's pair is drawn alone too: among so many bodies it may be hidden.
+pub fn is_drawn_alone(schema: &Schema) -> bool {
+    schema.bodies.len() > MAX_LABELS
+}
+
+/// The pair of the last event, with the last logged values.
+pub struct Recent {
+    track: TrackId,
+    event: Option<RecentEvent>,
+    last: Rows,
+    /// Height of the label among many bodies, above those of the last frame [scene unit].
+    top: f64,
+    alone: Option<Alone>,
+}
+
+struct RecentEvent {
+    pair: [usize; 2],
+    label: String,
+    color: Rgb,
+    /// Frames since it happened.
+    age: u64,
+}
+
+/// Lines, their colours, and the label with its position.
+#[derive(Default, PartialEq)]
+struct Rows {
+    strips: Vec<[Float3; 2]>,
+    colors: Vec<u32>,
+    places: Vec<Float3>,
+    labels: Vec<String>,
+}
+
+/// The surfaces of the pair.
+struct Alone {
+    track: TrackId,
+    extractor: Extractor,
+    surface: Surface,
+    pair: Option<[usize; 2]>,
+    last: Vec<Float3>,
+}
+
+impl Recent {
+    /// Logs static data.
+    pub fn new(schema: &Schema, chunks: &mut Chunks) -> Recent {
+        let lines = LineStrips3D::update_fields().with_radii([sdk::Radius::new_ui_points(3.0)]).with_show_labels(false);
+        chunks.log_static(RECENT.path, &lines);
+        let label = Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.0)]).with_show_labels(true);
+        chunks.log_static(RECENT.path, &label);
+        let components = [
+            LineStrips3D::descriptor_strips(),
+            LineStrips3D::descriptor_colors(),
+            Points3D::descriptor_positions(),
+            Points3D::descriptor_colors(),
+            Points3D::descriptor_labels(),
+        ];
+        Recent {
+            track: chunks.track(RECENT.path, components),
+            event: None,
+            last: Rows::default(),
+            top: f64::NEG_INFINITY,
+            alone: is_drawn_alone(schema).then(|| {
+                chunks.log_static(RECENT_PAIR.path, &light::unlit());
+                Alone {
+                    track: chunks.track(RECENT_PAIR.path, [Mesh3D::descriptor_vertex_positions(), LIT.descriptor()]),
+                    extractor: Extractor::default(),
+                    surface: Surface::default(),
+                    pair: None,
+                    last: Vec::new(),
+                }
+            }),
+        }
+    }
+
+    /// The pair, while its event is recent.
+    pub fn pair(&self) -> Option<(usize, usize)> {
+        self.event.as_ref().map(|RecentEvent { pair: [a, b], .. }| (*a, *b))
+    }
+
+    /// Logs the events of a step at their exact times, each with the bodies of its pair after the step.
+    pub fn events(&mut self, schema: &Schema, events: &[PairEvent], pairs: &[[BodyFrame; 2]], chunks: &mut Chunks) {
+        for (number, (event, bodies)) in events.iter().zip(pairs).enumerate() {
+            let mut label = titled(event.name, &schema.pair_name(event.a, event.b));
+            if events.len() > 1 && self.alone.is_some() {
+                label += &format!(", {} of {} in step {}", number + 1, events.len(), event.step);
+            }
+            let (pair, color) = ([event.a, event.b], schema.phases[event.to].color);
+            self.event = Some(RecentEvent { pair, label, color, age: 0 });
+            let at = Instant { step: event.step, time: event.time };
+            self.draw(schema, bodies.each_ref(), event.q, at, chunks);
+        }
+    }
+
+    /// Drops an event that is no longer recent.
+    pub fn age(&mut self) {
+        let is_kept = self.alone.is_some();
+        self.event.take_if(|event| event.age >= FRAMES && !is_kept);
+    }
+
+    /// Logs changed values.
+    pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
+        if self.alone.is_some() {
+            let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+            for (body, now) in view.bodies().filter(|(_, now)| !now.is_absent) {
+                (low, high) = (low.min(now.centre - body.radius), high.max(now.centre + body.radius));
+            }
+            self.top = high.z + ABOVE * low.distance(high);
+        }
+        let Some(event) = &mut self.event else { return self.push(Rows::default(), view.at, chunks) };
+        event.age += 1;
+        let bodies = event.pair.map(|body| &view.frame.bodies[body]);
+        let radii = event.pair.map(|body| view.schema.bodies[body].radius);
+        let q = bodies[0].centre.distance(bodies[1].centre) / (radii[0] + radii[1]);
+        self.draw(view.schema, bodies, q, view.at, chunks);
+    }
+
+    fn draw(&mut self, schema: &Schema, bodies: [&BodyFrame; 2], q: f64, at: Instant, chunks: &mut Chunks) {
+        let Some(RecentEvent { pair, label, color: rgb, age }) = &self.event else { return };
+        let centres = bodies.map(|body| body.centre);
+        let middle = 0.5 * (centres[0] + centres[1]);
+        let label = format!("{label}, q = {q:.3}");
+        let mut rows = Rows { strips: vec![strip(centres)], colors: vec![color(*rgb).to_u32()], ..Rows::default() };
+        let mut place = middle;
+        if let Some(alone) = &mut self.alone {
+            let radius = pair.map(|body| schema.bodies[body].radius).into_iter().fold(0.0, f64::max);
+            place = middle.with_z(f64::max(self.top, middle.z));
+            rows.strips.push(strip([middle, place]));
+            rows.colors.push(color(LEADER).to_u32());
+            if *age < FRAMES || age.is_multiple_of(SELDOM) {
+                alone.log(schema, *pair, bodies, (middle, radius), at, chunks);
+            }
+        }
+        rows.places.push(place.as_vec3().to_array());
+        rows.labels.push(label);
+        self.push(rows, at, chunks);
+    }
+
+    fn push(&mut self, rows: Rows, at: Instant, chunks: &mut Chunks) {
+        if rows != self.last {
+            let of_label: Vec<u32> = rows.colors.last().copied().into_iter().collect();
+            chunks.push(self.track, at, &[&rows.strips, &rows.colors, &rows.places, &of_label, &rows.labels]);
+            self.last = rows;
+        }
+    }
+}
+
+impl Alone {
+    /// Logs the surfaces about `middle`, in units of `radius`.
+    fn log(
+        &mut self,
+        schema: &Schema,
+        pair: [usize; 2],
+        bodies: [&BodyFrame; 2],
+        (middle, radius): (DVec3, f64),
+        at: Instant,
+        chunks: &mut Chunks,
+    ) {
+        self.surface.clear();
+        let (mut triangles, mut lit) = (Vec::new(), Vec::new());
+        for (index, now) in pair.into_iter().zip(bodies) {
+            let body = &schema.bodies[index];
+            let first = self.surface.positions.len();
+            self.surface.append_in_world(body, now, &mut self.extractor);
+            triangles.extend(now.mesh_of(body).triangles().iter().map(|t| t.map(|v| v + first as u32)));
+            let normals = &self.surface.normals[first..];
+            let rgb = palette::of_body(schema, index);
+            lit.extend(normals.iter().map(|&normal| Light::in_world().on(rgb, normal)));
+        }
+        let place =
+            |&[x, y, z]: &Float3| ((DVec3::new(x.into(), y.into(), z.into()) - middle) / radius).as_vec3().to_array();
+        let positions: Vec<Float3> = self.surface.positions.iter().map(place).collect();
+        if self.pair != Some(pair) || positions.len() != self.last.len() {
+            self.pair = Some(pair);
+            chunks.log(RECENT_PAIR.path, at, &Mesh3D::update_fields().with_triangle_indices(triangles));
+        }
+        if positions != self.last {
+            chunks.push(self.track, at, &[&positions, &lit]);
+            self.last = positions;
+        }
+    }
+}
+
+fn strip(ends: [DVec3; 2]) -> [Float3; 2] {
+    ends.map(|end| end.as_vec3().to_array())
+}
