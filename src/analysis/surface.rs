@@ -478,7 +478,7 @@ mod tests {
     fn after(name: &str, steps: u64) -> (Schema, Frame) {
         let mut world = World::new(scene::Scene::builtin(name).unwrap()).unwrap();
         for _ in 0..steps {
-            world.step();
+            let _ = world.step();
         }
         let mut frame = Frame::default();
         world.observe(Want::default(), &mut frame);
@@ -650,7 +650,7 @@ mod tests {
             let mut warm = [1, 2, 8].map(|threads| (pool(threads), Merger::new(&schema, None)));
             let mut seen = 0;
             for step in 0..last {
-                world.step();
+                let _ = world.step();
                 if step % every != 0 {
                     continue;
                 }

@@ -275,7 +275,7 @@ impl Case {
             let mut world = World::new(self.scene.clone())?;
             let start = Instant::now();
             for _ in 0..self.steps {
-                world.step();
+                let _ = world.step();
             }
             let seconds = start.elapsed().as_secs_f64();
             self.run_times.push(seconds);

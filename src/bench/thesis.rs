@@ -314,7 +314,7 @@ fn swing(scene: &Scene) -> Result<f64, MeasureError> {
     let (mut vertex, mut axis) = (0, DVec3::ZERO);
     let (mut before, mut crossings) = (0.0, Vec::new());
     for _ in 0..scene.steps() {
-        world.step();
+        let _ = world.step();
         let body = world.body(0);
         if world.time() < end {
             let farthest =
@@ -507,7 +507,7 @@ fn rate(scene: &Scene) -> Result<f64, MeasureError> {
         let mut world = World::new(scene.clone())?;
         let clock = Instant::now();
         for _ in 0..scene.steps() {
-            world.step();
+            let _ = world.step();
         }
         let seconds = clock.elapsed().as_secs_f64();
         world.report().failure.clone().map_or(Ok(seconds), |failure| Err(failure.into()))

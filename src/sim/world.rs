@@ -129,6 +129,7 @@ impl World {
     ///
     /// [`Failure::Overworked`]: super::Failure::Overworked
     /// [`Failure::Interrupted`]: super::Failure::Interrupted
+    #[must_use = "a step can fail: see `StepReport::failure`"]
     pub fn step(&mut self) -> &StepReport {
         if self.report.failure.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
             return &self.report;
@@ -389,8 +390,8 @@ mod tests {
         let (mut world, mut rounded) = (World::new(scene.clone()).unwrap(), World::new(scene).unwrap());
         let mut error = 0.0;
         for _ in 0..world.scene().steps() {
-            world.step();
-            rounded.step();
+            let _ = world.step();
+            let _ = rounded.step();
             let Solver::Prescribed(prescribed) = &mut rounded.solver else { unreachable!() };
             for active in prescribed.actives.all_mut() {
                 let Deformation { active_set, free_vertices, .. } = &mut active.state.deformation;

@@ -252,7 +252,7 @@ impl<'a> Run<'a> {
         let mut touches = self.sweep.measures.surfaces.then(|| (Touches::new(&self.world), Frame::default()));
         let (mut summary, mut found, mut failure) = (StepSummary::default(), Vec::new(), None);
         while self.world.steps_taken() < steps {
-            self.world.step();
+            let _ = self.world.step();
             let report = self.world.report();
             match &report.failure {
                 Some(Failure::Interrupted { .. }) => return Err(Interrupted),

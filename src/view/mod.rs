@@ -85,7 +85,7 @@ impl Simulation for World {
     }
 
     fn step(&mut self, summary: &mut StepSummary) {
-        World::step(self);
+        let _ = World::step(self);
         summarise(self, summary);
     }
 

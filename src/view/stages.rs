@@ -261,7 +261,7 @@ mod tests {
         for _ in 0..120 {
             let mut before = Frame::default();
             world.observe(WANT, &mut before);
-            world.step();
+            let _ = world.step();
             let stages = inside(&before, &world);
             let named = |name: &str| &stages.iter().find(|stage| stage.name == name).unwrap().frame;
             let [predicted, restoring, end] =

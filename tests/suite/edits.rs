@@ -216,7 +216,7 @@ fn random_edits_keep_every_world_sound() {
         let (mut seen, mut frame) =
             (World::with_options(scene.clone(), options).expect("enough memory"), Frame::default());
         for _ in 0..scene.steps() {
-            seen.step();
+            let _ = seen.step();
             seen.observe(Want::default(), &mut frame);
             let failure = world.step().failure.clone();
             assert_eq!(world.checksum(), seen.checksum(), "{text}");

@@ -102,7 +102,7 @@ fn thesis_matches_the_printed_equations_bit_by_bit() {
             u[v] = map(|i| u_star[i] + t[i] * dt); // (3.9)  u⁺ = u* + T Δt
             x[v] = map(|i| x_star[i] + u[v][i] * dt); // (3.10) r⁺ = r* + u⁺ Δt
         }
-        world.step();
+        let _ = world.step();
         let body = world.body(0);
         for v in 0..count {
             assert_eq!(body.displacement(v).to_array(), x[v], "step {step}, vertex {v}");
@@ -123,7 +123,7 @@ fn thesis_converges_to_an_oscillator_too_fast_by_root_two() {
         let nu = (2.0 * omega * omega - kappa * kappa).sqrt();
         let mut worst = 0.0;
         for _ in 0..world.scene().steps() {
-            world.step();
+            let _ = world.step();
             let t = world.time();
             let expected = 2.0 * (-kappa * t).exp() * (nu * t).sin() / nu;
             worst = f64::max(worst, (world.body(0).displacement(FACING).x - expected).abs() * omega);
@@ -259,7 +259,7 @@ fn the_explicit_schemes_match_the_textbooks() {
             for (state, unit) in states.iter_mut().zip(&units) {
                 *state = busy.step(integrator, step as f64 / 64.0, 1.0 / 64.0, s, *unit, *state);
             }
-            world.step();
+            let _ = world.step();
             for (v, (x, u)) in states.iter().enumerate() {
                 let (dx, du) =
                     (world.body(0).displacement(v) - DVec3::from(*x), world.body(0).velocity(v) - DVec3::from(*u));
@@ -385,13 +385,13 @@ fn exponential_is_exact_for_a_released_body() {
             scene.pushes[0].strength *= f64::max(omega, kappa);
             World::new(scene).expect("enough memory")
         };
-        world.step();
+        let _ = world.step();
         let at = |world: &World| (world.body(0).displacement(FACING).x, world.body(0).velocity(FACING).x);
         let (t0, (x0, u0)) = (world.time(), at(&world));
         assert!((0.05..2.0).contains(&x0), "{ratio}: {x0}");
         let mut worst: f64 = 0.0;
         for _ in 0..1000 {
-            world.step();
+            let _ = world.step();
             let (x, u) = free(omega, kappa, world.time() - t0, x0, u0);
             let error = ((at(&world).0 - x).abs(), (at(&world).1 - u).abs() / f64::max(omega, kappa));
             assert!(at(&world).0.is_finite() && at(&world).1.is_finite());
@@ -419,7 +419,7 @@ fn exponential_is_stable_when_stiff() {
             let mut world = World::new(scene).expect("enough memory");
             let mut largest = 0.0;
             for _ in 0..world.scene().steps() {
-                world.step();
+                let _ = world.step();
                 for [x, u] in state(&world) {
                     assert!(DVec3::from(x).is_finite() && DVec3::from(u).is_finite());
                     largest = f64::max(largest, DVec3::from(x).length() / held);
@@ -680,8 +680,8 @@ fn observation_changes_no_bit() {
                     let _ = (seen.surroundings(b), seen.phase(0, b), seen.body(b).max_displacement());
                 }
             }
-            seen.step();
-            unseen.step();
+            let _ = seen.step();
+            let _ = unseen.step();
             assert_eq!(seen.report().events, unseen.report().events);
             assert!(bits(&seen) == bits(&unseen), "{integrator}, step {step}");
         }

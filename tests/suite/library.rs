@@ -164,7 +164,7 @@ fn a_snapshot_continues_to_the_same_bits() {
         let checksums = |world: &mut World| {
             let mut all = Vec::new();
             for _ in 0..50 {
-                world.step();
+                let _ = world.step();
                 all.push(world.checksum());
             }
             all

@@ -189,7 +189,7 @@ fn thresholds_of_a_parameter_are_found() {
     let mut world = World::new(Scene::builtin("two").unwrap()).unwrap();
     let mut least = f64::INFINITY;
     for _ in 0..world.scene().steps() {
-        world.step();
+        let _ = world.step();
         world.pairs().for_each(|pair| least = least.min(pair.q));
     }
     assert!((mark["value"].as_f64().unwrap() - least).abs() < 1e-3, "{mark} {least}");

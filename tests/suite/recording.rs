@@ -323,7 +323,7 @@ impl Run {
         let mut world = World::new(self.scene.clone()).expect("enough memory");
         look(&world);
         for _ in 0..self.steps() {
-            world.step();
+            let _ = world.step();
             look(&world);
         }
     }

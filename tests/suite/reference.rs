@@ -60,7 +60,7 @@ impl Reference {
         let (mut worst, mut compared) = (0.0, 0);
         for step in 0..=steps {
             if step > 0 {
-                world.step();
+                let _ = world.step();
             }
             if !step.is_multiple_of(divided) {
                 continue;

@@ -274,8 +274,8 @@ fn a_divergence_is_reported_with_step_body_vertex_and_both_values() {
         // computed by hand
         let (mut was, mut is) = (World::new(played).expect("enough memory"), World::new(two()).expect("enough memory"));
         for _ in 0..84 {
-            was.step();
-            is.step();
+            let _ = was.step();
+            let _ = is.step();
         }
         let (mut largest, mut worst_vertex) = (0.0, (0, 0));
         for (index, (a, b)) in was.bodies().zip(is.bodies()).enumerate() {
@@ -513,8 +513,8 @@ fn a_planted_bit_is_found_and_located() {
         bodies.map(bits).collect::<Vec<_>>()
     };
     while state(&was) == state(&is) {
-        was.step();
-        is.step();
+        let _ = was.step();
+        let _ = is.step();
     }
     let first = difference.first.expect("a step");
     assert_eq!(first.step, was.steps_taken());
@@ -719,7 +719,7 @@ fn check_rejects_missing_files() {
 fn surface_after(scene: &Scene, steps: u64, what: &str) -> f64 {
     let mut world = World::new(scene.clone()).expect("enough memory");
     for _ in 0..steps {
-        world.step();
+        let _ = world.step();
     }
     let (schema, mut frame) = (world.schema(), Frame::default());
     world.observe(Want::default(), &mut frame);

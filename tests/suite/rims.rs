@@ -43,7 +43,7 @@ fn error(motion: &str, dt: f64, alpha: f64) -> (f64, u64) {
     for _ in 0..steps {
         substeps += coarse.step().substeps;
         (0..FINER).for_each(|_| {
-            fine.step();
+            let _ = fine.step();
         });
         for (a, b) in coarse.body(0).positions().zip(fine.body(0).positions()) {
             worst = f64::max(worst, a.distance(b));
@@ -135,9 +135,9 @@ fn crossings_in_long_steps_meet_the_tolerance() {
             let mut fine = World::new(fine).expect("enough memory");
             let mut worst = 0.0;
             for _ in 0..steps {
-                coarse.step();
+                let _ = coarse.step();
                 (0..FINER).for_each(|_| {
-                    fine.step();
+                    let _ = fine.step();
                 });
                 for (body, radius) in radii.iter().enumerate() {
                     let (a, b) = (coarse.body(body), fine.body(body));
@@ -171,8 +171,8 @@ fn crossings_side_by_side_agree_with_those_of_single_vertices() {
         let mut alone = World::new(pushed).expect("enough memory");
         let mut worst = 0.0;
         for _ in 0..steps {
-            beside.step();
-            alone.step();
+            let _ = beside.step();
+            let _ = alone.step();
             for body in 0..bodies {
                 for (a, b) in beside.body(body).positions().zip(alone.body(body).positions()) {
                     worst = f64::max(worst, a.distance(b));

@@ -95,7 +95,7 @@ pub fn measure(integrator: Integrator, steps: u64) -> Result<Drift, MeasureError
     let mut drift = Drift { integrator, steps: 0, largest: 0.0, seconds: 0.0 };
     let clock = Instant::now();
     while drift.steps < steps {
-        world.step();
+        let _ = world.step();
         drift.steps += 1;
         if !drift.steps.is_multiple_of(STRIDE) {
             continue;

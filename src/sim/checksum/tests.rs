@@ -18,7 +18,7 @@ fn prescribed(world: &mut World) -> &mut Prescribed {
 fn merged() -> World {
     let mut world = World::new(Scene::builtin("two").unwrap()).unwrap();
     for _ in 0..120 {
-        world.step();
+        let _ = world.step();
     }
     assert!(prescribed(&mut world).actives.all_mut().iter().all(|active| !active.state.deformation.is_empty()));
     world

@@ -411,7 +411,7 @@ fn a_warm_step_of_islands_allocates_nothing() {
     run(&mut world, 240);
     let allocations = (0..120).map(|_| {
         let taken = allocation_counter::measure(|| {
-            world.step();
+            let _ = world.step();
         });
         taken.count_total
     });
@@ -470,7 +470,7 @@ fn the_ledger_of_a_world_accounts_for_its_energy() {
         let energy = |world: &World| world.conserved().expect("it is coupled").energy();
         let (first, mut scale) = (energy(&world), 1.0f64);
         for _ in 0..120 {
-            world.step();
+            let _ = world.step();
             let now = world.conserved().expect("it is coupled");
             scale = scale.max(now.kinetic + now.vibration + now.elastic);
             let left = now.energy() - first - world.ledger().total();

@@ -319,7 +319,7 @@ impl Island {
                 let splits = std::mem::take(&mut courses[i].splits);
                 for split in &splits {
                     let mass = courses[i].active.mass(split.vertex as usize);
-                    let mut owners: SmallVec<[(u32, (f64, f64)); 8]> = SmallVec::new();
+                    let mut owners: SmallVec<[(u32, [f64; 2]); 8]> = SmallVec::new();
                     let error =
                         split.error(i, &courses[i], acting, &around, |owner, error| owners.push((owner, error)));
                     courses[i].errors.add_split(error, mass / bodies[i].mass());

@@ -223,7 +223,7 @@ struct State {
 
 impl State {
     /// The vertex with a deviation.
-    fn seen(&self, (x, u): (DVec3, DVec3)) -> Seen {
+    fn seen(&self, [x, u]: [DVec3; 2]) -> Seen {
         let [a, rate] = self.rest;
         Seen { a, s: a + (self.x + x), rate: rate + (self.u + u), place: self.place, turning: DVec3::ZERO }
     }
@@ -346,8 +346,8 @@ impl Deviation {
     }
 
     /// The displacement and velocity of the split vertex.
-    pub fn own(&self) -> (DVec3, DVec3) {
-        (self.x[0], self.u[0])
+    pub fn own(&self) -> [DVec3; 2] {
+        [self.x[0], self.u[0]]
     }
 
     /// The displacement and velocity of all vertices per rest position.
@@ -460,8 +460,8 @@ impl Split {
         course: &Course,
         acting: &Acting,
         around: &Around<'_>,
-        mut react: impl FnMut(u32, (f64, f64)),
-    ) -> (f64, f64) {
+        mut react: impl FnMut(u32, [f64; 2]),
+    ) -> [f64; 2] {
         let (oscillator, h) = (around.bodies[index].oscillator, around.span.h);
         let undisturbed = Undisturbed::new(index, self.vertex as usize, course, around, false);
         let (mut x, mut u) = (0.0, 0.0);
@@ -495,7 +495,7 @@ impl Split {
                 }
                 if let By::Sphere(source) = touch.by {
                     let by_residual = RESIDUAL * length * h * off.length();
-                    react(source, (by_residual * lasting + begun * (1.0 - leg.from) * h, by_residual + begun));
+                    react(source, [by_residual * lasting + begun * (1.0 - leg.from) * h, by_residual + begun]);
                 }
             }
             let by_residual = RESIDUAL * length * h * residual.length();
@@ -503,7 +503,7 @@ impl Split {
             x += by_residual * lasting;
             before = &leg.touches;
         }
-        (x, u)
+        [x, u]
     }
 }
 
@@ -581,16 +581,16 @@ impl Leg {
         let responses: [[(f64, f64); 3]; 3] =
             std::array::from_fn(|i| std::array::from_fn(|j| (self.weights[i].x[j + 1], self.weights[i].u[j + 1])));
         let is_rough = undisturbed.rough.is_some(); // the contacts are in it
-        let (x0, u0) = self.start.own();
+        let [x0, u0] = self.start.own();
         let mut all = states.map(|state| state.seen(Default::default()));
         for correction in 0..MAX_CORRECTIONS {
             if !is_rough {
                 let sum: [DVec3; 4] = std::array::from_fn(|n| self.touches.iter().map(|touch| touch.g[n]).sum());
-                all[0] = states[0].seen((x0, u0));
+                all[0] = states[0].seen([x0, u0]);
                 for (n, w) in (1..4).zip(&self.weights) {
                     let x = w.xx * x0 + w.xu * u0 + combine(&w.x, sum);
                     let u = w.ux * x0 + w.uu * u0 + combine(&w.u, sum);
-                    all[n] = states[n].seen((x, u));
+                    all[n] = states[n].seen([x, u]);
                 }
             }
             let mut change: f64 = 0.0;

@@ -156,8 +156,8 @@ pub struct Course {
     /// Effect of the pieces, by sample after the start.
     pub late: [LateSum; 4],
     /// The vertices that are advanced alone, with the effect of their contacts at each sample after the start.
-    own: Vec<(u32, [(DVec3, DVec3); 4])>,
-    own_before: Vec<(u32, [(DVec3, DVec3); 4])>,
+    own: Vec<(u32, [[DVec3; 2]; 4])>,
+    own_before: Vec<(u32, [[DVec3; 2]; 4])>,
     /// Motion of the centre of a free body since the start, at each sample [scene unit].
     moved: [DVec3; 5],
     /// Motion on the path at each sample.
@@ -512,7 +512,7 @@ impl Course {
             // effects on single vertices are added below; the change of the rest is measured without them
             let active = &mut self.active;
             for (vertex, late) in &self.own_before {
-                let (x, u) = late[sample - 1];
+                let [x, u] = late[sample - 1];
                 active.shift(sample, *vertex as usize, -x, -u);
             }
             let (common, by_rest) = ([x_common, u_common], [x_by_rest, u_by_rest]);
@@ -523,9 +523,9 @@ impl Course {
             let [mut far, mut fast] = moved.changes;
             let mut sums = Sums::default();
             for (vertex, late) in &self.own {
-                let (x, u) = late[sample - 1];
+                let [x, u] = late[sample - 1];
                 let known = self.own_before.iter().find(|(before, _)| before == vertex);
-                let (x_before, u_before) = known.map_or((DVec3::ZERO, DVec3::ZERO), |(_, late)| late[sample - 1]);
+                let [x_before, u_before] = known.map_or([DVec3::ZERO; 2], |(_, late)| late[sample - 1]);
                 far = larger(far, (x - x_before).length_squared());
                 fast = larger(fast, (u - u_before).length_squared());
                 let (vertex, active) = (*vertex as usize, &mut self.active);
@@ -696,14 +696,14 @@ impl Course {
             late.turned -= combine(&span.ballistic[sample - 1].u, rates);
         }
         for split in &self.splits {
-            let mut own = [(DVec3::ZERO, DVec3::ZERO); 4];
+            let mut own = [[DVec3::ZERO; 2]; 4];
             for sample in samples.clone() {
                 let deviation = split.at(body, span.h, span.theta(sample));
                 own[sample - 1] = deviation.own();
                 if !body.is_free() {
                     continue;
                 }
-                let (x, u) = own[sample - 1];
+                let [x, u] = own[sample - 1];
                 let share = self.active.mass(split.vertex as usize) / body.mass();
                 let late = &mut self.late[sample - 1];
                 late.x -= share * x;
@@ -866,13 +866,13 @@ pub struct Errors {
 
 impl Errors {
     /// Adds the error of a vertex that is advanced alone, with `share` of the body's mass.
-    pub fn add_split(&mut self, (x, u): (f64, f64), share: f64) {
+    pub fn add_split(&mut self, [x, u]: [f64; 2], share: f64) {
         self.split = (larger(self.split.0, x), larger(self.split.1, u));
-        self.add_reaction((x, u), share);
+        self.add_reaction([x, u], share);
     }
 
     /// Adds the error of a force on a sphere of the body, with the ratio of the vertex's mass to the body's.
-    pub fn add_reaction(&mut self, (x, u): (f64, f64), share: f64) {
+    pub fn add_reaction(&mut self, [x, u]: [f64; 2], share: f64) {
         self.split_all += share * (x + u);
     }
 }

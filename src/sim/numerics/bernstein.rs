@@ -234,7 +234,7 @@ fn only_root(b: &[f64; 8]) -> f64 {
     }
     let first = b.iter().find(|value| **value != 0.0).map_or(0.0, |value| value.abs());
     let side = if b[7] > 0.0 { -1.0 } else { 1.0 };
-    between((0.0, first), (1.0, side * b[7]), |t| side * value(b, t))
+    between([0.0, 1.0], [first, side * b[7]], |t| side * value(b, t))
 }
 
 #[cfg(test)]

@@ -101,16 +101,12 @@ fn fall<F: Falling>(f: &F, mut low: f64, mut high: f64, guess: f64) -> Option<f6
 /// not positive there.
 pub fn root(low: f64, high: f64, mut at: impl FnMut(f64) -> f64) -> f64 {
     let (above, below) = (at(low), at(high));
-    if above <= 0.0 { low } else { between((low, above), (high, below), at) }
+    if above <= 0.0 { low } else { between([low, high], [above, below], at) }
 }
 
 /// Like [`root`], with given values at the ends: positive at `low`, negative at `high`. They need not be the function's
 /// own; only their signs matter (regula falsi, Illinois variant).
-pub fn between(
-    (mut low, mut above): (f64, f64),
-    (mut high, mut below): (f64, f64),
-    mut at: impl FnMut(f64) -> f64,
-) -> f64 {
+pub fn between([mut low, mut high]: [f64; 2], [mut above, mut below]: [f64; 2], mut at: impl FnMut(f64) -> f64) -> f64 {
     let mut side = 0;
     for _ in 0..200 {
         let middle = 0.5 * (low + high);
@@ -150,6 +146,6 @@ mod tests {
         assert!((root(0.0, 1.0, |x| 1e-9 - x * x * x) - 1e-3).abs() < 1e-15);
         assert_eq!(root(1.0, 2.0, |_| -1.0), 1.0);
         // zero at the start and positive right after it: the given value has that sign
-        assert!((between((0.0, 1.0), (1.0, -0.7), |x| x * (0.3 - x)) - 0.3).abs() < 1e-15);
+        assert!((between([0.0, 1.0], [1.0, -0.7], |x| x * (0.3 - x)) - 0.3).abs() < 1e-15);
     }
 }

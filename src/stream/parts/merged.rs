@@ -257,7 +257,7 @@ mod tests {
         let mut frames = vec![Frame::default(); in_packet];
         for _ in 0..steps / in_packet {
             for frame in &mut frames {
-                world.step();
+                let _ = world.step();
                 world.observe(Want::default(), frame);
             }
             let foreseen = pairs.foresee(&schema, &frames);

@@ -229,7 +229,7 @@ fn step_active_set(
             let start = State { x, u };
             // one more step for a rim is no sign that the steps are too long
             let expected = alone.substeps + u64::from(outcome.error <= wanted);
-            let end = alone.advance((vertex, inside), start, outcome, known, single);
+            let end = alone.advance(&vertex, inside, start, outcome, known, single);
             statistics.hard += alone.substeps.saturating_sub(expected);
             active_set.set_state(i, end);
         }

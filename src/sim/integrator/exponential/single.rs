@@ -60,6 +60,17 @@ fn is_inside(inside: &[u64], sphere: usize) -> bool {
     inside[sphere / 64] >> (sphere % 64) & 1 == 1
 }
 
+/// A vertex at the start of one of its steps.
+#[derive(Clone, Copy)]
+struct Start<'a> {
+    vertex: &'a Vertex,
+    /// The spheres that it is inside of.
+    inside: Inside<'a>,
+    state: State,
+    /// The sphere at whose rim the step starts because the previous one ended there.
+    crossed: Option<usize>,
+}
+
 /// Steps vertices individually through an interval.
 pub struct Single<'a> {
     /// The body's course.
@@ -89,7 +100,8 @@ impl Single<'_> {
     /// step.
     pub fn advance(
         &mut self,
-        (vertex, inside): (Vertex, Inside<'_>),
+        vertex: &Vertex,
+        inside: Inside<'_>,
         mut state: State,
         mut outcome: Outcome,
         known: &mut KnownWeights,
@@ -105,19 +117,18 @@ impl Single<'_> {
         // steps longer than this are not worth trying, because one was not accurate enough
         let mut longest = f64::INFINITY;
         left.clear();
-        // the sphere at whose rim a step starts because the previous one ended there
         let mut crossed = None;
         loop {
             let step = if is_whole { self.whole } else { &*part };
             let (middle, end) = (start + 0.5 * h, start + h);
             let wanted = self.wanted(h, steps);
-            let inside = has_kink.then_some(&**spheres);
-            let resolved = self.resolves_spheres(step, (&vertex, inside), state);
+            let from = Start { vertex, inside: has_kink.then_some(&**spheres), state, crossed };
+            let resolved = self.resolves_spheres(step, from);
             // written so that NaN is rejected
             let mut is_accepted = start >= middle || (outcome.error <= wanted && resolved);
             let mut crossing = None;
             if is_accepted {
-                match self.first_crossing(step, (&vertex, inside), (state, crossed), &outcome) {
+                match self.first_crossing(step, from, &outcome) {
                     Ok(found) => crossing = found,
                     // a vertex that oscillates many times in the step gets here only where crossings make no difference
                     Err(Unresolved) => is_accepted = start >= middle || is_stiff(course, h),
@@ -133,7 +144,7 @@ impl Single<'_> {
                 if t >= end {
                     state = outcome.end;
                 } else if t > start {
-                    state = self.within(step, (&vertex, spheres), state, &outcome, ((t - start) / h, aside));
+                    state = self.within(step, from, &outcome, (t - start) / h, aside);
                 }
                 spheres[sphere / 64] ^= 1 << (sphere % 64);
                 if t < end {
@@ -167,7 +178,7 @@ impl Single<'_> {
             if steps == self.max_steps {
                 let weights = Weights::new(course.oscillator(), course.end() - start);
                 part.prepare_part(course, self.whole, self.carried, start, &weights);
-                let held = hold(course, part, &vertex, state);
+                let held = hold(course, part, vertex, state);
                 error += (held.x - state.x).length();
                 excess += (held.x - state.x).length();
                 state = held;
@@ -187,8 +198,8 @@ impl Single<'_> {
                     &once
                 };
                 part.prepare_part(course, self.whole, self.carried, start, weights);
-                let inside = has_kink.then_some(&**spheres);
-                collocate(course, part, (&vertex, inside), state, self.wanted(h, steps), pulls)
+                let from = Start { vertex, inside: has_kink.then_some(&**spheres), state, crossed };
+                collocate(course, part, from, self.wanted(h, steps), pulls)
             };
         }
         self.substeps += u64::from(steps - 1);
@@ -197,16 +208,16 @@ impl Single<'_> {
         state
     }
 
-    /// The state at `theta` of a step, for a vertex inside the spheres `inside`; `aside` is a buffer.
+    /// The state at `theta` of a step that reaches a rim; `aside` is a buffer.
     fn within(
         &self,
         step: &Step,
-        (vertex, inside): (&Vertex, &[u64]),
-        state: State,
+        Start { vertex, inside, state, .. }: Start<'_>,
         Outcome { forces, bend, .. }: &Outcome,
-        (theta, aside): (f64, &mut Moment),
+        theta: f64,
+        aside: &mut Moment,
     ) -> State {
-        let course = self.course;
+        let (course, inside) = (self.course, inside.unwrap_or_default());
         let State { mut x, mut u } = Dense::new(course.oscillator(), step.h, theta).state(state, forces);
         if inside.iter().all(|&word| word == 0) {
             return State { x, u }; // the force is constant
@@ -255,7 +266,7 @@ impl Single<'_> {
     }
 
     /// Whether the step is short enough not to miss a sphere.
-    fn resolves_spheres(&self, step: &Step, (vertex, inside): (&Vertex, Inside<'_>), state: State) -> bool {
+    fn resolves_spheres(&self, step: &Step, Start { vertex, inside, state, .. }: Start<'_>) -> bool {
         match inside {
             Some(_) => self.resolves_rims(step, vertex, state),
             None => self.passes_no_sphere(step, vertex, state),
@@ -287,13 +298,11 @@ impl Single<'_> {
         kink <= self.tolerance * h || self.near_rims(step, vertex, state).next().is_none()
     }
 
-    /// The first crossing of a rim in a completed step: its time [s] and the sphere. The vertex starts from the rim of
-    /// sphere `crossed`, if any.
+    /// The first crossing of a rim in a completed step: its time [s] and the sphere.
     fn first_crossing(
         &self,
         step: &Step,
-        (vertex, inside): (&Vertex, Inside<'_>),
-        (state, crossed): (State, Option<usize>),
+        Start { vertex, inside, state, crossed }: Start<'_>,
         outcome: &Outcome,
     ) -> Result<Option<(f64, usize)>, Unresolved> {
         let Some(inside) = inside else { return Ok(None) };
@@ -377,8 +386,7 @@ fn free(course: &Course<'_>, State { x, u }: State, h: f64) -> Outcome {
 fn collocate(
     course: &Course<'_>,
     step: &Step,
-    (vertex, inside): (&Vertex, Inside<'_>),
-    state: State,
+    Start { vertex, inside, state, .. }: Start<'_>,
     wanted: f64,
     pulls: &mut Vec<Pull>,
 ) -> Outcome {
