@@ -23,7 +23,7 @@ use crate::{
     },
     sim::numerics::{
         bernstein::{Crossings, Curve},
-        control::{MAX_CORRECTIONS, NEGLIGIBLE, RESIDUAL, STANDING},
+        control::{MAX_CORRECTIONS, NEGLIGIBLE, RESIDUAL, RESIDUAL_AT_ONCE, STANDING},
         dense::Dense,
         lagrange::{CubicIntegrals, combine, combine_matrices, cubic},
         nodes::NODES,
@@ -494,7 +494,7 @@ impl Split {
                     }
                 }
                 if let By::Sphere(source) = touch.by {
-                    let by_residual = RESIDUAL * length * h * off.length();
+                    let by_residual = RESIDUAL_AT_ONCE * length * h * off.length();
                     react(source, [by_residual * lasting + begun * (1.0 - leg.from) * h, by_residual + begun]);
                 }
             }
