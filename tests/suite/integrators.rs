@@ -9,7 +9,7 @@ use meldscope::model::{
 use meldscope::scene::{Integrator, Path, Push, Response};
 use meldscope::sim::{BodyForces, Event};
 use meldscope::{Scene, World};
-use proptest::prelude::*;
+use proptest::{prelude::*, test_runner::RngSeed};
 
 fn scene(text: &str) -> Scene {
     Scene::parse(text, "integrators.toml").unwrap_or_else(|error| panic!("{error}\n{text}"))
@@ -486,7 +486,13 @@ fn fields(p: &Propagator) -> [f64; 12] {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 2000, failure_persistence: None, ..ProptestConfig::default() })]
+    // The same cases in each run: the bounds are statistical, and one run in some hundreds would exceed them.
+    #![proptest_config(ProptestConfig {
+        cases: 2000,
+        failure_persistence: None,
+        rng_seed: RngSeed::Fixed(1),
+        ..ProptestConfig::default()
+    })]
 
     /// Two half steps equal one step, for the flow and for the effect of constant and rising forces.
     #[test]
