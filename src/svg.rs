@@ -139,6 +139,9 @@ pub fn through(points: &[[f64; 2]]) -> String {
 /// Round numbers within a range, ascending: about six on a linear axis; on a logarithmic one, powers of ten, and twice and
 /// five times these if the range has less than three decades.
 pub fn ticks([low, high]: [f64; 2], is_logarithmic: bool) -> Vec<f64> {
+    if !(low < high) {
+        return if low == high { vec![low] } else { Vec::new() };
+    }
     let values: Vec<f64> = if is_logarithmic {
         let decades = low.log10().floor() as i32..=high.log10().ceil() as i32;
         let multiples: &[f64] = if high / low < 1e3 { &[1.0, 2.0, 5.0] } else { &[1.0] };

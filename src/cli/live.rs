@@ -37,7 +37,7 @@ pub(super) struct Arguments {
     /// Update the page whenever the scene file changes.
     #[arg(long)]
     watch: bool,
-    /// The address to listen on, or a name of this machine, and the port of the page, 0 for any free one. At any but this
+    /// The address to listen on, or a name of this machine, and the port of the page [9090], 0 for any free one. At any but this
     /// machine's own, others who know the page's address can use it.
     #[arg(long, value_name = "HOST[:PORT]", default_value = "127.0.0.1")]
     bind: Serve,

@@ -276,6 +276,11 @@ fn range(arguments: &Arguments, last: u64) -> Result<(u64, u64), Failure> {
     if from > to {
         return Err(Failure::Input(format!("--from {from} is after --to {to}")));
     }
+    if let Detail::Stages { from: first, to: end } = arguments.detail
+        && (first > to || end < from)
+    {
+        return Err(Failure::Input(format!("--detail {}: none of the steps {from} to {to}", arguments.detail)));
+    }
     Ok((from, to))
 }
 

@@ -60,8 +60,8 @@ pub struct Arguments {
     /// Write the recording to standard output.
     #[arg(long, help_heading = "Destinations")]
     stdout: bool,
-    /// The address that --serve listens on, or a name of this machine, and the port of its page, 0 for any free one. The
-    /// data is on port 9876, or with a port, on the next one. Beyond this machine's own addresses, others can read all that
+    /// The address that --serve listens on, or a name of this machine, and the port of its page [9090], 0 for any free one.
+    /// The data is on port 9876, or with a port, on the next one. Beyond this machine's own addresses, others can read all that
     /// is served, unencrypted.
     #[arg(
         long,

@@ -248,7 +248,8 @@ pub fn save(
         labels: [[recorded[0], recorded[1]], [recorded[1], recorded[0]]].map(|[recorded, other]| {
             let name = recorded.path.file_name().unwrap_or_default().to_string_lossy();
             let Schema { integrator, dt, .. } = &recorded.schema;
-            format!("{name} ({integrator}, Δt = {} s{})", step_size(*dt), recorded.overridden_beside(other))
+            let by = if integrator.is_empty() { String::new() } else { format!("{integrator}, ") };
+            format!("{name} ({by}Δt = {} s{})", step_size(*dt), recorded.overridden_beside(other))
         }),
         listed: [(difference.first_beyond.as_ref(), "first beyond tolerance"), (difference.bodies.first(), "largest")]
             .into_iter()

@@ -590,9 +590,9 @@ impl Scene {
 
     /// Whether it is coupled if it has not this body.
     pub(crate) fn is_coupled_without(&self, index: usize) -> bool {
-        let others = self.bodies.iter().enumerate().filter(|(other, _)| *other != index);
-        others.into_iter().any(|(_, body)| body.path().is_none())
-            || !self.planes.is_empty()
+        let mut others = self.bodies.iter().enumerate().filter(|(other, _)| *other != index);
+        !self.planes.is_empty()
+            || others.any(|(_, body)| body.path().is_none())
             || self.laws().any(|law| law.core_width > 0.0)
             || self.becomes_coupled()
     }

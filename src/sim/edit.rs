@@ -4,8 +4,8 @@
 //! lead to bit-identical states.
 //!
 //! A change costs what the body in question costs, and, of a body that is added or removed, a look at the list of all
-//! others. In a world of bodies on paths that has force points, [`World::add`] and [`World::remove`] build the world anew, in
-//! time proportional to its size.
+//! others. [`World::add`] and [`World::remove`] build the world anew, in time proportional to its size, where bodies on paths
+//! and force points meet, and so does a change that brings the first free body or takes the last one: then all bodies wake.
 
 use super::{
     handle::{BodyHandle, BodyId},

@@ -526,7 +526,7 @@ impl Layout {
     /// Energies, what changed them, and the events that made them jump; the other scalars one at a time.
     fn energy_tab(&mut self, schema: &Schema) -> Part {
         let (energies, others): (Vec<_>, Vec<_>) =
-            self.diagnostics(schema).into_iter().partition(|(name, _)| name.starts_with(ENERGY));
+            self.diagnostics(schema, usize::MAX).into_iter().partition(|(name, _)| name.starts_with(ENERGY));
         // a model without energies shows its other scalars there
         let (large, small) = if energies.is_empty() { (others, energies) } else { (energies, others) };
         let [large, small]: [Vec<Part>; 2] =
@@ -586,7 +586,7 @@ impl Layout {
             self.container(ContainerKind::Vertical, "Time", parts, &shares)
         } else {
             // a single body: show its motion and its timings
-            let mut parts: Vec<Part> = self.diagnostics(schema).into_iter().take(2).map(|(_, plot)| plot).collect();
+            let mut parts: Vec<Part> = self.diagnostics(schema, 2).into_iter().map(|(_, plot)| plot).collect();
             parts.push(self.small_timings(schema));
             let shares = vec![1.0; parts.len()];
             self.container(ContainerKind::Vertical, "Time", parts, &shares)
@@ -794,7 +794,7 @@ impl Layout {
     }
 
     /// Plots of the schema's scalars, with their names.
-    fn diagnostics(&mut self, schema: &Schema) -> Vec<(&'static str, Part)> {
+    fn diagnostics(&mut self, schema: &Schema, most: usize) -> Vec<(&'static str, Part)> {
         let mut plots: Vec<(&'static str, Vec<String>)> = Vec::new();
         let lines = schema.scalars.iter().map(|scalar| (scalar.plot, including(&DIAGNOSTIC.of(&[scalar.name]))));
         let owned = [(&BODY_SCALAR, &schema.body_scalars), (&PAIR_SCALAR, &schema.pair_scalars)];
@@ -813,7 +813,7 @@ impl Layout {
             self.scalars.push((plot.path.clone(), name));
             (name, plot)
         };
-        plots.into_iter().map(&mut plot).collect()
+        plots.into_iter().take(most).map(&mut plot).collect()
     }
 
     /// A plot over time, with the events as markers on its axis.
@@ -1144,6 +1144,9 @@ fn at_centres(schema: &Schema) -> String {
 pub fn arrows(schema: &Schema) -> String {
     let radius = schema.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
     let is_uniform = schema.terms.iter().any(|term| term.can_act && term.is_uniform);
+    if !schema.terms.iter().any(|term| term.can_act) {
+        return "No force can act in this scene.\n".to_owned();
+    }
     format!(
         "An arrow is **1 R = {} unit long** if: {}.\n\nArrows begin at vertices{}. Lines beside them: the same colours, means over \
          a body.\n",
@@ -1214,9 +1217,10 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame) ->
             let shown = lengths(schema, |term| term.is_shown);
             let hidden: Vec<String> =
                 schema.terms.iter().filter(|term| term.can_act && !term.is_shown).map(called).collect();
-            let hidden =
-                if hidden.is_empty() { hidden.concat() } else { format!("; hidden at first: {}", hidden.join(", ")) };
-            format!("- **Arrows**, 1 R long if: {shown}{hidden}\n")
+            let hidden = (!hidden.is_empty()).then(|| format!("hidden at first: {}", hidden.join(", ")));
+            let shown = (!shown.is_empty()).then(|| format!("1 R long if: {shown}"));
+            let parts: Vec<String> = shown.into_iter().chain(hidden).collect();
+            if parts.is_empty() { String::new() } else { format!("- **Arrows**, {}\n", parts.join("; ")) }
         }
     };
     let bound = if !settings.only.is_empty() {

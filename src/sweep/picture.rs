@@ -71,7 +71,8 @@ pub fn save(
         .filter(|class| map.slices.iter().any(|slice| slice.dots.iter().any(|dot| dot.class == *class)))
         .map(|class| {
             let about = map.classes.about(class);
-            format!("- {} **{}**: {about}\n", classes::color(class).1, map.classes.name(class))
+            let about = if about.is_empty() { String::new() } else { format!(": {about}") };
+            format!("- {} **{}**{about}\n", classes::color(class).1, map.classes.name(class))
         })
         .collect();
     let axes: Vec<String> = map.axes.iter().map(|axis| format!("**{}**", axis.label())).collect();

@@ -162,6 +162,9 @@ fn legend(svg: &mut Svg, map: &Map, panels: &[Slice], [x, mut y]: [f64; 2]) {
 
 /// Writes a small text in lines; returns where the next one would be.
 fn explain(svg: &mut Svg, [x, mut y]: [f64; 2], text: &str) -> f64 {
+    if text.is_empty() {
+        return y;
+    }
     let mut line = String::new();
     for word in text.split(' ') {
         if !line.is_empty() && line.chars().count() + 1 + word.chars().count() > LINE {

@@ -468,7 +468,7 @@ fn every_option_that_a_run_accepts_replays() {
     let dir = scene_dir();
     for options in [
         &["--detail", "stages"] as &[&str],
-        &["--detail", "stages"],
+        &["--detail", "stages=8..18446744073709551615"],
         &["--detail", "stages=8..9"],
         &["--every", "9223372036854775808"],
         &["--every", "18446744073709551615"],

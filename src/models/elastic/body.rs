@@ -169,6 +169,7 @@ fn divisions(scene: &Scene, contact: f64) -> u64 {
     let planes = scene.planes.iter().map(|plane| plane.stiffness).sum::<f64>() * contact;
     let of = |pick: fn(f64, f64) -> f64, start| scene.bodies.iter().map(|body| body.mass).fold(start, pick);
     let ratio = if is_coupled(scene) { of(f64::max, 0.0) / of(f64::min, f64::INFINITY) } else { 0.0 };
+    // explicit forces of stiffness ω² are stable up to a step of 2/ω
     (scene.dt * ((2.0 + ratio) * strongest + planes).sqrt() / (2.0 * OF_LIMIT)).ceil().max(1.0) as u64
 }
 

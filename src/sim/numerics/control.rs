@@ -11,12 +11,13 @@ pub const ORDER: i32 = 5;
 /// next sweep. A correction reduces a change by s h²/2 or more, a factor of 0.014 for a strength s = 100 1/s² and h = 1/60 s:
 /// six reach rounding.
 pub const MAX_CORRECTIONS: usize = 6;
-/// The mean force that the cubic through the nodes leaves out, over its residual in the middle, by `bench error` for one
-/// that acts by a spring.
+/// The mean force that the cubic through the nodes leaves out, over its residual in the middle, for a force that acts by a
+/// spring: by `bench error`.
 pub const RESIDUAL: f64 = 0.1;
 /// The same for a force that acts at once, on a centre: the mean of the largest quartic that vanishes at the nodes, over its
 /// value in the middle.
 pub const RESIDUAL_AT_ONCE: f64 = 0.45;
+
 // Bodies on paths
 
 /// Share of the acceptable error that corrections, and how spheres move between the samples, may leave each: a fourth, as

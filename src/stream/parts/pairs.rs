@@ -151,7 +151,7 @@ impl PairPlots {
         }
     }
 
-    /// The pairs that have plots, as `A~B`: in each list those whose lines of q are one and the same.
+    /// The pairs that have plots, as `A~B`: in each list those whose lines of q and of thresholds coincide.
     pub fn names(&self, schema: &Schema) -> Vec<Vec<String>> {
         let mut names: Vec<(u64, Vec<String>)> = Vec::new();
         for (&(a, b), plot) in &self.known {
@@ -267,6 +267,7 @@ impl PairPlots {
             for &(line, threshold) in &known.thresholds {
                 let Some(level) = view.schema.level(threshold, [pair.a, pair.b], at.time) else { continue };
                 series.log(chunks, line, level, at);
+                level.to_bits().hash(&mut known.drawn);
                 self.plotted = Some(extended(self.plotted, level));
                 // A constant line has no new values, but should keep up with a live plot.
                 if frame.is_multiple_of(THRESHOLD_FRAMES) {
@@ -313,6 +314,7 @@ impl PairPlots {
                 for &(line, threshold) in &pair.thresholds {
                     if let Some(level) = schema.level(threshold, [a, b], at.time) {
                         series.log(chunks, line, level, at);
+                        level.to_bits().hash(&mut pair.drawn);
                     }
                 }
                 self.plotted = Some(extended(self.plotted, q));
@@ -336,7 +338,7 @@ impl PairPlots {
     }
 }
 
-/// A value of q to as many digits as no plot shows: lines with equal ones lie on one another.
+/// A value of q, rounded to more digits than any plot shows: lines with equal ones coincide.
 fn as_drawn(q: f64) -> i64 {
     (1e7 * q).round() as i64
 }

@@ -67,6 +67,7 @@ struct Alone {
     extractor: Extractor,
     surface: Surface,
     pair: Option<[usize; 2]>,
+    triangles: Vec<[u32; 3]>,
     last: Vec<Float3>,
 }
 
@@ -96,6 +97,7 @@ impl Recent {
                     extractor: Extractor::default(),
                     surface: Surface::default(),
                     pair: None,
+                    triangles: Vec::new(),
                     last: Vec::new(),
                 }
             }),
@@ -191,7 +193,7 @@ impl Alone {
             let body = &schema.bodies[index];
             let first = self.surface.positions.len();
             self.surface.append_in_world(body, now, &mut self.extractor);
-            triangles.extend(now.mesh_of(body).triangles().iter().map(|t| t.map(|v| v + first as u32)));
+            triangles.extend(now.mesh_of(body).drawn_triangles().iter().map(|t| t.map(|v| v + first as u32)));
             let normals = &self.surface.normals[first..];
             let rgb = palette::of_body(schema, index);
             lit.extend(normals.iter().map(|&normal| Light::in_world().on(rgb, normal)));
@@ -199,11 +201,13 @@ impl Alone {
         let place =
             |&[x, y, z]: &Float3| ((DVec3::new(x.into(), y.into(), z.into()) - middle) / radius).as_vec3().to_array();
         let positions: Vec<Float3> = self.surface.positions.iter().map(place).collect();
-        if self.pair != Some(pair) || positions.len() != self.last.len() {
+        let is_new = self.pair != Some(pair) || triangles != self.triangles;
+        if is_new {
             self.pair = Some(pair);
+            self.triangles.clone_from(&triangles);
             chunks.log(RECENT_PAIR.path, at, &Mesh3D::update_fields().with_triangle_indices(triangles));
         }
-        if positions != self.last {
+        if is_new || positions != self.last {
             chunks.push(self.track, at, &[&positions, &lit]);
             self.last = positions;
         }

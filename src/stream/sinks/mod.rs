@@ -104,8 +104,8 @@ impl Default for Serve {
     }
 }
 
-/// `HOST[:PORT]`: an address or a name of this machine, and the port of the page; the data is on the next port. Requests
-/// may use the name.
+/// `HOST[:PORT]`: an address or a name of this machine, which requests may then use, and the port of the page. The data is
+/// on the next port; without a port, on 9876; with port 0, on any free one.
 impl FromStr for Serve {
     type Err = String;
 
@@ -122,9 +122,11 @@ impl FromStr for Serve {
         let (bind, allow) = match host {
             Host::Ip(ip) => (ip, Vec::new()),
             Host::Name(name) => {
-                let found = (name.as_str(), 0).to_socket_addrs().ok().and_then(|mut found| found.next());
-                let found = found.ok_or_else(|| format!("there is no host {name:?}"))?;
-                (found.ip(), vec![Host::Name(name)])
+                let found: Vec<_> = (name.as_str(), 0).to_socket_addrs().into_iter().flatten().collect();
+                // a machine's own name may also be one of its loopback addresses, at which nobody else reaches it
+                let found = found.iter().find(|address| !address.ip().is_loopback()).or(found.first());
+                let ip = found.ok_or_else(|| format!("there is no host {name:?}"))?.ip();
+                (ip, vec![Host::Name(name)])
             }
         };
         Ok(Serve { bind, web_port, grpc_port, allow })

@@ -283,7 +283,7 @@ fn exposure(bind: IpAddr, page: &str) -> Option<String> {
     };
     Some(format!(
         "anyone who can reach {who} can read everything that the run shows, its scene and settings too, without a password \
-         and unencrypted; nobody can write: {page} (for HOST {host}, or the name that --bind gives)"
+         and unencrypted; nobody can write: {page} (for HOST {host}; `--bind NAME` listens on the address of a name, and accepts it)"
     ))
 }
 

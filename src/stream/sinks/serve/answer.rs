@@ -72,8 +72,9 @@ impl Site for OfRun {
 
     async fn answer(&self, guard: &Guard, request: Request<Incoming>, at: IpAddr) -> Response<Content> {
         if let Err(name) = guard.admits(request.uri(), request.headers(), at) {
-            let help =
-                format!("this program does not serve {name}: a name of its machine is allowed by `--bind NAME`\n");
+            let help = format!(
+                "this program does not serve {name}: start it with `--bind NAME`, which listens on the address of that name\n"
+            );
             return text(StatusCode::FORBIDDEN, help);
         }
         match self {
