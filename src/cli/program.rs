@@ -121,8 +121,7 @@ impl Program<'_> {
     /// Opens the only recording of a file, or one of several: `F.rrd/NAME`.
     pub fn recorded(&self, path: &Path) -> Result<Recorded, ReadError> {
         let contents = Contents::read(path)?;
-        contents.only()?;
-        self.recreate(&contents, 0)
+        self.recreate(&contents, contents.only()?)
     }
 
     /// Opens one of the recordings of a file.

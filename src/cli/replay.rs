@@ -64,8 +64,7 @@ pub fn replay(program: Program<'_>, arguments: Arguments) -> Result<(), Failure>
     if contents.names().len() > 1 && !is_one_run {
         return verify_all(program, &arguments, &contents);
     }
-    contents.only()?;
-    let recorded = program.recreate(&contents, 0)?;
+    let recorded = program.recreate(&contents, contents.only()?)?;
     match arguments.set.is_empty() {
         true => verify(&arguments, &recorded, &recorded.path.display().to_string()),
         false => vary(program, &arguments, &recorded),

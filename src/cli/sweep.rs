@@ -193,8 +193,13 @@ pub fn sweep(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> 
         }
     }
     running.summarize(total, arguments.refine)?;
-    let thresholds = axis.map(|axis| running.bisect(axis)).transpose()?;
-    running.draw((axis.unwrap_or(0), &thresholds.unwrap_or_default()), &arguments.sweep)
+    let mut drawn = running.draw(&[], &arguments.sweep)?;
+    if let Some(axis) = axis {
+        let thresholds = running.bisect(axis)?;
+        drawn = running.draw(&thresholds, &arguments.sweep)?;
+    }
+    drawn.into_iter().for_each(|line| print(&line));
+    Ok(())
 }
 
 /// The axis with this key or name.
@@ -311,9 +316,9 @@ impl RunningSweep<'_> {
         Ok(())
     }
 
-    /// Draws the map, with thresholds along an axis. `name` is the sweep's on the command line.
-    fn draw(&self, thresholds: (usize, &[Threshold]), name: &str) -> Result<(), Failure> {
-        let Some(map) = Map::new(self.sweep, self.store, thresholds)? else { return Ok(()) };
+    /// Draws the map, with thresholds, and says where it is. `name` is the sweep's on the command line.
+    fn draw(&self, thresholds: &[Threshold], name: &str) -> Result<Vec<String>, Failure> {
+        let Some(map) = Map::new(self.sweep, self.store, thresholds)? else { return Ok(Vec::new()) };
         let first = self.sweep.text.lines().next().and_then(|line| line.strip_prefix('#')).unwrap_or(&self.sweep.file);
         let about = format!(
             "{}, {} {}{MARK}{}\n{}",
@@ -327,12 +332,11 @@ impl RunningSweep<'_> {
         let path = self.store.write(MAP, |to| to.write_all(drawn.as_bytes()))?;
         let recording = self.store.path().join(MAP_RECORDING);
         let open = format!("{} sweep {name} --out {} --open ROW", text::program(), self.store.path().display());
-        picture::save(&map, self.sweep, self.store, [first.trim(), &open], &recording)
+        picture::save(&map, self.sweep, self.store, first.trim(), &open, &recording)
             .map_err(|error| Failure::Run(error.to_string()))?;
         let size = bytes(drawn.len() as u64);
-        print(&format!("map: {}, {size}, and for the viewer {}", path.display(), recording.display()));
-        print(&format!("note: {}", map::MISSABLE));
-        Ok(())
+        let where_to = format!("map: {}, {size}, and for the viewer {}", path.display(), recording.display());
+        Ok(vec![where_to, format!("note: {}", map::MISSABLE)])
     }
 
     /// Finds the thresholds along an axis.
@@ -350,7 +354,7 @@ impl RunningSweep<'_> {
         let rows = bisect::rows(&found, &self.sweep.classes);
         let path = self.store.write(&thresholds_file(axis), |to| table::write(&bisect::columns(design), &rows, to))?;
         const LISTED: usize = 20;
-        for Threshold { point, bracket: [low, high], classes: [below, above] } in found.iter().take(LISTED) {
+        for Threshold { point, bracket: [low, high], classes: [below, above], .. } in found.iter().take(LISTED) {
             let others = design.axes.iter().zip(point).enumerate().filter(|(index, _)| *index != axis);
             let others: Vec<String> = others.map(|(_, (axis, value))| format!("{} = {value}", axis.key)).collect();
             let at = if others.is_empty() { String::new() } else { format!("{}: ", others.join(", ")) };

@@ -427,6 +427,11 @@ impl Schema {
         if names.is_empty() { String::new() } else { format!(" with {}", names.join(", ")) }
     }
 
+    /// The largest radius of a body [scene unit].
+    pub fn largest_radius(&self) -> f64 {
+        self.bodies.iter().map(|body| body.radius).fold(0.0, f64::max)
+    }
+
     /// Name of a pair: `A~B`, in the order of the bodies.
     pub fn pair_name(&self, a: usize, b: usize) -> String {
         format!("{}~{}", self.bodies[a].name, self.bodies[b].name)

@@ -2,7 +2,6 @@
 
 use std::{
     fmt::Debug,
-    mem::take,
     sync::{Arc, atomic::AtomicBool},
     time::Duration,
 };
@@ -281,14 +280,12 @@ pub struct StepSummary {
 impl StepSummary {
     /// Empties it for the next step; its lists keep their memory.
     pub fn clear(&mut self) {
-        let StepSummary { events, body_events, timings, scalars, .. } = self;
-        let (mut events, mut body_events) = (take(events), take(body_events));
-        let (mut timings, mut scalars) = (take(timings), take(scalars));
+        let StepSummary { at, events, body_events, timings, scalars, shortfall, failure, warning } = self;
         events.clear();
         body_events.clear();
         timings.clear();
         scalars.clear();
-        *self = StepSummary { events, body_events, timings, scalars, ..StepSummary::default() };
+        (*at, *shortfall, *failure, *warning) = (Instant::default(), None, None, None);
     }
 }
 

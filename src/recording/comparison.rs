@@ -94,7 +94,7 @@ impl Comparison {
             shown.iter().filter_map(|&(i, ..)| schema.bodies.get(i)).map(|body| body.radius).fold(0.0, f64::max);
         let second: Vec<_> = shown.iter().map(|(_, name, _)| COMPARED_SURFACE.of(&["b", name])).collect();
         let first = plan.listed.first().map(|(first, _)| first.time);
-        for message in blueprint::of_comparison(spheres, (&second, COLORS[1]), first, &store) {
+        for message in blueprint::of_comparison(spheres, &second, COLORS[1], first, &store) {
             sinks.send(message)?;
         }
         let mut chunks = Chunks::new(store);
@@ -219,11 +219,7 @@ impl Comparison {
         };
         let line = match change {
             // what differs first: long lines are cut
-            Change::Moved(was, is) => {
-                let later = is.time - was.time;
-                let word = if later > 0.0 { "later" } else { "earlier" };
-                format!("{:.3e} s {word}: {was}, now at {:.9} s", later.abs(), is.time)
-            }
+            Change::Moved(was, is) => format!("{}: {was}, now at {:.9} s", is.delay(was), is.time),
             _ => change.to_string(),
         };
         self.chunks.log(EVENTS.path, at, &TextLog::new(line).with_color(color(rgb)));

@@ -86,12 +86,12 @@ impl Contents {
         all().map(name).collect()
     }
 
-    /// Checks that there is only one recording.
+    /// The place of the only recording among the [names](Contents::names).
     ///
     /// # Errors
     /// There are several.
-    pub fn only(&self) -> Result<(), ReadError> {
-        if self.found.len() == 1 { Ok(()) } else { Err(self.several("it holds")) }
+    pub fn only(&self) -> Result<usize, ReadError> {
+        if self.found.len() == 1 { Ok(0) } else { Err(self.several("it holds")) }
     }
 
     /// The name of the scene of a recording; several may have the same.

@@ -36,11 +36,7 @@ impl Change {
 impl fmt::Display for Change {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Change::Moved(was, is) => {
-                let later = is.time - was.time;
-                let word = if later > 0.0 { "later" } else { "earlier" };
-                write!(f, "moved: {was}, now at {:.9} s, {:.3e} s {word}", is.time, later.abs())
-            }
+            Change::Moved(was, is) => write!(f, "moved: {was}, now at {:.9} s, {}", is.time, is.delay(was)),
             Change::Vanished(event) => write!(f, "vanished: {event}"),
             Change::Appeared(event) => write!(f, "appeared: {event}"),
             Change::Reordered(event) => write!(f, "in another order: {event}"),
@@ -55,6 +51,12 @@ impl fmt::Display for RecordedEvent {
 }
 
 impl RecordedEvent {
+    /// How much later or earlier it is than another event, in words.
+    pub fn delay(&self, than: &RecordedEvent) -> String {
+        let later = self.time - than.time;
+        format!("{:.3e} s {}", later.abs(), if later > 0.0 { "later" } else { "earlier" })
+    }
+
     /// Converts an event to its recorded form.
     pub fn of(schema: &Schema, event: &PairEvent) -> RecordedEvent {
         RecordedEvent {

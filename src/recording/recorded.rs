@@ -151,8 +151,7 @@ impl Recorded {
     /// As for [`Recorded::open`].
     pub fn open_as(path: &Path, read: &ReadExperiment<'_>) -> Result<Recorded, ReadError> {
         let contents = Contents::read(path)?;
-        contents.only()?;
-        contents.recorded(0, read)
+        contents.recorded(contents.only()?, read)
     }
 
     /// Starts the recorded experiment.

@@ -150,7 +150,8 @@ impl World {
     }
 
     /// Sets the motion of a body from now on: a path, which may be a function ([`Given`](crate::scene::path::Given)),
-    /// or free motion. The body becomes undeformed; the bodies near it wake.
+    /// or free motion. The body becomes undeformed; the bodies near it wake, and all
+    /// where the world is built anew.
     ///
     /// # Errors
     /// [`EditError::NoBody`], [`EditError::Stale`], [`EditError::Solver`], or [`EditError::Invalid`] for a motion that no

@@ -264,10 +264,12 @@ pub fn beside_controls(subject: &Subject<'_>, recording: &StoreId) -> Vec<LogMsg
 
 /// The layout of a comparison of two runs: surfaces and error arrows, differences over time, events.
 ///
-/// `second` are the surfaces of the second run, drawn as dots in a colour; the viewer opens at `first` [s], if there is one.
+/// `second` are the surfaces of the second run, drawn as dots of the colour `rgb`; the viewer opens at `first` [s], if
+/// there is one.
 pub fn of_comparison(
     spheres: &[(DVec3, f64)],
-    (second, rgb): (&[String], palette::Rgb),
+    second: &[String],
+    rgb: palette::Rgb,
     first: Option<f64>,
     recording: &StoreId,
 ) -> Vec<LogMsg> {
@@ -300,7 +302,7 @@ pub fn of_comparison(
 /// shown beside it. `picture` is the size of the map and of the diagrams [px].
 pub fn of_map(measures: &[&str], recording: &StoreId, picture: [f64; 2]) -> Vec<LogMsg> {
     let mut layout = Layout::of(recording);
-    layout.timeline = SLICE;
+    (layout.timeline, layout.selection) = (SLICE, PanelState::Expanded);
     let [x, y] = picture;
     let bounds = VisualBounds2D::new(datatypes::Range2D {
         x_range: [-0.11 * x, 1.05 * x].into(),
@@ -320,12 +322,7 @@ pub fn of_map(measures: &[&str], recording: &StoreId, picture: [f64; 2]) -> Vec<
         parts.push(layout.container(ContainerKind::Tabs, "Along the first axis", plots, &[]));
     }
     let root = layout.container(ContainerKind::Horizontal, "meldscope", parts, &[1.4, 1.0]);
-    let mut messages = layout.finish(root);
-    layout.log("selection_panel", &PanelBlueprint::new().with_state(PanelState::Expanded));
-    let activation = messages.pop();
-    messages.extend(layout.chunks.take());
-    messages.extend(activation);
-    messages
+    layout.finish(root)
 }
 
 /// How the names of plots of energies begin: they are shown large, beside the others.
@@ -411,6 +408,8 @@ struct Layout {
     ground: Option<Ground>,
     /// The timeline that the viewer opens with.
     timeline: &'static str,
+    /// The state of the panel that shows what is selected.
+    selection: PanelState,
 }
 
 /// A horizontal grid below everything visible.
@@ -450,6 +449,7 @@ impl Layout {
             spaces: Vec::new(),
             ground: None,
             timeline: SIM_TIME,
+            selection: PanelState::Collapsed,
         }
     }
 
@@ -469,8 +469,8 @@ impl Layout {
             "viewport",
             &ViewportBlueprint::new().with_root_container(root.id).with_auto_layout(false).with_auto_views(false),
         );
-        for panel in ["blueprint_panel", "selection_panel"] {
-            self.log(panel, &PanelBlueprint::new().with_state(PanelState::Collapsed));
+        for (panel, state) in [("blueprint_panel", PanelState::Collapsed), ("selection_panel", self.selection)] {
+            self.log(panel, &PanelBlueprint::new().with_state(state));
         }
         self.log(
             "time_panel",
@@ -1108,7 +1108,7 @@ fn called(term: &TermSchema) -> String {
 
 /// The accelerations at which arrows are as long as the largest radius, with the terms of which this is true.
 fn lengths(schema: &Schema, is_listed: impl Fn(&TermSchema) -> bool) -> String {
-    let radius = schema.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
+    let radius = schema.largest_radius();
     let mut lengths: Vec<(f64, Vec<String>)> = Vec::new();
     for term in schema.terms.iter().filter(|term| term.can_act && is_listed(term)) {
         let scale = schema.arrow_scale_of(term);
@@ -1130,7 +1130,7 @@ fn short(x: f64) -> String {
 
 /// The text about the arrows at the centres of free bodies.
 fn at_centres(schema: &Schema) -> String {
-    let radius = schema.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
+    let radius = schema.largest_radius();
     let of = net_forces::KINDS.map(|(name, rgb, _)| format!("{} {}", colors::name(rgb), name.replace('_', " ")));
     format!(
         "- **At the centres** of free bodies: {} (over M, and over M R), 1 R long if {} unit/s², at most {} R\n",
@@ -1142,7 +1142,7 @@ fn at_centres(schema: &Schema) -> String {
 
 /// The text of the panel beside arrows and plots of forces: their colours, and what their lengths mean.
 pub fn arrows(schema: &Schema) -> String {
-    let radius = schema.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
+    let radius = schema.largest_radius();
     let is_uniform = schema.terms.iter().any(|term| term.can_act && term.is_uniform);
     if !schema.terms.iter().any(|term| term.can_act) {
         return "No force can act in this scene.\n".to_owned();

@@ -166,8 +166,8 @@ impl Pipeline {
         })
     }
 
-    /// Observes the simulation after a step, whose summary it wrote; `lag` is its delay behind real time, if that is to be recorded. `Err`
-    /// tells why nothing more can be recorded.
+    /// Observes the simulation after a step, whose summary it wrote; `lag` is its delay behind real time, if that is to be
+    /// recorded. `Err` tells why nothing more can be recorded.
     pub fn observe(
         &mut self,
         simulation: &dyn Simulation,

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant as Clock};
 
-use super::settings::Settings;
+use super::settings::{Frames, Settings};
 use crate::{
     analysis::{Approaches, approach::Approach, touch::Touches},
     observe::{BodyFrame, Frame, PairEvent, Schema, Simulation, StageFrame, StepSummary, SurfaceEvent, Want, verify},
@@ -23,7 +23,7 @@ pub struct StepRecord {
     pub lag: Option<Duration>,
     /// When the step was completed.
     pub end: Option<Clock>,
-    /// The bodies of the pair of each event, after the step.
+    /// The bodies of the pair of each event, after the step; none in a thin recording.
     pub pairs: Vec<[BodyFrame; 2]>,
     /// Surfaces that touch or part in the step, and remarks on its phase changes.
     pub surfaces: Vec<SurfaceEvent>,
@@ -65,7 +65,8 @@ impl StepWatch {
         self.pairs.as_ref().map_or_else(Vec::new, |pairs| pairs.approaches.closest())
     }
 
-    /// Adds to the summary of the last step in `record` what is observed after it, and writes its frame to `frame` if one is due.
+    /// Adds to the summary of the last step in `record` what is observed after it, and writes its frame to `frame` if one
+    /// is due.
     ///
     /// # Errors
     /// What the simulation says of the step breaks the contract of [`observe`](crate::observe): names the field.
@@ -94,8 +95,10 @@ impl StepWatch {
                     own
                 }
             };
-            let of_pair = |event: &PairEvent| [event.a, event.b].map(|body| frame.bodies[body].clone());
-            record.pairs.extend(record.summary.events.iter().map(of_pair));
+            if settings.frames != Frames::Thin {
+                let of_pair = |event: &PairEvent| [event.a, event.b].map(|body| frame.bodies[body].clone());
+                record.pairs.extend(record.summary.events.iter().map(of_pair));
+            }
             touches.step(simulation, frame, &record.summary.events, &mut record.surfaces);
             approaches.step(simulation, schema, &record.summary.events);
         }

@@ -24,6 +24,8 @@ const MAX_BISECTIONS: u32 = 200;
 /// A change of outcome along an axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Threshold {
+    /// The bisected axis.
+    pub axis: usize,
     /// The values on the axes; on the bisected axis, the lower end of the bracket.
     pub point: Vec<Setting>,
     /// Ends of the bracket.
@@ -57,7 +59,7 @@ pub fn thresholds(
                 Setting::Text(_) => None,
             };
             let bracket = [number(&index)?, number(&next)?];
-            (classes[0] != classes[1]).then_some(Threshold { point: design.point(row)?, bracket, classes })
+            (classes[0] != classes[1]).then_some(Threshold { axis, point: design.point(row)?, bracket, classes })
         })
         .collect();
     let found: Vec<Option<Vec<Threshold>>> = brackets

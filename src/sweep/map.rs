@@ -84,15 +84,12 @@ pub const MISSABLE: &str = "a region smaller than a cell of the first grid may b
                             boundary in sight";
 
 impl Map {
-    /// The maps of the rows in a folder, with thresholds that were bisected along an axis; `None` if the sweep has no numeric axis, or combinations that cannot be drawn.
+    /// The maps of the rows in a folder, with thresholds that were bisected; `None` if the sweep has no numeric axis, or
+    /// combinations that cannot be drawn.
     ///
     /// # Errors
     /// The rows cannot be read.
-    pub fn new(
-        sweep: &Sweep,
-        store: &Store,
-        (axis, thresholds): (usize, &[Threshold]),
-    ) -> Result<Option<Map>, StoreError> {
+    pub fn new(sweep: &Sweep, store: &Store, thresholds: &[Threshold]) -> Result<Option<Map>, StoreError> {
         let design = &sweep.design;
         let numbers: Vec<usize> =
             (0..design.axes.len()).filter(|&axis| design.axes[axis].is_number()).take(2).collect();
@@ -153,13 +150,14 @@ impl Map {
         for rows in by_slice.values().take(MOST_SLICES) {
             let mut slice = slice(sweep, &map, &numbers, rows, &seen);
             let is_here = |threshold: &&Threshold| {
-                numbers.contains(&axis) && other_axes(sweep, &numbers, &threshold.point) == slice.title
+                numbers.contains(&threshold.axis) && other_axes(sweep, &numbers, &threshold.point) == slice.title
             };
-            let places = thresholds.iter().filter(is_here).map(|Threshold { point, bracket: [low, high], .. }| {
-                let mut point = point.clone();
-                point[axis] = Setting::Number(0.5 * (low + high));
-                place(sweep, &numbers, &point)
-            });
+            let places =
+                thresholds.iter().filter(is_here).map(|Threshold { axis, point, bracket: [low, high], .. }| {
+                    let mut point = point.clone();
+                    point[*axis] = Setting::Number(0.5 * (low + high));
+                    place(sweep, &numbers, &point)
+                });
             slice.thresholds = places.collect();
             map.slices.push(slice);
         }

@@ -45,7 +45,7 @@ pub enum PictureError {
     Sink(#[from] SinkError),
 }
 
-/// Writes the recording of a map: its title, and the command that records a run.
+/// Writes the recording of a map; `open` is the command that records a run.
 ///
 /// # Errors
 /// The rows cannot be read, or the file cannot be written.
@@ -53,7 +53,8 @@ pub fn save(
     map: &Map,
     sweep: &Sweep,
     store: &Store,
-    [title, open]: [&str; 2],
+    title: &str,
+    open: &str,
     path: &Path,
 ) -> Result<Option<Saved>, PictureError> {
     let destinations = Destinations { save: Some(path.to_owned()), ..Destinations::default() };

@@ -173,8 +173,6 @@ pub fn within(before: &Frame, world: &World, time: f64, bodies: &[usize], frame:
         return false;
     }
     breaks.push(time);
-    frame.at = Instant { step: world.steps_taken(), time };
-    frame.bodies.resize_with(world.body_count(), BodyFrame::default);
     for &index in bodies {
         let mut states = states_before(before, world, index);
         for ends in breaks.windows(2) {

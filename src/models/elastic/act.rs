@@ -335,7 +335,8 @@ impl Part<'_> {
         if t == self.end { self.path.before(t) } else { self.path.at(t) }
     }
 
-    /// Like [`Part::at`], but averaged over the part: the acceleration of its own motion is the change of velocity, including jumps.
+    /// Like [`Part::at`], but averaged over the part: the acceleration of its own motion is the change of velocity,
+    /// including jumps.
     pub fn averaged(&self, now: &mut Instantaneous) {
         let middle = 0.5 * (self.start + self.end);
         self.at(middle, now);

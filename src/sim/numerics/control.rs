@@ -1,4 +1,5 @@
-//! The constants that decide how accurate a step is, or how long.
+//! The constants that decide how accurate a step is, or how long; that of explicit steps of lattices is
+//! `models::elastic::body::OF_LIMIT`.
 //!
 //! Most are bounds, or what a textbook advises. Where it says "by `bench error`", that shows whether errors stay within the
 //! tolerance with the value.

@@ -97,15 +97,17 @@ pub struct Mover {
     pub kicks: f64,
 }
 
+/// The material of a force point, and of a body that never moves: no motion of its own acts on it.
+const RIGID: Material = Material { omega: 0.0, damping: 0.0, response: Response::Rigid };
+
 impl Mover {
     /// A body or force point before a step.
     fn new(scene: &Scene, body: u32, path: &Path) -> Mover {
-        let rigid = Material { omega: 0.0, damping: 0.0, response: Response::Rigid };
         Mover {
             body,
             is_watched: false,
             turns: path.turns(&SAMPLES.map(|theta| theta * scene.dt)),
-            material: scene.bodies.get(body as usize).map_or(rigid, |body| body.material),
+            material: scene.bodies.get(body as usize).map_or(RIGID, |body| body.material),
             extent: path.extent(),
             stands_still: false,
             is_idle: false,
@@ -133,9 +135,8 @@ impl Tracks {
                 movers.push(Mover::new(scene, body, path));
             }
         }
-        let rigid = Material { omega: 0.0, damping: 0.0, response: Response::Rigid };
         let still = Kinematics { position: DVec3::ZERO, velocity: DVec3::ZERO, acceleration: DVec3::ZERO };
-        let uniform_still = terms::uniform(scene, &rigid, &still);
+        let uniform_still = terms::uniform(scene, &RIGID, &still);
         Tracks { paths, bodies: scene.bodies.len(), movers, motion_bounds, of_body, uniform_still }
     }
 

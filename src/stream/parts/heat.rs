@@ -61,11 +61,11 @@ pub struct Heat {
 impl Heat {
     /// Logs static data, and the texture of each of these surfaces.
     pub fn new(surfaces: &[String], chunks: &mut Chunks) -> Heat {
-        let texels = |count: usize| (0..count).flat_map(move |i| palette::heat((i as f64 + 0.5) / count as f64));
-        let bar = Image::from_rgb24(texels(WIDTH).collect::<Vec<u8>>().repeat(HEIGHT), [WIDTH as u32, HEIGHT as u32]);
+        let texel = |i: usize| palette::heat((i as f64 + 0.5) / WIDTH as f64);
+        let row: Vec<u8> = (0..WIDTH).flat_map(texel).collect();
+        let bar = Image::from_rgb24(row.repeat(HEIGHT), [WIDTH as u32, HEIGHT as u32]);
         chunks.log_static(&LEGEND.of(&["bar"]), &bar);
-        let mirrored = (0..WIDTH).chain((0..WIDTH).rev());
-        let mirrored = mirrored.flat_map(|i| palette::heat((i as f64 + 0.5) / WIDTH as f64)).collect::<Vec<u8>>();
+        let mirrored: Vec<u8> = (0..WIDTH).chain((0..WIDTH).rev()).flat_map(texel).collect();
         let texture = AnyValues::default()
             .with_component::<ImageBuffer>(HEAT_TEXTURE.0, [ImageBuffer::from(mirrored)])
             .with_component::<ImageFormat>(HEAT_FORMAT.0, [ImageFormat::rgb8([2 * WIDTH as u32, 1])]);
@@ -95,8 +95,8 @@ impl Heat {
         }
     }
 
-    /// Logs the numbers of the scale, and marks the vertex with the largest displacement. Its label is above the bodies there, at
-    /// the end of a line that shows where the vertex is, even if that is on the far side.
+    /// Logs the numbers of the scale, and marks the vertex with the largest displacement. Its label is above the bodies
+    /// there, at the end of a line that shows where the vertex is, even if that is on the far side.
     pub fn log(&mut self, view: FrameView<'_>, largest: &LargestOf, chunks: &mut Chunks) {
         let end = largest.end();
         if end != self.end {

@@ -9,7 +9,7 @@ use crate::{
         chunks::Chunks,
         contract::{Entity, MARKS_AT_Q, MARKS_ON_AXIS},
         instant::Instant,
-        palette::color,
+        palette::{Rgb, color},
     },
 };
 
@@ -22,17 +22,12 @@ pub struct Marks {
 impl Marks {
     /// Logs the markers of an event; `is_plotted`: whether its pair has a plot of q.
     pub fn log(&mut self, schema: &Schema, event: &PairEvent, is_plotted: bool, chunks: &mut Chunks) {
-        let rgb = color(schema.phases[event.to].color);
+        let rgb = schema.phases[event.to].color;
         let markers = [(&MARKS_ON_AXIS, MarkerShape::Up, 5.0), (&MARKS_AT_Q, MarkerShape::Diamond, 5.0)];
         if !self.styled.contains(&event.name) {
             self.styled.push(event.name);
             for (parent, shape, size) in markers {
-                let style = SeriesPoints::new()
-                    .with_names([event.name])
-                    .with_colors([rgb])
-                    .with_markers([shape])
-                    .with_marker_sizes([size]);
-                chunks.log_static(&entity(parent, event.name), &style);
+                chunks.log_static(&entity(parent, event.name), &style(event.name, rgb, shape, size));
             }
         }
         let at = Instant { step: event.step, time: event.time };
@@ -48,18 +43,18 @@ fn entity(family: &Entity, event: &str) -> String {
     family.of(&[&name])
 }
 
+fn style(name: &str, rgb: Rgb, shape: MarkerShape, size: f32) -> SeriesPoints {
+    let style = SeriesPoints::new().with_names([name]).with_colors([color(rgb)]);
+    style.with_markers([shape]).with_marker_sizes([size])
+}
+
 /// Marks where pairs came closest that stayed in their first phase, on their lines of q.
 pub fn log_near_misses(schema: &Schema, approaches: &[&Approach], chunks: &mut Chunks) {
     if approaches.is_empty() {
         return;
     }
     let entity = MARKS_AT_Q.of(&["near_miss"]);
-    let style = SeriesPoints::new()
-        .with_names(["near miss"])
-        .with_colors([color(SILVER)])
-        .with_markers([MarkerShape::Circle])
-        .with_marker_sizes([5.0]);
-    chunks.log_static(&entity, &style);
+    chunks.log_static(&entity, &style("near miss", SILVER, MarkerShape::Circle, 5.0));
     let mut approaches = approaches.to_vec();
     approaches.sort_by(|x, y| x.time.total_cmp(&y.time));
     for Approach { q, time, .. } in approaches {
@@ -74,12 +69,7 @@ pub fn log_ends(ends: [Instant; 2], level: Option<f64>, chunks: &mut Chunks) {
     for (family, value) in [(&MARKS_ON_AXIS, Some(0.0)), (&MARKS_AT_Q, level)] {
         let Some(value) = value else { continue };
         let entity = family.of(&["ends"]);
-        let style = SeriesPoints::new()
-            .with_names(["start, end"])
-            .with_colors([color(GREY)])
-            .with_markers([MarkerShape::Plus])
-            .with_marker_sizes([3.0]);
-        chunks.log_static(&entity, &style);
+        chunks.log_static(&entity, &style("start, end", GREY, MarkerShape::Plus, 3.0));
         for at in ends {
             chunks.log(&entity, at, &Scalars::new([value]));
         }
