@@ -77,7 +77,7 @@ def main():
 
         def disturb():
             """Kills a worker as soon as one runs on the second node, then that node."""
-            raylet = second.all_processes["raylet"][0].process.pid
+            first, raylet = (node.all_processes["raylet"][0].process.pid for node in (cluster.head_node, second))
             for _ in range(6000):
                 busy = workers(raylet)
                 if busy:
@@ -85,12 +85,19 @@ def main():
                     killed.append("worker")
                     break
                 time.sleep(0.01)
+            # The first node waits, or it could end the sweep before a worker runs on the second one again.
+            waiting = set()
             for _ in range(6000):
                 if workers(raylet):
                     cluster.remove_node(second, allow_graceful=False)
                     killed.append("node")
                     break
+                for worker in set(workers(first)) - waiting:
+                    os.kill(worker, signal.SIGSTOP)
+                    waiting.add(worker)
                 time.sleep(0.01)
+            for worker in waiting:
+                os.kill(worker, signal.SIGCONT)
 
         thread = threading.Thread(target=disturb)
         thread.start()

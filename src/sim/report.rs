@@ -296,8 +296,8 @@ pub struct StepReport {
     /// Number of integrator steps: one per body and interval without a jump, plus the substeps of single vertices. If the
     /// integrator's steps span several frames, its last steps are spread over the frame in which they end and the next.
     pub substeps: u64,
-    /// The largest error of any vertex in the integrator's last step, as estimated by it [radii of its body]; 0 for
-    /// integrators without an error estimate.
+    /// The largest error of any vertex in the integrator's last step, as estimated by it [radii of its body, or of the
+    /// smallest body near it if that is smaller]; 0 for integrators without an error estimate.
     pub error: f64,
     /// Where the error exceeds the tolerance.
     pub shortfall: Option<Shortfall>,
@@ -335,7 +335,9 @@ impl StepReport {
     /// Takes the sums over the parts of the step that have been done, so that the next part begins its own.
     pub(super) fn take_sums(&mut self) -> Sums {
         let StepReport { substeps, error, shortfall, ledger, .. } = self;
-        Sums { substeps: take(substeps), error: take(error), shortfall: take(shortfall), ledger: take(ledger) }
+        // before the first part it is that of an earlier step
+        let error = if *substeps > 0 { take(error) } else { 0.0 };
+        Sums { substeps: take(substeps), error, shortfall: take(shortfall), ledger: take(ledger) }
     }
 
     /// Adds the sums over earlier parts of the step.

@@ -179,6 +179,17 @@ fn extreme_scenes_do_not_hang() {
     }
 }
 
+/// The reported error is that of the last step, not the largest of the run.
+#[test]
+fn the_reported_error_falls_with_the_motion() {
+    let body = "name = \"a\"\nradius = 1.0\nmotion = { free = { from = [0, 0, 0], spin = [0, 0, 2] } }\n";
+    let mut world = World::new(scene(&format!("[material]\ndamping = 6.0\n[[body]]\n{body}"))).unwrap();
+    let first = world.step().error;
+    run(&mut world, 120);
+    let last = world.report().error;
+    assert!(last > 0.0 && last < 0.5 * first, "{first:e}, then {last:e}");
+}
+
 /// A heap of small spheres.
 fn heap(counts: [u32; 3], friction: f64) -> World {
     World::new(scene(&format!(

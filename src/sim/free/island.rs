@@ -353,6 +353,11 @@ impl Island {
                 scratch.pairs_of[body].push(index);
             }
         }
+        for ((body, course), pairs) in self.bodies.iter().zip(&mut scratch.courses).zip(&scratch.pairs_of) {
+            let near = pairs.iter().map(|&pair| &self.pairs[pair as usize]).filter(|pair| pair.window.is_none());
+            let radii = near.flat_map(|pair| [pair.a, pair.b]).map(|near| self.bodies[near as usize].radius);
+            course.smallest_radius = radii.fold(body.radius, f64::min);
+        }
         Advance { end, shortest: (end - self.time) * STANDING, tried: 0 }
     }
 

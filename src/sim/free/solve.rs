@@ -115,7 +115,12 @@ impl Island {
                 course.predict(arch, body, span, node + 1, places);
             }
         }
-        let wanted = |body: &Body| small_correction(self.tolerance, body.radius, span.h);
+        let wanted = |course: &Course| small_correction(self.tolerance, course.smallest_radius, span.h);
+        // Vertices follow the rotation of their frame a sweep late, through damping and inertia: what is left of a correction
+        // is no less than that, whatever the last two sweeps look like.
+        let turning = self.bodies.iter().zip(&scratch.courses).filter(|(body, _)| body.turns());
+        let slowest = turning.map(|(body, course)| body.oscillator.damping + course.frames[3].spin.length());
+        let slowest = span.h * slowest.fold(0.0, f64::max);
         let mut before = f64::INFINITY;
         for sweep in 0..MAX_SWEEPS {
             if !work.spend(sweep_work) {
@@ -132,7 +137,8 @@ impl Island {
             let correct_one = |((body, course), places): ((&Body, &mut Course), &mut [Place; 5]),
                                samples: std::ops::Range<usize>| {
                 let rounding = 4e-15 * (places[0].centre.length() + body.shape.extent) * f64::max(1.0, 1.0 / span.h);
-                course.correct(arch, body, span, samples, places) / f64::max(wanted(body), rounding)
+                let wanted = f64::max(wanted(course), rounding);
+                course.correct(arch, body, span, samples, places) / wanted
             };
             let mut correct = |samples: std::ops::Range<usize>| {
                 let Scratch { courses, places, .. } = &mut *scratch;
@@ -150,7 +156,7 @@ impl Island {
             if !change.is_finite() {
                 return None;
             }
-            let rate = if sweep > 0 { change / before } else { 1.0 };
+            let rate = if sweep > 0 { larger(change / before, slowest) } else { 1.0 };
             // the remaining corrections are the rest of a geometric series
             let left = if rate < 1.0 { change * rate / (1.0 - rate) } else { change };
             if sweep > 0 && left <= 1.0 {
@@ -335,12 +341,12 @@ impl Island {
         }
         let mut worst = Outcome { error: 0.0, body: 0, estimate: 0.0 };
         for (i, (body, course)) in self.bodies.iter().zip(&scratch.courses).enumerate() {
-            let found = course.error(arch, body, &self.field) / body.radius;
+            let found = course.error(arch, body, &self.field) / course.smallest_radius;
             let estimate = found + left * small_correction(self.tolerance, 1.0, span.h);
             let turned = course.frames[3].turned.length();
             // Rounding of position and velocity adds as much to the estimate of a shorter step.
             let rounded = body.centre.length() + body.shape.extent + body.velocity.length();
-            let rounding = 2.0 * f64::EPSILON * rounded / body.radius;
+            let rounding = 2.0 * f64::EPSILON * rounded / course.smallest_radius;
             let error = estimate / (self.tolerance * span.h + rounding);
             let error = if turned > MAX_TURN { error.max(2.0) } else { error };
             if !(error <= worst.error) {

@@ -542,7 +542,7 @@ impl Leg {
         is_known: bool,
         own: [[DVec3; 2]; 4],
     ) {
-        let Undisturbed { body, around, .. } = *undisturbed;
+        let Undisturbed { body, course, around, .. } = *undisturbed;
         let (field, h) = (around.field, around.span.h);
         let length = (self.to - self.from) * h;
         let theta = self.nodes();
@@ -574,7 +574,7 @@ impl Leg {
             self.touches.clear();
             self.touches.extend(acts.iter().map(touch));
         }
-        let small_correction = NEGLIGIBLE * around.small_correction * body.radius;
+        let small_correction = NEGLIGIBLE * around.small_correction * course.smallest_radius;
         // effect of a change of force on the displacement, now or after the oscillator has turned the velocity into one
         let Oscillator { omega, damping } = body.oscillator;
         let gain = length / omega.max(2.0 * damping).max(1.0);

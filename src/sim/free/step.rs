@@ -119,6 +119,9 @@ pub struct Held {
 /// The motion of a body during a step.
 #[derive(Clone, Debug, Default)]
 pub struct Course {
+    /// Smallest radius of the body and of those near it, to which its errors are relative [scene unit]: what is small for
+    /// the body may throw a smaller and lighter one off.
+    pub smallest_radius: f64,
     pub frames: [Frame; 5],
     /// The vertices that something may reach in the step.
     pub active: Active,
