@@ -17,7 +17,7 @@ use crate::{
         free::{Body, Driven, Push, Shape, Way},
         memory::spilled,
         neighbours::{FatBounds, Neighbours},
-        numerics::control::{MAX_SLOW_TOLERANCE, NEGLIGIBLE, NEGLIGIBLE_TOLERANCE, SLOW, SLOW_TIME},
+        numerics::control::{MAX_SLOW_TOLERANCE, NEGLIGIBLE, NEGLIGIBLE_TOLERANCE, SLOW_TIME},
         span::Span,
         terms::{self, carry},
     },
@@ -245,7 +245,7 @@ impl Member {
 
     /// The largest speed of any point of a slow body [scene unit/s].
     fn max_slow_speed(&self, tolerance: f64) -> f64 {
-        SLOW * tolerance.min(MAX_SLOW_TOLERANCE) * self.body.radius
+        NEGLIGIBLE * tolerance.min(MAX_SLOW_TOLERANCE) * self.body.radius
     }
 
     /// Counts another step of `h` [s] after which the body is slow. Returns whether it has been slow for long enough to

@@ -50,8 +50,8 @@ pub const MAX_GROWTH: f64 = 4.0;
 pub const MAX_SWEEPS: u32 = 24;
 /// Largest rotation of a body's frame in a step [rad]: the rate of a rotation vector is singular at a full turn.
 pub const MAX_TURN: f64 = 1.0;
-/// Share of the tolerance that what is left out on purpose may take: corrections, and the deformation of a body that
-/// counts as undeformed.
+/// Share of the tolerance that what is left out on purpose may take: corrections, the deformation of a body that counts as
+/// undeformed, and the motion of one that comes to rest.
 pub const NEGLIGIBLE: f64 = 0.1;
 /// Larger tolerances than this make steps longer, but do not allow to leave out more [radii/s]. Otherwise what corrections
 /// leave, which is of low order, would dominate the error of steps much shorter than the tolerance requires.
@@ -65,15 +65,12 @@ pub const INTERPOLATED: f64 = 1e-8;
 
 // Rest
 
-/// Share of the tolerance that the motion of a slow body, which may come to rest, may take: the rest is left to the errors
-/// of its steps.
-pub const SLOW: f64 = 0.5;
 /// Shortest time for which a body must be slow before it rests [s], as in game engines (Box2D: `b2_timeToSleep`).
 pub const SLOW_TIME: f64 = 0.5;
 /// Larger tolerances than this do not let bodies rest any sooner [radii/s], nor do steps of fixed length: half a per cent of
-/// the radius in a second is not seen (Box2D: 0.05 m/s). Motion lost by resting is an error that shorter steps do not
-/// reduce.
-pub const MAX_SLOW_TOLERANCE: f64 = 1e-2;
+/// the radius in a second, the negligible share, is not seen (Box2D: 0.05 m/s). Motion lost by resting is an error that
+/// shorter steps do not reduce.
+pub const MAX_SLOW_TOLERANCE: f64 = 5e-2;
 
 // Steps of fixed length
 
