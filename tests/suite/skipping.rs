@@ -403,6 +403,23 @@ fn assert_accurate(scene: &Scene, steps: u64) {
     eprintln!("{}: {worst:.3} of the tolerance", scene.name);
 }
 
+/// A vertex of a large, fast body grazes the sphere of a small one for a millisecond. The step at whose start it enters,
+/// by rounding still outside, is twelve times as long.
+#[test]
+fn a_visit_of_a_millisecond_is_not_missed() {
+    let text = "duration = 0.1\n[material]\nresponse = \"rigid\"\n\
+                [[body]]\nname = \"small\"\nradius = 10.3397659042697\nshape = { sphere = { stacks = 5, slices = 8 } }\n\
+                motion = { line = { from = [-22.57074691563694, -18.99342737940674, -0.6319557513388091], \
+                velocity = [-4.48788489789955, 27.686939309698904, 24.615113955238662] } }\n\
+                [[body]]\nname = \"large\"\nradius = 315.23799774954927\nshape = { sphere = { stacks = 5, slices = 8 } }\n\
+                motion = { sine = { center = [-107.3518480277031, 407.49028895369935, 23.43724974254925], \
+                amplitude = [584.3976492291342, -931.988673329601, -755.5661872092719], frequency = 0.4 } }\n";
+    let scene = Scene::parse(text, "graze.toml").expect("a valid scene");
+    let moved = |reference: &Reference| reference.displacement(1, 15, reference.times().len() - 1).length();
+    assert!(moved(&solve(&scene, u64::MAX)) > 1e-5, "it is pushed");
+    assert_accurate(&scene, u64::MAX);
+}
+
 /// A large body among small ones, most of which reach none of its vertices: the error estimate of its steps does not
 /// depend on these.
 #[test]

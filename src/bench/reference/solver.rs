@@ -325,8 +325,15 @@ fn crossing(margin: impl Fn(f64) -> f64, rates: [f64; 2], tie: f64) -> Option<f6
     let at = |k: usize| k as f64 / PARTS as f64;
     let samples: [f64; PARTS + 1] = std::array::from_fn(|k| margin(at(k)));
     let mut is_inside = samples[0] > 0.0;
-    if !is_inside && rates[0] < 0.0 && samples[1] < -tie {
-        return Some(0.0); // it starts at the kink, and leaves to the other side
+    if !is_inside && samples[1] < -tie {
+        if rates[0] < 0.0 {
+            return Some(0.0); // it starts at the kink, and leaves to the other side
+        }
+        // it starts at the kink, and stays on this side for less than a part
+        let (top, below) = minimum(&|theta| tie - margin(theta), 0.0, at(1));
+        if below < 0.0 {
+            return Some(root(&margin, (top, tie - below), (at(1), samples[1])));
+        }
     }
     // whether the margin has a minimum near a sample
     let is_low = |k: usize| match k {
