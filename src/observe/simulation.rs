@@ -316,8 +316,9 @@ impl Shortfall {
     pub fn describe(&self, schema: &Schema, Instant { step, time }: Instant) -> String {
         let Shortfall { body, error, .. } = *self;
         let (body, ratio) = (&schema.bodies[body].name, self.ratio());
+        let ratio = if ratio < 1e3 { format!("{ratio:.1}") } else { format!("{ratio:.0e}") };
         format!(
-            "step {step} (t = {time:.6} s): body \"{body}\" may be off by {error:.1e} radii, {ratio:.1} times what the tolerance allows"
+            "step {step} (t = {time:.6} s): body \"{body}\" may be off by {error:.1e} radii, {ratio} times what the tolerance allows"
         )
     }
 }

@@ -727,7 +727,7 @@ impl Layout {
         }
         let scale = self.view(
             "2D",
-            "Displacement [radii]: the colours end at the largest on the surface at this instant",
+            "Displacement [radii]: at this instant, at most a tenth of the surface has more than the colours show",
             LEGEND.family(),
             &[&family(&LEGEND)],
             &[],

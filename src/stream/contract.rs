@@ -152,7 +152,7 @@ entities! {
     EVENTS = "/events" ["TextLog, bodies, phases, time, q, rate, energy"]
         "One line per change of a phase; a thin recording has all events here.";
     ACCURACY = "/events/accuracy" ["TextLog"]
-        "One line per step in which the error of a body exceeds the tolerance: which body, and by how much.";
+        "One line when the error of a body begins to exceed the tolerance, and when it has doubled since: which body, and by how much.";
     SURFACE_EVENTS = "/events/surfaces" ["TextLog"]
         "One line when surfaces touch or part.";
     BODY_EVENTS = "/events/bodies" ["TextLog"]

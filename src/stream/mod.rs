@@ -65,7 +65,7 @@
 //! | `/groups/A` | bodies | The names of the bodies of the group whose first body is A. |
 //! | `/groups/A/QUANTITY` | Scalars | Volume, area, genus, components, Euler characteristic and number of bodies of the group, of its sharp union. |
 //! | `/events` | TextLog, bodies, phases, time, q, rate, energy | One line per change of a phase; a thin recording has all events here. |
-//! | `/events/accuracy` | TextLog | One line per step in which the error of a body exceeds the tolerance: which body, and by how much. |
+//! | `/events/accuracy` | TextLog | One line when the error of a body begins to exceed the tolerance, and when it has doubled since: which body, and by how much. |
 //! | `/events/surfaces` | TextLog | One line when surfaces touch or part. |
 //! | `/events/bodies` | TextLog | One line per event of a single body, with its position. |
 //! | `/marks/axis/KIND` | Scalars, SeriesPoints | Events as markers on the axis of plots. |

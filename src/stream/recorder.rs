@@ -337,9 +337,7 @@ impl Recorder {
             parts.focus.event(&self.schema, event);
         }
         parts.state.lines.events(&self.schema, &step.summary.events, &step.pairs, &mut self.chunks);
-        if let Some(shortfall) = &step.summary.shortfall {
-            pairs::log_shortfall(&self.schema, shortfall, at, &mut self.chunks);
-        }
+        parts.pairs.log_shortfall(&self.schema, step.summary.shortfall.as_ref(), at, &mut self.chunks);
         parts.numbers.add_recording(Duration::ZERO, start.elapsed());
         self.log_stages(&step.stages, at);
         if let Some(frame) = frame {
@@ -545,7 +543,7 @@ impl FrameParts {
             body_forces.log(view, series, chunks);
         }
         if let (Some(heat), Some(forces)) = (heat, &state.forces) {
-            heat.log(view, &forces.largest, chunks);
+            heat.log(view, &forces.displacements, chunks);
         }
         let merged = state.merged.merged();
         pairs.log(view, &merged.pairs, number, series, chunks);

@@ -865,11 +865,13 @@ impl Run {
                     .fold(f64::INFINITY, f64::min)
             };
             let (mut largest, mut of_all): (Option<(f64, DVec3, String)>, f64) = (None, 0.0);
+            let mut on_surface = vec![];
             for (index, body) in world.bodies().enumerate() {
                 for vertex in 0..body.vertex_count() {
                     let displacement = body.displacement(vertex).length() / body.scene().radius;
                     of_all = of_all.max(displacement);
                     let is_outside = hides(body.position(vertex), index) >= 0.95;
+                    on_surface.extend((is_outside && body.max_displacement() > 0.0).then_some(displacement));
                     if is_outside && displacement > largest.as_ref().map_or(0.0, |(largest, ..)| *largest) {
                         let name = &body.scene().name;
                         let label = format!("largest on the surface: {name}:{vertex}, {displacement:.3} R");
@@ -892,8 +894,13 @@ impl Run {
                 };
                 assert!(ends[0].truncate() == ends[1].truncate() && world.bodies().all(above), "{ends:?}");
                 let [.., end] = &scale.held[frame].texts("Points2D:labels")[..] else { panic!("no numbers") };
-                let end: f64 = end.parse().expect("a number");
-                assert!((end - displacement.max(0.01)).abs() <= 6e-3 * end, "{end}, but {displacement}");
+                // the colours end where a tenth of the surface has more, but not below 0.3 of the largest
+                on_surface.sort_by(f64::total_cmp);
+                let usual = on_surface[(0.9 * on_surface.len() as f64) as usize];
+                let expected = usual.max(0.3 * displacement).max(0.01);
+                assert_eq!(end.ends_with(" and more"), displacement > 1.001 * expected, "{end}, but {displacement}");
+                let end: f64 = end.trim_end_matches(" and more").parse().expect("a number");
+                assert!((end - expected).abs() <= 6e-3 * end, "{end}, but {expected}");
             }
         });
     }
@@ -931,7 +938,10 @@ impl Run {
         let ends: Vec<f32> = scale
             .held
             .iter()
-            .map(|row| row.texts("Points2D:labels").last().and_then(|end| end.parse().ok()).expect("a number"))
+            .map(|row| {
+                let labels = row.texts("Points2D:labels");
+                labels.last().and_then(|end| end.trim_end_matches(" and more").parse().ok()).expect("a number")
+            })
             .collect();
         for (index, scene) in self.scene.bodies.iter().enumerate() {
             let track = self.track(&format!("/world/bodies/{}/surface", scene.name));
@@ -952,7 +962,7 @@ impl Run {
                     let expected = (body.displacement(i).length() / scene.radius) as f32;
                     assert!((displacement[i].0 - expected).abs() <= 1e-6 * expected.max(1e-30), "{at}");
                     assert_eq!(net[i].0, forces.of(Cause::Net).get(i).length() as f32, "{at}");
-                    // half of the texture is the colours, from no displacement to the largest on the surface
+                    // half of the texture is the colours, from no displacement to the end of the scale
                     let [place, _] = heat[i].0;
                     let end: f32 = ends[frame];
                     assert!((place - 0.5 * (expected / end).min(1.0)).abs() <= 4e-3, "{at}: {place}");
@@ -988,13 +998,32 @@ impl Run {
                 };
                 highlighted.iter().any(is_of)
             };
-            pairs.sort_by_key(is_highlighted);
-            let plain = pairs.iter().filter(|pair| !is_highlighted(pair)).count();
-            let free = 3 - highlighted.len();
-            let plain = plain.min(free);
-            let labelled = if plain == 1 && pairs.len() > 1 { 0 } else { plain };
+            // labels that would cover each other are left out
+            let [low, high] = world.bodies().fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[low, high], body| {
+                let radius = body.scene().radius;
+                [low.min(body.centre() - radius), high.max(body.centre() + radius)]
+            });
+            let between = |a: usize, b: usize| 0.5 * (world.body(a).centre() + world.body(b).centre());
+            let middle = |pair: &PairView| between(pair.a, pair.b);
+            let all = (0..self.scene.bodies.len()).flat_map(|b| (0..b).map(move |a| (a, b)));
+            let is_named = |&(a, b): &(usize, usize)| {
+                highlighted.iter().any(|label| label.contains(&format!(" {}, ", self.pair_name((a, b)))))
+            };
+            let highlighted: Vec<DVec3> = all.filter(is_named).map(|(a, b)| between(a, b)).collect();
+            let (mut first, mut rest): (Vec<PairView>, Vec<PairView>) = (vec![], vec![]);
+            for pair in pairs {
+                let mut taken = highlighted.iter().copied().chain(first.iter().map(middle));
+                let is_clear = taken.all(|other| other.distance(middle(&pair)) > 0.08 * low.distance(high));
+                let is_labelled = !is_highlighted(&pair) && is_clear && highlighted.len() + first.len() < 3;
+                if is_labelled { first.push(pair) } else { rest.push(pair) }
+            }
+            let labelled = first.len();
+            let pairs = [first, rest].concat();
             let label = |pair: &PairView| format!("{} q = {:.3}", self.pair_name((pair.a, pair.b)), pair.q);
-            let labels: Vec<String> = pairs[..labelled].iter().map(label).collect();
+            let mut labels: Vec<String> = pairs[..labelled].iter().map(label).collect();
+            if labelled == 1 && pairs.len() > 1 {
+                labels.push(String::new());
+            }
             assert_eq!(held.texts("LineStrips3D:labels"), labels, "step {}", world.steps_taken());
             let colors: Vec<Rgba32> = pairs.iter().map(|pair| color(phase_color(pair.phase))).collect();
             assert_eq!(held.colors("LineStrips3D:colors"), colors);

@@ -4,6 +4,7 @@
 //! 2005), which is found anew in every substep. A substep drifts for half its length, kicks, and drifts for the other
 //! half, so that it needs one evaluation of the forces. Its length follows from the stiffest of springs, planes and
 //! spheres, for which the scheme is stable; a very narrow rim of a core, over which the strength changes, is not counted.
+//! In small islands, where substeps cost little, they are shorter than that.
 //! Damping and friction act by their own exact or implicit solution, which is stable for any rate.
 //!
 //! Springs and reactions balance as in the equation of motion, so momentum and angular momentum are conserved to
@@ -33,6 +34,10 @@ use crate::{
 
 /// Least number of substeps.
 const MIN_SUBSTEPS: f64 = 2.0;
+/// Number of substeps, beyond what stability requires, where they take less than [`CHEAP_WORK`].
+const CHEAP_SUBSTEPS: f64 = 32.0;
+/// Work that such substeps may take [units]: a few milliseconds.
+const CHEAP_WORK: u64 = 200_000;
 /// Largest number of substeps: what needs more is too stiff or too fast for this scheme.
 const MAX_SUBSTEPS: f64 = 1000.0;
 /// With fewer vertices than this, a second thread does not pay off.
@@ -432,6 +437,9 @@ impl Island {
         let first: Vec<Place> = self.bodies.iter().enumerate().map(|(i, body)| place(i, body, start, false)).collect();
         over(is_parallel, &mut scratch.verlet.all, |i, own| own.begin(&self.bodies[i], first[i]));
         let (count, stiffest) = self.count_substeps(scratch, end);
+        let substep_work = (3 * vertices + 16 * stepped) as u64;
+        let cheap = f64::min(CHEAP_SUBSTEPS, (CHEAP_WORK / substep_work.max(1)) as f64);
+        let count = larger(count, cheap);
         let h = (end - start) / count;
         if !(count <= MAX_SUBSTEPS) {
             return Err(Failure::Unresolved { body: stiffest, time: start, step: h });
@@ -446,7 +454,6 @@ impl Island {
         let mut centres = first;
         // the first half of the first drift; damping acts within kicks
         over(is_parallel, all, |i, own| own.drift(arch, &self.bodies[i], 0.0, 0.5 * h));
-        let substep_work = (3 * vertices + 16 * stepped) as u64;
         let (mut k, mut t_before) = (0.0, start);
         while k < count {
             let t = start + (k + 0.5) * h;

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, btree_map::Entry};
 
-use super::{FrameView, heat::LargestOf, vertices};
+use super::{FrameView, heat::Displacements, vertices};
 use crate::{
     observe::Schema,
     sdk::{self, AnnotationContext, Arrows3D},
@@ -28,7 +28,7 @@ pub struct Forces {
     /// Values of each body's vertices; for bodies at rest only if each body has its own entity.
     pub vertices: Vec<vertices::VertexNumbers>,
     /// The largest displacements of the frame.
-    pub largest: LargestOf,
+    pub displacements: Displacements,
     at_rest: Vec<bool>,
     includes_resting: bool,
     sources: Sources,
@@ -62,7 +62,7 @@ impl Forces {
             terms,
             origins: Vec::new(),
             vertices: vec![vertices::VertexNumbers::default(); count],
-            largest: LargestOf::default(),
+            displacements: Displacements::default(),
             at_rest: vec![false; count],
             includes_resting: entities == Entities::Body,
             sources: Sources::default(),
@@ -72,8 +72,8 @@ impl Forces {
     /// Extracts the forces of a frame.
     pub fn extract(&mut self, view: FrameView<'_>, extractor: &mut Extractor) {
         let FrameView { schema, .. } = view;
-        self.largest = LargestOf::frame(view);
-        let end = self.largest.end();
+        self.displacements.find(view);
+        let end = self.displacements.end();
         self.terms.iter_mut().for_each(|term| term.next.clear());
         for (index, (body, now)) in view.bodies().enumerate() {
             let numbers = &mut self.vertices[index];

@@ -1,7 +1,7 @@
 //! The colours of displacements: a texture that the displacement view maps onto surfaces, and its colour scale.
 //!
-//! The place of a vertex in the texture is its displacement as a share of the largest one in the frame, so that the colours
-//! reach from end to end in every frame.
+//! The place of a vertex in the texture is its displacement as a share of one that few vertices on the surface exceed in the
+//! frame: a single spike, perhaps on the far side, would leave the same colour to all others.
 
 use glam::DVec3;
 
@@ -34,6 +34,10 @@ pub const MAPPINGS: [Mapping; 4] = [
 const WIDTH: usize = 256;
 /// The smallest end of the colour range [radii]: numbers below would look like displacements.
 const LEAST: f64 = 0.01;
+/// The end of the colour range: the displacement that this share of the vertices on the surface does not exceed …
+const SHARE: f64 = 0.9;
+/// … but at least this share of the largest one, so that a small dent has more than one colour.
+const OF_LARGEST: f64 = 0.3;
 /// A vertex this close to the centre of another body is hidden by it [radii of that body].
 const INSIDE: f64 = 0.95;
 /// How far above all bodies near it the label of the largest displacement is [radii of its body], and which are near: those
@@ -53,7 +57,8 @@ pub fn place(displacement: f32, end: f64) -> [f32; 2] {
 /// The numbers of the colour scale, and the mark at the largest displacement.
 pub struct Heat {
     ticks: TrackId,
-    end: f64,
+    /// What the numbers of the scale were last.
+    end: (f64, bool),
     mark: TrackId,
     last: Option<([DVec3; 2], String)>,
 }
@@ -89,7 +94,7 @@ impl Heat {
         let mark = [Points3D::descriptor_positions(), Points3D::descriptor_labels(), LineStrips3D::descriptor_strips()];
         Heat {
             ticks: chunks.track(&LEGEND.of(&["ticks"]), [Points2D::descriptor_labels()]),
-            end: 0.0,
+            end: (0.0, false),
             mark: chunks.track(LARGEST.path, mark),
             last: None,
         }
@@ -97,15 +102,19 @@ impl Heat {
 
     /// Logs the numbers of the scale, and marks the vertex with the largest displacement. Its label is above the bodies
     /// there, at the end of a line that shows where the vertex is, even if that is on the far side.
-    pub fn log(&mut self, view: FrameView<'_>, largest: &LargestOf, chunks: &mut Chunks) {
-        let end = largest.end();
-        if end != self.end {
-            self.end = end;
-            let labels: Vec<String> = TICKS.map(|share| significant(share * end)).into();
+    pub fn log(&mut self, view: FrameView<'_>, displacements: &Displacements, chunks: &mut Chunks) {
+        let Displacements { outside, of_all, end, .. } = displacements;
+        let is_exceeded = outside.is_some_and(|largest| largest.displacement > 1.001 * end);
+        if (*end, is_exceeded) != self.end {
+            self.end = (*end, is_exceeded);
+            let mut labels: Vec<String> = TICKS.map(|share| significant(share * end)).into();
+            if let (true, Some(last)) = (is_exceeded, labels.last_mut()) {
+                last.push_str(" and more");
+            }
             chunks.push(self.ticks, view.at, &[&labels]);
         }
-        let mark = largest.outside.filter(|largest| largest.displacement > 0.0).map(|outside| {
-            let hidden = largest.of_all.filter(|of_all| of_all.displacement > outside.displacement);
+        let mark = outside.filter(|largest| largest.displacement > 0.0).map(|outside| {
+            let hidden = of_all.filter(|of_all| of_all.displacement > outside.displacement);
             let hidden = hidden.map(|hidden| format!("; inside another body: {}", hidden.text(view)));
             let is_near = |(body, now): &(&BodySchema, &BodyFrame)| {
                 !now.is_absent && (now.centre - outside.position).truncate().length() < NEAR * body.radius
@@ -149,46 +158,57 @@ impl Largest {
     }
 }
 
-/// The vertex with the largest displacement of those that lie in no other body, and of all.
-#[derive(Clone, Copy, Default)]
-pub struct LargestOf {
+/// The displacements of the vertices that lie in no other body, and the largest of all.
+#[derive(Clone, Default)]
+pub struct Displacements {
     outside: Option<Largest>,
     of_all: Option<Largest>,
+    /// The displacement at the end of the colours [radii].
+    end: f64,
+    /// Scratch storage, reused.
+    lengths: Vec<f32>,
+    near: Vec<(DVec3, f64)>,
 }
 
-impl LargestOf {
+impl Displacements {
     /// Finds them in a frame.
-    pub fn frame(view: FrameView<'_>) -> LargestOf {
-        let (mut visible, mut any): (Option<Largest>, Option<Largest>) = (None, None);
-        for (index, (body, now)) in view.bodies().enumerate() {
-            let is_larger =
-                |length: f64, than: &Option<Largest>| than.is_none_or(|than| length / body.radius > than.displacement);
-            if !is_larger(now.max_displacement, &visible) {
-                continue;
-            }
+    pub fn find(&mut self, view: FrameView<'_>) {
+        let (mut outside, mut of_all): (Option<Largest>, Option<Largest>) = (None, None);
+        self.lengths.clear();
+        for (index, (body, now)) in view.bodies().enumerate().filter(|(_, (_, now))| now.max_displacement > 0.0) {
+            let reach = body.radius + now.max_displacement;
+            let others = view.bodies().enumerate().filter(|&(other, (of, at))| {
+                other != index && !at.is_absent && at.centre.distance(now.centre) < INSIDE * of.radius + reach
+            });
+            self.near.clear();
+            self.near.extend(others.map(|(_, (of, at))| (at.centre, INSIDE * of.radius)));
             for (vertex, &length) in now.lengths.iter().enumerate() {
-                if !is_larger(length, &visible) {
-                    continue;
-                }
                 let position = now.centre + now.positions.get(vertex);
                 let found = Largest { displacement: length / body.radius, body: index, vertex, position };
-                if is_larger(length, &any) {
-                    any = Some(found);
-                }
-                let mut others = view.bodies().enumerate().filter(|(other, _)| *other != index);
-                let hides = |(of, at): (&BodySchema, &BodyFrame)| {
-                    !at.is_absent && at.centre.distance(position) < INSIDE * of.radius
+                let larger = |than: &mut Option<Largest>| {
+                    if than.is_none_or(|than| found.displacement > than.displacement) {
+                        *than = Some(found);
+                    }
                 };
-                if !others.any(|(_, other)| hides(other)) {
-                    visible = Some(found);
+                larger(&mut of_all);
+                if !self.near.iter().any(|&(centre, radius)| centre.distance(position) < radius) {
+                    larger(&mut outside);
+                    self.lengths.push(found.displacement as f32);
                 }
             }
         }
-        LargestOf { outside: visible.or(any), of_all: any }
+        (self.outside, self.of_all) = (outside.or(of_all), of_all);
+        let largest = self.outside.map_or(0.0, |largest| largest.displacement);
+        let rank = (SHARE * self.lengths.len() as f64) as usize;
+        let usual = match self.lengths.get(rank) {
+            Some(_) => f64::from(*self.lengths.select_nth_unstable_by(rank, f32::total_cmp).1),
+            None => largest,
+        };
+        self.end = usual.max(OF_LARGEST * largest).max(LEAST);
     }
 
     /// The displacement at the end of the colours [radii].
     pub fn end(&self) -> f64 {
-        self.outside.map_or(0.0, |largest| largest.displacement).max(LEAST)
+        self.end
     }
 }

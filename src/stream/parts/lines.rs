@@ -19,6 +19,8 @@ use crate::{
 /// Upper limit on the number of labelled pairs: the highlighted one, then the closest. More labels would cover each
 /// other and the bodies.
 const MAX_LABELLED: usize = 3;
+/// Labels nearer to each other than this cover each other [diagonals of the box around the bodies].
+const LABEL_HEIGHT: f64 = 0.08;
 
 /// Pair lines, with the last logged values.
 pub struct Lines {
@@ -91,12 +93,18 @@ impl Lines {
         // the viewer labels the first lines, as many as there are labels; a highlighted pair has its label there
         self.recent.age();
         let recent = self.recent.pair();
-        self.closest.sort_by_key(|pair| recent == Some((pair.a, pair.b)));
-        let is_plain = |pair: &&PairFrame| recent != Some((pair.a, pair.b));
-        let free = MAX_LABELLED - usize::from(recent.is_some());
-        let mut labelled = self.closest.iter().filter(is_plain).count().min(free);
-        if labelled == 1 && self.closest.len() > 1 {
-            labelled = 0; // the viewer would take a single label for that of all lines
+        let middle = |a: usize, b: usize| 0.5 * (view.frame.bodies[a].centre + view.frame.bodies[b].centre);
+        let mut taken: Vec<DVec3> = recent.map(|(a, b)| middle(a, b)).into_iter().collect();
+        let [low, high] = view.bounds();
+        let mut labelled = 0;
+        for index in 0..self.closest.len() {
+            let PairFrame { a, b, .. } = self.closest[index];
+            let is_clear = |other: &DVec3| other.distance(middle(a, b)) > LABEL_HEIGHT * low.distance(high);
+            if recent != Some((a, b)) && taken.len() < MAX_LABELLED && taken.iter().all(is_clear) {
+                taken.push(middle(a, b));
+                self.closest[labelled..=index].rotate_right(1);
+                labelled += 1;
+            }
         }
         let centre = |i: usize| view.frame.bodies[i].centre.as_vec3().to_array();
         segments.clear();
@@ -106,6 +114,9 @@ impl Lines {
         labels.clear();
         let label = |pair: &PairFrame| format!("{} q = {:.3}", view.schema.pair_name(pair.a, pair.b), pair.q);
         labels.extend(self.closest[..labelled].iter().map(label));
+        if labelled == 1 && self.closest.len() > 1 {
+            labels.push(String::new()); // the viewer would take a single label for that of all lines
+        }
         if self.last.as_ref() != Some(&self.next) {
             let LineRows { segments, colors, labels } = &self.next;
             let cells: [&dyn Cell; _] = [segments, colors, labels];

@@ -43,6 +43,8 @@ pub mod springs;
 pub mod trails;
 pub mod vertices;
 
+use glam::DVec3;
+
 use super::instant::Instant;
 use crate::observe::{BodyFrame, Frame, Schema, schema::BodySchema};
 
@@ -63,5 +65,13 @@ pub struct FrameView<'a> {
 impl<'a> FrameView<'a> {
     pub(in crate::stream) fn bodies(self) -> impl Iterator<Item = (&'a BodySchema, &'a BodyFrame)> {
         self.schema.bodies.iter().zip(&self.frame.bodies)
+    }
+
+    /// The least and the largest corner of the box around the undeformed bodies [scene unit].
+    fn bounds(self) -> [DVec3; 2] {
+        let present = self.bodies().filter(|(_, now)| !now.is_absent);
+        present.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[low, high], (body, now)| {
+            [low.min(now.centre - body.radius), high.max(now.centre + body.radius)]
+        })
     }
 }

@@ -63,6 +63,8 @@ pub struct PairPlots {
     plotted: Option<[f64; 2]>,
     /// The pairs of the current frame that have their own entities.
     shown: Vec<[usize; 2]>,
+    /// The error over the tolerance that was logged last, while the error exceeds the tolerance.
+    shortfall: Option<f64>,
 }
 
 fn extended(range: Option<[f64; 2]>, number: f64) -> [f64; 2] {
@@ -148,6 +150,7 @@ impl PairPlots {
             new: Vec::new(),
             plotted: None,
             shown: Vec::new(),
+            shortfall: None,
         }
     }
 
@@ -336,6 +339,17 @@ impl PairPlots {
         }
         self.marks.log(schema, event, is_plotted, chunks);
     }
+
+    /// Logs that the error of a step exceeds the tolerance, unless it does so for long and is less than twice what was
+    /// logged last: a line for each step would hide the events.
+    pub fn log_shortfall(&mut self, schema: &Schema, of: Option<&Shortfall>, at: Instant, chunks: &mut Chunks) {
+        let Some(shortfall) = of else { return self.shortfall = None };
+        if self.shortfall.is_none_or(|before| shortfall.ratio() >= 2.0 * before) {
+            let line = TextLog::new(shortfall.describe(schema, at)).with_level("warning");
+            chunks.log(ACCURACY.path, at, &line);
+            self.shortfall = Some(shortfall.ratio());
+        }
+    }
 }
 
 /// A value of q, rounded to more digits than any plot shows: lines with equal ones coincide.
@@ -490,12 +504,6 @@ fn log_body_event(schema: &Schema, event: &BodyEvent, chunks: &mut Chunks) {
     let at = Instant { step: event.step, time: event.time };
     let line = TextLog::new(event.describe(schema)).with_level(event.name).with_color(color(colors::VERMILION));
     chunks.log(BODY_EVENTS.path, at, &line);
-}
-
-/// Logs the line of a step whose error exceeds the tolerance.
-pub fn log_shortfall(schema: &Schema, shortfall: &Shortfall, at: Instant, chunks: &mut Chunks) {
-    let line = TextLog::new(shortfall.describe(schema, at)).with_level("warning");
-    chunks.log(ACCURACY.path, at, &line);
 }
 
 /// Several component batches in one row.

@@ -91,6 +91,8 @@ impl Recent {
             last: Rows::default(),
             top: f64::NEG_INFINITY,
             alone: is_drawn_alone(schema).then(|| {
+                let clear = Mesh3D::update_fields().with_albedo_factor(palette::translucent([0xFF; 3]));
+                chunks.log_static(RECENT_PAIR.path, &clear);
                 chunks.log_static(RECENT_PAIR.path, &light::unlit());
                 Alone {
                     track: chunks.track(RECENT_PAIR.path, [Mesh3D::descriptor_vertex_positions(), LIT.descriptor()]),
@@ -132,10 +134,7 @@ impl Recent {
     /// Logs changed values.
     pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
         if self.alone.is_some() {
-            let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-            for (body, now) in view.bodies().filter(|(_, now)| !now.is_absent) {
-                (low, high) = (low.min(now.centre - body.radius), high.max(now.centre + body.radius));
-            }
+            let [low, high] = view.bounds();
             self.top = high.z + ABOVE * low.distance(high);
         }
         let Some(event) = &mut self.event else { return self.push(Rows::default(), view.at, chunks) };
