@@ -273,13 +273,12 @@ impl Explained<'_> {
         let texts = pairs.iter().enumerate().map(|(index, &[a, b])| {
             let mut text = self.phase(a, b);
             if let Some(Some(measures)) = merged.pairs.get(index) {
-                let smaller = self.schema.bodies[a].radius.min(self.schema.bodies[b].radius);
-                let [gap, neck] = [measures.gap, measures.neck].map(|length| short(length / smaller));
+                let [gap, neck] = [measures.gap, measures.neck].map(short);
                 let touching = if measures.gap > 0.0 { "apart" } else { "touching" };
                 let overlap = short(measures.overlap);
                 let _ = write!(
                     text,
-                    "\n  surfaces: {touching}, gap {gap} R, neck {neck} R, overlap {overlap} unit³ (R: the smaller radius)"
+                    "\n  surfaces: {touching}, gap {gap} R, neck {neck} R, overlap {overlap} R³ (R: the smaller radius)"
                 );
             }
             text + &self.between(a, b) + "\n"

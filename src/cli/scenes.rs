@@ -27,7 +27,8 @@ pub fn scenes(arguments: &Arguments) -> Result<(), Failure> {
             print(&format!("    {sentence}"));
         }
     }
-    print("\nSweeps:");
+    print("");
+    print("Sweeps, which run a scene with many values of a key:");
     for builtin in sweep::builtin::ALL {
         let about = builtin.text.lines().next().unwrap_or_default();
         print(&format!("{}: {}", builtin.name, about.trim_start_matches(['#', ' '])));

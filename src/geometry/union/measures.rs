@@ -67,14 +67,15 @@ pub fn measures_of(united: &Union, budget: &Budget, hint: &mut Hint) -> Result<P
         // doubly enclosed volume counts once
         Ok(union(&bodies[body..=body], budget)?.volume())
     };
-    let overlap = if bodies.len() != 2 {
+    let gap = gap_of(united, budget, hint)?;
+    let overlap = if gap > 0.0 {
         0.0
     } else if bodies.iter().all(|body| body.slack() > 0.0) {
         united.taken()
     } else {
         volume(0)? + volume(1)? - united.volume()
     };
-    Ok(PairMeasures::new(gap_of(united, budget, hint)?, overlap.max(0.0), united.seams.clone()))
+    Ok(PairMeasures::new(gap, overlap.max(0.0), united.seams.clone()))
 }
 
 impl PairMeasures {
@@ -123,13 +124,13 @@ fn gap_of(united: &Union, budget: &Budget, hint: &mut Hint) -> Result<f64, Union
     let [a, b] = united.bodies else { return Ok(f64::INFINITY) };
     let meter = Meter::new(Budget { work: u64::MAX, ..*budget });
     let trees = [Tree::new(a), Tree::new(b)];
-    let is_apart = united.seams.is_empty() && (0..2).all(|body| !united.is_inside(body));
-    if is_apart {
-        return trees[0].distance(&trees[1], &mut hint.triangles, &meter).map_err(|_| meter.gave_up());
-    }
     let mut deepest = 0.0f64;
-    for (body, tree) in [(0, &trees[1]), (1, &trees[0])] {
+    for (body, tree) in [(0, &trees[1]), (1, &trees[0])].into_iter().filter(|&(body, _)| united.is_inside(body)) {
         deepen(united, body, tree, &mut deepest, &meter).map_err(|_| meter.gave_up())?;
+    }
+    // without a seam, what is not on the union may be inside its own body only
+    if united.seams.is_empty() && deepest == 0.0 {
+        return trees[0].distance(&trees[1], &mut hint.triangles, &meter).map_err(|_| meter.gave_up());
     }
     Ok(-deepest)
 }

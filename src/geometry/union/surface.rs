@@ -292,7 +292,7 @@ impl<'a, 'b> Union<'a, 'b> {
         self.first_vertex.partition_point(|&first| first <= vertex) - 1
     }
 
-    /// Whether a body is, entirely or in part, inside others or the same as another.
+    /// Whether a body is, entirely or in part, inside others or itself, or the same as another.
     pub(super) fn is_inside(&self, body: usize) -> bool {
         !self.removed[body].is_empty()
     }

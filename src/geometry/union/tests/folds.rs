@@ -100,6 +100,30 @@ fn measures_of_separated_bodies_are_those_of_their_union() {
     assert!(separated >= 20, "{separated} separated");
 }
 
+/// A body that is folded into itself does not touch another by that.
+#[test]
+fn the_gap_of_a_folded_body_is_its_distance() {
+    let mut random = shapes::Random::new(17);
+    let mut folded = 0;
+    for round in 0..40 {
+        let first = deformed(&mut random, 1.0);
+        let second = deformed(&mut random, 0.2).at(DVec3::new(2.2 + 0.05 * f64::from(round), 0.3, 0.1));
+        let topologies = [&first, &second].map(|s| Topology::new(s.positions.len(), &s.triangles).unwrap());
+        let bodies = [Body::new(&topologies[0], &first.positions), Body::new(&topologies[1], &second.positions)];
+        let [a, b] = bodies.map(Result::unwrap);
+        let is_inside = |(points, of): (&shapes::Shape, &shapes::Shape)| {
+            points.positions.iter().any(|&at| winding_number(&of.positions, &of.triangles, at) > 0.5)
+        };
+        if [(&first, &second), (&second, &first)].into_iter().any(is_inside) || contact(&a, &b).is_some() {
+            continue;
+        }
+        let apart = Tree::new(&a).distance(&Tree::new(&b), &mut [u32::MAX; 2], &Meter::new(Budget::default()));
+        assert_eq!(apart.ok(), Some(pair_measures(&a, &b, &Budget::default()).unwrap().gap), "round {round}");
+        folded += u32::from(a.slack() <= 0.0);
+    }
+    assert!(folded >= 10, "{folded} folded");
+}
+
 /// A search for the depth that begins where that of a neighbour ended misses no deeper point.
 #[test]
 fn no_vertex_or_centre_of_a_triangle_is_deeper_than_the_gap() {
