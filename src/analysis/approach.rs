@@ -20,6 +20,8 @@ pub struct Approach {
     pub time: f64,
 }
 
+/// A pair whose q changes less does not approach [–].
+const STILL: f64 = 1e-4;
 /// Number of places in a step at which the distance of a pair is looked at.
 const LOOKS: usize = 8;
 
@@ -75,6 +77,8 @@ pub struct Approaches {
 #[derive(Clone, Copy, Debug)]
 struct Watched {
     closest: Approach,
+    /// The largest q at the end of a step [–].
+    farthest: f64,
     /// Whether the pair has left its first phase.
     has_changed: bool,
 }
@@ -109,12 +113,13 @@ impl Approaches {
             let watched = match self.pairs.get_mut(&key) {
                 Some(watched) => watched,
                 None if is_full => continue,
-                None => self.pairs.entry(key).or_insert(Watched { closest, has_changed }),
+                None => self.pairs.entry(key).or_insert(Watched { closest, farthest: closest.q, has_changed }),
             };
             watched.has_changed |= has_changed;
             if watched.has_changed {
                 continue;
             }
+            watched.farthest = watched.farthest.max(closest.q);
             if closest.q < watched.closest.q {
                 watched.closest = closest;
             }
@@ -130,9 +135,11 @@ impl Approaches {
         (self.before, self.now, self.time) = (now, take(&mut self.before), time);
     }
 
-    /// The closest approaches, the nearest first.
+    /// The closest approaches, the nearest first; not of pairs that stay as far apart as they are, unless all do.
     pub fn closest(&self) -> Vec<Approach> {
-        let unchanged = self.pairs.values().filter(|pair| !pair.has_changed);
+        let moves = |pair: &&Watched| pair.farthest - pair.closest.q > STILL;
+        let is_moving = self.pairs.values().any(|pair| pair.has_changed || moves(&pair));
+        let unchanged = self.pairs.values().filter(|pair| !pair.has_changed && (moves(pair) || !is_moving));
         let mut closest: Vec<Approach> = unchanged.map(|pair| pair.closest).collect();
         closest.sort_by(|x, y| x.q.total_cmp(&y.q).then((x.a, x.b).cmp(&(y.a, y.b))));
         closest

@@ -164,7 +164,22 @@ impl Merger {
         if let Some(own) = schema.surfaces.get() {
             return self.merge_own(own, schema, frame, pairs);
         }
-        let groups = groups(schema, frame);
+        self.merge_groups(&groups(schema, frame), schema, frame, pairs)
+    }
+
+    /// The measures of some pairs alone, in their order; `None` if they could not be computed.
+    pub fn measure(&mut self, schema: &Schema, frame: &Frame, pairs: &[[usize; 2]]) -> &[Option<PairMeasures>] {
+        match schema.surfaces.get() {
+            Some(own) => {
+                let interrupt = self.closed.interrupt;
+                self.merged.pairs = pairs.iter().map(|&pair| own.measure(schema, frame, pair, interrupt)).collect();
+                &self.merged.pairs
+            }
+            None => &self.merge_groups(&[], schema, frame, pairs).pairs,
+        }
+    }
+
+    fn merge_groups(&mut self, groups: &[Vec<usize>], schema: &Schema, frame: &Frame, pairs: &[[usize; 2]]) -> &Merged {
         self.frame += 1;
         for &body in groups.iter().flatten().chain(pairs.iter().flatten()) {
             self.place(schema, frame, body);
@@ -176,7 +191,7 @@ impl Merger {
 
         let interrupt = closed.interrupt;
         let budget = Budget { work: *work / groups.len().max(1) as u64, time: None, interrupt };
-        let united: Vec<(Option<Arc<Group>>, Option<PairMeasures>)> = for_all(&groups, |group| {
+        let united: Vec<(Option<Arc<Group>>, Option<PairMeasures>)> = for_all(groups, |group| {
             let is_asked_for = || pairs.iter().any(|pair| pair[..] == group[..]);
             match last_groups.get(group) {
                 Some(known) if !group.iter().any(|&body| bodies[body].has_moved) => (
@@ -219,7 +234,7 @@ impl Merger {
             group.bodies.iter().for_each(|&body| merged.is_merged[body] = true);
             merged.groups.push(Arc::clone(group));
         }
-        *last_groups = groups.into_iter().zip(united.into_iter().map(|(group, _)| group)).collect();
+        *last_groups = groups.iter().cloned().zip(united.into_iter().map(|(group, _)| group)).collect();
         &self.merged
     }
 

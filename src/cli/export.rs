@@ -48,7 +48,7 @@ pub struct Arguments {
     /// Write a table of events: exact time, pair, q and its rate of change, phases before and after.
     #[arg(long, value_name = TABLE, group = "what")]
     events: Option<PathBuf>,
-    /// Write a table of q and phase of every pair within reach, by step.
+    /// Write a table of q, phase, gap, overlap and neck of every pair within reach, by step.
     #[arg(long, value_name = TABLE, group = "what")]
     pairs: Option<PathBuf>,
     /// Write a table of the centre, the largest displacement and the scalars of every body, by step.
@@ -123,7 +123,8 @@ pub fn export(program: Program<'_>, arguments: Arguments) -> Result<(), Failure>
     let want = Want { scalars: scalars.is_some() || pairs.is_some() || bodies.is_some(), forces: forces.is_some() };
     let needs_frames = folder.is_some() || want != Want::default() || states.is_some();
 
-    let (mut merger, mut frame) = (Merger::new(&schema, None), Frame::default());
+    let [mut merger, mut measurer] = [(); 2].map(|()| Merger::new(&schema, None));
+    let mut frame = Frame::default();
     let (mut files, mut size, mut overlapping) = (0, 0, 0);
     let (mut touches, mut surfaces) = (events.is_some().then(|| Touches::new(&*run.simulation)), Vec::new());
     let progress = Progress::new("", Work::Units("step", Some(to)));
@@ -149,7 +150,7 @@ pub fn export(program: Program<'_>, arguments: Arguments) -> Result<(), Failure>
             files += 1;
         }
         if let Some(table) = pairs.as_mut().filter(|_| is_wanted(step)) {
-            table.add(&schema, &frame)?;
+            table.add(&schema, &frame, &mut measurer)?;
         }
         if let Some(table) = bodies.as_mut().filter(|_| is_wanted(step)) {
             table.add(&schema, &frame)?;

@@ -63,7 +63,11 @@ pub struct Deviation {
 impl fmt::Display for Deviation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Deviation { what, step, time, values: [first, second], largest: (largest, at), .. } = self;
-        let value = |value: &f64| if value.is_nan() { "none".to_owned() } else { value.to_string() };
+        // as many digits as show the difference
+        let is_whole = [first, second].iter().all(|value| !(value.fract().abs() > 0.0));
+        let digits = if is_whole { 0.0 } else { 1.0 - (first - second).abs().log10().floor() };
+        let digits = if digits.is_finite() { digits.clamp(0.0, 17.0) as usize } else { 6 };
+        let value = |value: &f64| if value.is_nan() { "none".to_owned() } else { format!("{value:.digits$}") };
         write!(f, "{what}: {} and {} at step {step} (t = {time:.6} s)", value(first), value(second))?;
         if at == step { Ok(()) } else { write!(f, ", up to {largest:.3e} apart, at step {at}") }
     }

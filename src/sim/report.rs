@@ -184,11 +184,9 @@ pub enum Toil {
     },
 }
 
-/// A warning that a run will end as [`Overworked`].
+/// A warning that a run will end as [`Overworked`], or that bodies will take steps of fixed length, see [`Fallback`].
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error(
-    "step {step} (t = {time:.6} s) takes more work than most steps may: after some more like it, the run will end; {toil}"
-)]
+#[error("step {step} (t = {time:.6} s) takes more work than most steps may: after some more like it, {}; {toil}", toil.outcome())]
 pub struct Strain {
     /// The step.
     pub step: u64,
@@ -218,6 +216,16 @@ pub struct Fallback {
     pub tolerance: f64,
     /// Length of their steps [s].
     pub substep: f64,
+}
+
+impl Toil {
+    /// What happens if it goes on.
+    fn outcome(&self) -> &'static str {
+        match self {
+            Toil::Together { .. } => "they take steps of fixed length",
+            _ => "the run will end",
+        }
+    }
 }
 
 /// What makes steps of many bodies cheaper.

@@ -11,14 +11,14 @@ use super::{
         ABOUT, ACCURACY, ARROWS, BODY, BODY_FORCE, BODY_SCALAR, BODY_SURFACE, DEFORMING, DIAGNOSTIC, DRAWN, EVENTS,
         Entity, FORCE, GROUP_LINE, INFLUENCE, LAG, LARGEST, LEGEND, LOG_DIFFERENCE, MAP, MARKS_AT_Q, MARKS_ON_AXIS,
         MEASURE, MERGED, MERGED_SURFACE, NAMES, PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_LEVEL, PAIR_NECK,
-        PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR, PLANE, RECENT_PAIR, RESTING, SIM_TIME, SLICE, SPEED, STAGE, STAGES,
-        STEP, TRAILS, VOLUME, WORLD,
+        PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR, PLANE, RECENT_NAMES, RECENT_PAIR, RESTING, SIM_TIME, SLICE, SPEED,
+        STAGE, STAGES, STEP, TRAILS, VOLUME, WORLD,
     },
     focus::Focus,
     light, palette,
     parts::{
         body_forces, heat, net_forces, numbers,
-        pairs::{self, MEASURES},
+        pairs::{self, MEASURES, Told},
         recent, trails,
     },
     settings::{Detail, Entities, Frames, Settings},
@@ -92,8 +92,8 @@ pub struct Measured<'a> {
     pub distances: Option<[f64; 2]>,
     /// Smallest and largest plotted value of each scalar of the schema.
     pub scalars: Vec<Option<[f64; 2]>>,
-    /// The pairs that have plots, as `A~B`: in each list those whose lines of q are one and the same.
-    pub pairs: Vec<Vec<String>>,
+    /// The pairs that have plots.
+    pub pairs: Told,
     /// The initial focus of the viewer.
     pub focus: Option<&'a Focus>,
     /// The times between which a flight recorder has frames [s], if there is one and it has some.
@@ -190,13 +190,12 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             layout.log(&format!("{view}/EyeControls3D"), &camera);
         }
     }
-    let is_alike = measured.pairs.iter().any(|alike| alike.len() > 1);
-    if is_alike || (!pairs::has_named_pairs(subject.schema) && !measured.pairs.is_empty()) {
+    let Told { alike, changed, met, all } = &measured.pairs;
+    let is_shorter = alike.len() < *all || changed.len() < *all || met.len() < *all;
+    if is_shorter || (!pairs::has_named_pairs(subject.schema) && *all > 0) {
         // the pairs that have plots, and what they plot, are known only now
         let mut lines = vec![family(&MARKS_AT_Q)];
-        let mut lanes = vec![];
-        for alike in &measured.pairs {
-            lanes.extend(alike.iter().map(|pair| including(&PAIR_PHASE.of(&[pair]))));
+        for alike in alike {
             let Some(pair) = alike.first() else { continue };
             lines.push(including(&PAIR_DISTANCE.of(&[pair])));
             let levels = subject.schema.thresholds.iter().map(|threshold| PAIR_LEVEL.of(&[pair, threshold.name]));
@@ -209,7 +208,12 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
                 }
             }
         }
-        let views = [(std::mem::take(&mut layout.distances), lines), (std::mem::take(&mut layout.phases), lanes)];
+        let lanes = |of: &Entity, pairs: &[String]| pairs.iter().map(|pair| including(&of.of(&[pair]))).collect();
+        let views = [
+            (std::mem::take(&mut layout.distances), lines),
+            (std::mem::take(&mut layout.phases), lanes(&PAIR_PHASE, changed)),
+            (std::mem::take(&mut layout.contacts), lanes(&PAIR_CONTACT, met)),
+        ];
         for (paths, lines) in views {
             for path in paths {
                 layout.log(&format!("{path}/ViewContents"), &ViewContents::new(lines.iter().map(String::as_str)));
@@ -400,6 +404,8 @@ struct Layout {
     scalars: Vec<(String, &'static str)>,
     /// The lanes of phases.
     phases: Vec<String>,
+    /// Views of whether surfaces touch.
+    contacts: Vec<String>,
     /// The view of each force term, with its name; none for terms that cannot act.
     forces: Vec<Option<(String, String)>>,
     /// The views in 3D, with their aspect ratios.
@@ -445,6 +451,7 @@ impl Layout {
             distances: Vec::new(),
             scalars: Vec::new(),
             phases: Vec::new(),
+            contacts: Vec::new(),
             forces: Vec::new(),
             spaces: Vec::new(),
             ground: None,
@@ -611,8 +618,13 @@ impl Layout {
             });
             parts.push(self.container(ContainerKind::Tabs, "Pairs", plots.into(), &[]));
         }
-        let title = "Phase, and whether surfaces touch (red, yellow: they disagree)";
-        parts.push(self.view("StateTimeline", title, PAIR_PHASE.family(), &[&family(&PAIR_PHASE)], &[]));
+        let title = "Do surfaces touch? (red: joined, not touching; yellow: touching, not joined)";
+        let mut contents: Vec<String> = pairs::named(schema, &PAIR_PHASE).map(|lane| format!("- {lane}")).collect();
+        contents.push(family(&PAIR_PHASE));
+        let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
+        let contacts = self.view("StateTimeline", title, PAIR_PHASE.family(), &contents, &[]);
+        self.contacts.push(contacts.path.clone());
+        parts.push(contacts);
         if pairs::has_named_pairs(schema) {
             // no marks of events, which are at 0: a change of a hundredth is visible
             let title = "Volume [unit³]: what merging loses lies between the lines";
@@ -647,6 +659,9 @@ impl Layout {
     /// A view of all forces and one for each that can act in the scene, of which one is in front, and the net force on each
     /// body over time. All views have the same initial camera; Rerun 0.36 cannot link two of them.
     fn forces_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
+        /// Plots upon one another, of more bodies, would have no room for numbers: they are tabs.
+        const MOST_STACKED: usize = 3;
+
         let sums = schema.terms.iter().filter(|term| term.is_sum).map(|sum| sum.name);
         let sums = sums.chain(net_forces::KINDS.map(|(name, ..)| name));
         let mut arrows: Vec<String> = sums.map(|name| format!("- {}", FORCE.of(&[name]))).collect();
@@ -669,17 +684,24 @@ impl Layout {
         if schema.bodies.len() > body_forces::MOST_BODIES {
             return causes;
         }
+        let is_stacked = schema.bodies.len() <= MOST_STACKED;
         let plots = schema.bodies.iter().map(|body| {
-            let title = format!("Net force on {} by cause, over its mass [unit/s²]", body.name);
+            let title = match is_stacked {
+                true => format!("Net force on {} by cause, over its mass [unit/s²]", body.name),
+                false => format!("On {} [unit/s²]", body.name),
+            };
             let contents = format!("+ {}/{}/**", BODY_FORCE.family(), body.name);
             let plot = self.plot(&title, "/", &[&contents], Corner2D::RightTop);
-            // the lines have the colours of the arrows; a legend would cover half of a small plot
-            self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
+            if is_stacked {
+                // the lines have the colours of the arrows; a legend would cover half of a small plot
+                self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
+            }
             plot
         });
         let plots: Vec<Part> = plots.collect();
         let shares = vec![1.0; plots.len()];
-        let plots = self.container(ContainerKind::Vertical, "Net forces", plots, &shares);
+        let kind = if is_stacked { ContainerKind::Vertical } else { ContainerKind::Tabs };
+        let plots = self.container(kind, "Net forces", plots, &shares);
         self.container(ContainerKind::Horizontal, "Forces", vec![causes, plots], &[1.6, 1.0])
     }
 
@@ -897,10 +919,11 @@ impl Layout {
 
     /// The pair of the last event, cut out of everything that may hide it.
     fn recent_pair(&mut self) -> Part {
-        let contents = including(RECENT_PAIR.path);
+        let contents = [&RECENT_PAIR, &RECENT_NAMES].map(|of| including(of.path));
+        let contents = contents.each_ref().map(String::as_str);
         let ground = self.ground.take();
         let framing: Framing<'_> = (&[(DVec3::ZERO, 2.2)], WIDE);
-        let view = self.space(framing, "The pair of the last event, alone", &[&contents]);
+        let view = self.space(framing, "The pair of the last event, alone", &contents);
         self.ground = ground;
         self.spaces.pop(); // its camera stays
         self.draw_lit(&view, RECENT_PAIR.path, &Mesh3D::update_fields());
@@ -1148,11 +1171,14 @@ pub fn arrows(schema: &Schema) -> String {
         return "No force can act in this scene.\n".to_owned();
     }
     format!(
-        "An arrow is **1 R = {} unit long** if: {}.\n\nArrows begin at vertices{}. Lines beside them: the same colours, means over \
-         a body.\n",
+        "An arrow is **1 R = {} unit long** if: {}.\n\nArrows begin at vertices{}.{}\n",
         short(radius),
         lengths(schema, |_| true),
         if is_uniform { "; those that act on all alike, at the centre" } else { "" },
+        match schema.bodies.len() > body_forces::MOST_BODIES {
+            true => format!(" The net forces of up to {} bodies are plotted.", body_forces::MOST_BODIES),
+            false => " Lines beside them: the same colours, means over a body.".to_owned(),
+        },
     )
 }
 

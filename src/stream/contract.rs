@@ -109,6 +109,8 @@ entities! {
         "The pair that had the last event, labelled with the event and q: for 24 frames, with more than 8 bodies until the next event, and then with a line up to the label, above all bodies.";
     RECENT_PAIR = "/recent/pair" ["Mesh3D, lit_colors, unlit_normals"]
         "With more than 8 bodies: the two of the last event alone, about the point midway between them [radii of the larger].";
+    RECENT_NAMES = "/recent/names" ["Points3D"]
+        "Their names.";
     NAMES = "/world/names" ["Points3D"]
         "The names of up to 8 bodies.";
     FORCES = "/world/forces" ["AnnotationContext"]
@@ -153,6 +155,8 @@ entities! {
         "One line per change of a phase; a thin recording has all events here.";
     ACCURACY = "/events/accuracy" ["TextLog"]
         "One line when the error of a body begins to exceed the tolerance, and when it has doubled since: which body, and by how much.";
+    FAILED = "/events/failure" ["TextLog"]
+        "Why the run ended before its last step.";
     SURFACE_EVENTS = "/events/surfaces" ["TextLog"]
         "One line when surfaces touch or part.";
     BODY_EVENTS = "/events/bodies" ["TextLog"]

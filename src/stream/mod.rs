@@ -44,6 +44,7 @@
 //! | `/world/pairs` | LineStrips3D; with more than 64 bodies Ellipsoids3D | Lines between the centres of the closest pairs within reach, up to three labelled with the pair and q; with many bodies also the influence spheres that reach another body. |
 //! | `/world/recent` | LineStrips3D, Points3D | The pair that had the last event, labelled with the event and q: for 24 frames, with more than 8 bodies until the next event, and then with a line up to the label, above all bodies. |
 //! | `/recent/pair` | Mesh3D, lit_colors, unlit_normals | With more than 8 bodies: the two of the last event alone, about the point midway between them [radii of the larger]. |
+//! | `/recent/names` | Points3D | Their names. |
 //! | `/world/names` | Points3D | The names of up to 8 bodies. |
 //! | `/world/forces` | AnnotationContext | Names of the pairs of bodies between which forces act, as classes of arrows. |
 //! | `/world/forces/CAUSE` | Arrows3D | Accelerations of vertices and of points of contact by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre. |
@@ -66,6 +67,7 @@
 //! | `/groups/A/QUANTITY` | Scalars | Volume, area, genus, components, Euler characteristic and number of bodies of the group, of its sharp union. |
 //! | `/events` | TextLog, bodies, phases, time, q, rate, energy | One line per change of a phase; a thin recording has all events here. |
 //! | `/events/accuracy` | TextLog | One line when the error of a body begins to exceed the tolerance, and when it has doubled since: which body, and by how much. |
+//! | `/events/failure` | TextLog | Why the run ended before its last step. |
 //! | `/events/surfaces` | TextLog | One line when surfaces touch or part. |
 //! | `/events/bodies` | TextLog | One line per event of a single body, with its position. |
 //! | `/marks/axis/KIND` | Scalars, SeriesPoints | Events as markers on the axis of plots. |

@@ -35,10 +35,17 @@ pub const GROUND: Rgb = [0x24, 0x29, 0x31];
 /// Colour of selectable vertices.
 pub const DOT: Rgb = [0x8A, 0x92, 0x9C];
 
-/// Colours of q lines, in order: hues a golden angle apart, all distinct. Legible on dark and light backgrounds.
+/// Colours of q lines, in order: hues a golden angle apart, all distinct, without those of phases. Legible on dark and light
+/// backgrounds.
 pub fn distance(index: usize) -> Rgb {
     const GOLDEN: f64 = 0.618_033_988_749_894_8;
-    let hue = 6.0 * (0.25 + index as f64 * GOLDEN).fract();
+    /// Hues beside orange, light blue and purple [sixths of a turn], and their sum.
+    const FREE: [[f64; 2]; 3] = [[1.0, 3.1], [3.7, 4.1], [4.8, 6.4]];
+    const SUM: f64 = 4.1;
+    let mut hue = SUM * (0.25 + index as f64 * GOLDEN).fract() + FREE[0][0];
+    for [before, after] in [[FREE[0][1], FREE[1][0]], [FREE[1][1], FREE[2][0]]] {
+        hue += if hue >= before { after - before } else { 0.0 };
+    }
     std::array::from_fn(|channel| {
         let wave = (hue + [0.0, 4.0, 2.0][channel]) % 6.0;
         let pure = ((wave - 3.0).abs() - 1.0).clamp(0.0, 1.0);

@@ -15,15 +15,15 @@ use super::{
     checksums::Checksums,
     chunks::{Audience, Chunks},
     contract::{
-        self, ABOUT, ACCURACY, ARROWS, BODY_EVENTS, Component, DIGEST, EVENTS, Entity, FAILURE, INTEGRATOR, MACHINE,
-        MODEL, OVERRIDES, PAIR_PHASE, PROPERTIES, RECORDING_INFO, SCENE, SETTINGS, STAGES, STEPS, SURFACE_EVENTS,
-        VERSION, WORLD, path_of,
+        self, ABOUT, ACCURACY, ARROWS, BODY_EVENTS, Component, DIGEST, EVENTS, Entity, FAILED, FAILURE, INTEGRATOR,
+        MACHINE, MODEL, OVERRIDES, PAIR_PHASE, PROPERTIES, RECORDING_INFO, SCENE, SETTINGS, STAGES, STEPS,
+        SURFACE_EVENTS, VERSION, WORLD, path_of,
     },
     extract::Extractor,
     flight::FlightRecorder,
     focus::FocusFinder,
     instant::Instant,
-    machine,
+    machine, palette,
     parts::{
         FrameView, batch::BatchedBodies, bodies::SeparateBodies, body_forces::BodyForces, forces::Forces,
         groups::GroupPlots, heat::Heat, lines::Lines, marks, merged::MergedEntities, net_forces::NetForces,
@@ -54,7 +54,7 @@ pub const MOST_APPROACHES: usize = 5;
 
 /// What a flight recorder writes whether or not a trigger fires.
 /// Not the marks of events, which would make plots as long as the run.
-static ALWAYS_WRITTEN: [&Entity; 5] = [&EVENTS, &SURFACE_EVENTS, &BODY_EVENTS, &ACCURACY, &PAIR_PHASE];
+static ALWAYS_WRITTEN: [&Entity; 6] = [&EVENTS, &SURFACE_EVENTS, &BODY_EVENTS, &ACCURACY, &FAILED, &PAIR_PHASE];
 
 /// Converts a simulation, step by step, to the messages of a recording.
 pub struct Recorder {
@@ -81,6 +81,8 @@ pub struct Recorder {
     stage_count: u64,
     /// Whether the run has failed.
     has_failed: bool,
+    /// The last step.
+    at: Instant,
     watch: StepWatch,
     /// Storage for the current step, reused.
     step: StepRecord,
@@ -187,6 +189,7 @@ impl Recorder {
                 .then(|| StateParts::new(&schema, &settings, simulation.interrupt(), &mut chunks)),
             stage_count: 0,
             has_failed: false,
+            at: now(simulation),
             watch: StepWatch::new(simulation, &settings),
             step: StepRecord::default(),
             frame,
@@ -258,7 +261,7 @@ impl Recorder {
             fastest: parts.numbers.fastest(),
             distances: parts.pairs.plotted(),
             scalars: parts.numbers.plotted().collect(),
-            pairs: parts.pairs.names(&self.schema),
+            pairs: parts.pairs.told(&self.schema),
             focus: parts.focus.focus().filter(|_| self.flight.is_none()), // a flight recorder may have dropped it
             kept: self.kept.map(|kept| kept.map(|at| at.time)),
             have_acted: parts.body_forces.as_ref().map_or(&[], BodyForces::have_acted),
@@ -325,6 +328,7 @@ impl Recorder {
     pub fn record(&mut self, step: &StepRecord, frame: Option<&Frame>) {
         let start = Clock::now();
         let at = step.summary.at;
+        self.at = at;
         self.checksums.push(at, step.checksum);
         for row in rows(&step.summary.events, &step.surfaces, &step.summary.body_events) {
             pairs::log_row(&self.schema, &row, self.settings.frames == Frames::Thin, &mut self.chunks);
@@ -381,6 +385,8 @@ impl Recorder {
     /// Adds why the run failed to the recording's properties; before it is [finished](Recorder::finish).
     pub fn fail(&mut self, cause: &str) {
         self.log_property(FAILURE, cause);
+        let line = TextLog::new(cause).with_level("error").with_color(palette::color(crate::colors::VERMILION));
+        self.chunks.log(FAILED.path, self.at, &line);
         self.has_failed = true;
     }
 

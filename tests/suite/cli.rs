@@ -1270,7 +1270,16 @@ fn exported_tables_match_the_run_bit_by_bit() {
         assert_eq!(row[..3], [step.to_string(), format!("{time:?}"), name.to_owned()]);
         assert_eq!(row[5].parse(), Ok(q));
     }
-    assert_eq!(rows("pairs.csv"), pairs);
+    let number = |cell: &String| cell.parse::<f64>().expect("a number");
+    let (mut found, mut met) = (rows("pairs.csv"), 0);
+    for row in &mut found {
+        let measures: Vec<f64> = row.drain(6..).map(|cell| number(&cell)).collect();
+        let [gap, overlap, neck] = measures[..] else { panic!("{measures:?}") };
+        assert_eq!([overlap > 0.0, neck > 0.0], [gap < 0.0; 2], "{row:?}: {measures:?}");
+        met += u64::from(gap < 0.0);
+    }
+    assert_eq!(found, pairs);
+    assert!((50..200).contains(&met), "{met} steps in which they overlap");
     assert_eq!(rows("scalars.csv").len(), 301);
 
     // its own table is replaced; a foreign file is not

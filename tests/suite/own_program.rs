@@ -112,7 +112,7 @@ fn an_own_program_runs_replays_and_compares_its_experiments() {
     assert!(out.contains("it is absent") && out.contains("Floor"), "{out}");
     // the grip holds in one phase only
     let pairs = table("p.csv");
-    assert!(pairs.starts_with("step,time,a,b,q,phase,hold\n"), "{pairs}");
+    assert!(pairs.starts_with("step,time,a,b,q,phase,gap,overlap,neck,hold\n"), "{pairs}");
     let holds = |line: &&str| line.contains(",gripped,") != line.ends_with(',');
     assert_eq!(pairs.lines().skip(1).filter(holds).count(), 101, "{pairs}");
 }

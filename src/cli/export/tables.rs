@@ -1,8 +1,9 @@
 //! The tables of a run and their columns.
 
-use std::path::Path;
+use std::{collections::BTreeMap, path::Path};
 
 use crate::{
+    analysis::surface::Merger,
     cli::Failure,
     geometry::Vectors,
     observe::{
@@ -39,14 +40,24 @@ pub const EVENTS: [Column; 10] = [
     Column::new("surfaces", Kind::Text, "the surfaces at a change of phase, in words"),
 ];
 /// The first columns of a table of pairs within reach; each scalar of a pair of the simulation follows.
-pub const PAIRS: [Column; 6] = [
+pub const PAIRS: [Column; 9] = [
     STEP,
     TIME,
     Column::required("a", Kind::Text, "a body"),
     Column::required("b", Kind::Text, "the other body"),
     Column::required("q", Kind::Float, Q),
     Column::required("phase", Kind::Text, "phase"),
+    Column::new(
+        "gap",
+        Kind::Float,
+        "smallest distance of the surfaces, or minus the depth of their overlap [radii of the smaller body]; \
+                 with overlap and neck, empty but for the 64 closest pairs",
+    ),
+    Column::new("overlap", Kind::Float, "volume of the intersection [radius³ of the smaller body]"),
+    Column::new("neck", Kind::Float, "radius of the line along which the surfaces meet [radii of the smaller body]"),
 ];
+/// Number of pairs whose surfaces are compared in a step: each may take a millisecond.
+const MEASURED: usize = 64;
 /// The first columns of a table of bodies; each scalar of a body of the simulation follows.
 pub const BODIES: [Column; 7] = [
     STEP,
@@ -131,12 +142,23 @@ impl Pairs {
     }
 
     /// Adds the pairs of a frame.
-    pub fn add(&mut self, schema: &Schema, frame: &Frame) -> Result<(), Failure> {
+    pub fn add(&mut self, schema: &Schema, frame: &Frame, merger: &mut Merger) -> Result<(), Failure> {
         let [step, time] = instant(frame.at);
         let count = schema.pair_scalars.len();
+        let mut closest: Vec<_> = frame.pairs.iter().collect();
+        closest.sort_by(|x, y| x.q.total_cmp(&y.q));
+        let closest: Vec<[usize; 2]> = closest.iter().take(MEASURED).map(|pair| [pair.a, pair.b]).collect();
+        let measures = merger.measure(schema, frame, &closest);
+        let measures: BTreeMap<_, _> =
+            closest.iter().zip(measures).filter_map(|(&pair, of)| Some((pair, (*of)?))).collect();
         frame.pairs.iter().enumerate().try_for_each(|(index, pair)| {
             let phase = Cell::Text(schema.phases[pair.phase].name);
-            let cells = [step, time, body(schema, pair.a), body(schema, pair.b), Cell::Float(pair.q), phase];
+            let [gap, overlap, neck] = match measures.get(&[pair.a, pair.b]) {
+                Some(of) => [of.gap, of.overlap, of.neck].map(Cell::Float),
+                None => [Cell::Null; 3],
+            };
+            let (a, b) = (body(schema, pair.a), body(schema, pair.b));
+            let cells = [step, time, a, b, Cell::Float(pair.q), phase, gap, overlap, neck];
             Ok(self.0.row(&[&cells[..], &numbers(&frame.pair_scalars, index, count)].concat())?)
         })
     }

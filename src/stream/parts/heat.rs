@@ -7,7 +7,6 @@ use glam::DVec3;
 
 use super::FrameView;
 use crate::colors;
-use crate::observe::{BodyFrame, schema::BodySchema};
 use crate::sdk::{
     self, AnyValues, Image, LineStrips3D, Points2D, Points3D,
     components::{ImageBuffer, ImageFormat},
@@ -40,10 +39,9 @@ const SHARE: f64 = 0.9;
 const OF_LARGEST: f64 = 0.3;
 /// A vertex this close to the centre of another body is hidden by it [radii of that body].
 const INSIDE: f64 = 0.95;
-/// How far above all bodies near it the label of the largest displacement is [radii of its body], and which are near: those
-/// so far aside [their radii].
-const ABOVE: f64 = 0.3;
-const NEAR: f64 = 2.0;
+/// How far outside of its body the label of the largest displacement is [radii of its body]; farther at the underside, where
+/// it is aside.
+const ABOVE: f64 = 0.5;
 
 /// Colour of the mark and its label: it is none of the scale, and legible on dark and light.
 const MARK: palette::Rgb = colors::VERMILION;
@@ -100,8 +98,8 @@ impl Heat {
         }
     }
 
-    /// Logs the numbers of the scale, and marks the vertex with the largest displacement. Its label is above the bodies
-    /// there, at the end of a line that shows where the vertex is, even if that is on the far side.
+    /// Logs the numbers of the scale, and marks the vertex with the largest displacement. Its label is outside of the
+    /// body, at the end of a line from the vertex.
     pub fn log(&mut self, view: FrameView<'_>, displacements: &Displacements, chunks: &mut Chunks) {
         let Displacements { outside, of_all, end, .. } = displacements;
         let is_exceeded = outside.is_some_and(|largest| largest.displacement > 1.001 * end);
@@ -116,14 +114,12 @@ impl Heat {
         let mark = outside.filter(|largest| largest.displacement > 0.0).map(|outside| {
             let hidden = of_all.filter(|of_all| of_all.displacement > outside.displacement);
             let hidden = hidden.map(|hidden| format!("; inside another body: {}", hidden.text(view)));
-            let is_near = |(body, now): &(&BodySchema, &BodyFrame)| {
-                !now.is_absent && (now.centre - outside.position).truncate().length() < NEAR * body.radius
-            };
-            let tops = view.bodies().filter(is_near).map(|(body, now)| now.centre.z + body.radius);
-            let top = tops.fold(outside.position.z, f64::max);
-            let top = outside.position.with_z(top + ABOVE * view.schema.bodies[outside.body].radius);
+            let radius = view.schema.bodies[outside.body].radius;
+            let outward = (outside.position - view.frame.bodies[outside.body].centre).normalize_or(DVec3::Z);
+            let (aside, below) = (outward.with_z(outward.z.max(0.0)), f64::max(-outward.z, 0.0));
+            let end = outside.position + (ABOVE + below) * radius * aside.normalize_or(DVec3::X);
             let label = format!("largest on the surface: {}{}", outside.text(view), hidden.unwrap_or_default());
-            ([outside.position, top], label)
+            ([outside.position, end], label)
         });
         if mark != self.last {
             let ends: Vec<_> = mark.iter().flat_map(|(ends, _)| ends.map(|end| end.as_vec3().to_array())).collect();

@@ -35,6 +35,8 @@ use crate::{
     },
 };
 
+/// A q that changes less is not worth a line in a plot [–].
+const STILL: f64 = 1e-4;
 /// Maximum interval between points of threshold lines [frames], so that they keep up with a live plot.
 const THRESHOLD_FRAMES: u64 = 64;
 
@@ -73,6 +75,11 @@ fn extended(range: Option<[f64; 2]>, number: f64) -> [f64; 2] {
 
 struct PairPlot {
     phase: String,
+    has_events: bool,
+    /// Whether its surfaces touched or its phase joined them.
+    has_met: bool,
+    /// Smallest and largest q.
+    range: Option<[f64; 2]>,
     distance: LineId,
     /// A hash of the line of q so far.
     drawn: DefaultHasher,
@@ -84,6 +91,26 @@ struct PairPlot {
     /// The lane that compares phase and surfaces, and the state that was last logged.
     contact: String,
     last_contact: Option<Contact>,
+}
+
+/// The pairs that have plots worth a look, as `A~B`; where none has, all of them.
+#[derive(Clone, Debug, Default)]
+pub struct Told {
+    /// Those whose q changed: in each list those whose lines of q and of thresholds coincide.
+    pub alike: Vec<Vec<String>>,
+    /// Those whose phase changed.
+    pub changed: Vec<String>,
+    /// Those that touched, or were joined.
+    pub met: Vec<String>,
+    /// Number of pairs that have plots.
+    pub all: usize,
+}
+
+impl PairPlot {
+    /// Whether q stays the same, but for what resting bodies tremble.
+    fn is_still(&self) -> bool {
+        self.range.is_none_or(|[low, high]| high - low < STILL)
+    }
 }
 
 /// Whether two bodies are joined, by their phase and by their surfaces.
@@ -154,17 +181,31 @@ impl PairPlots {
         }
     }
 
-    /// The pairs that have plots, as `A~B`: in each list those whose lines of q and of thresholds coincide.
-    pub fn names(&self, schema: &Schema) -> Vec<Vec<String>> {
-        let mut names: Vec<(u64, Vec<String>)> = Vec::new();
-        for (&(a, b), plot) in &self.known {
-            let (drawn, name) = (plot.drawn.finish(), schema.pair_name(a, b));
-            match names.iter_mut().find(|(known, _)| *known == drawn) {
+    /// The pairs that have plots worth a look.
+    pub fn told(&self, schema: &Schema) -> Told {
+        let name = |&(a, b): &(usize, usize)| schema.pair_name(a, b);
+        let of = |is_told: fn(&PairPlot) -> bool| {
+            let told = self.known.iter().filter(|(_, plot)| is_told(plot)).map(|(pair, _)| name(pair));
+            let told: Vec<String> = told.collect();
+            // where nothing happens, the plots say so
+            if told.is_empty() { self.known.keys().map(name).collect() } else { told }
+        };
+        let moving = of(|plot| plot.has_events || !plot.is_still());
+        let mut alike: Vec<(u64, Vec<String>)> = Vec::new();
+        for (plot, name) in self.known.iter().map(|(pair, plot)| (plot, name(pair))).filter(|of| moving.contains(&of.1))
+        {
+            let drawn = plot.drawn.finish();
+            match alike.iter_mut().find(|(known, _)| *known == drawn) {
                 Some((_, alike)) => alike.push(name),
-                None => names.push((drawn, vec![name])),
+                None => alike.push((drawn, vec![name])),
             }
         }
-        names.into_iter().map(|(_, alike)| alike).collect()
+        Told {
+            alike: alike.into_iter().map(|(_, alike)| alike).collect(),
+            changed: of(|plot| plot.has_events),
+            met: of(|plot| plot.has_met),
+            all: self.known.len(),
+        }
     }
 
     /// Marks the closest approaches of pairs that have plots.
@@ -253,6 +294,7 @@ impl PairPlots {
             let Some(known) = self.known.get_mut(&(pair.a, pair.b)) else { continue };
             if let Some(Some(PairMeasures { gap, overlap, neck, .. })) = measures.next() {
                 let contact = Contact::of(view.schema.phases[pair.phase].is_joined, *gap <= 0.0);
+                known.has_met |= contact != Contact::Apart;
                 if known.last_contact.replace(contact) != Some(contact) {
                     chunks.log(&known.contact, at, &StateChange::single(contact.name()));
                 }
@@ -266,6 +308,7 @@ impl PairPlots {
             }
             series.log(chunks, known.distance, pair.q, at);
             (at.step, as_drawn(pair.q)).hash(&mut known.drawn);
+            known.range = Some(extended(known.range, pair.q));
             self.plotted = Some(extended(self.plotted, pair.q));
             for &(line, threshold) in &known.thresholds {
                 let Some(level) = view.schema.level(threshold, [pair.a, pair.b], at.time) else { continue };
@@ -314,6 +357,7 @@ impl PairPlots {
             for (at, q) in before {
                 series.log(chunks, pair.distance, q, at);
                 (at.step, as_drawn(q)).hash(&mut pair.drawn);
+                pair.range = Some(extended(pair.range, q));
                 for &(line, threshold) in &pair.thresholds {
                     if let Some(level) = schema.level(threshold, [a, b], at.time) {
                         series.log(chunks, line, level, at);
@@ -336,6 +380,9 @@ impl PairPlots {
         let is_plotted = entity.is_some();
         if let Some(entity) = entity {
             chunks.log(entity, at, &StateChange::single(schema.phases[event.to].name));
+        }
+        if let Some(plot) = self.known.get_mut(&(event.a, event.b)) {
+            plot.has_events = true;
         }
         self.marks.log(schema, event, is_plotted, chunks);
     }
@@ -422,6 +469,9 @@ impl PairPlot {
         chunks.log_static(&entity(&PAIR_CONTACT), &lane);
         let (phase, contact) = (entity(&PAIR_PHASE), entity(&PAIR_CONTACT));
         PairPlot {
+            has_events: false,
+            has_met: false,
+            range: None,
             phase,
             distance,
             drawn: DefaultHasher::new(),

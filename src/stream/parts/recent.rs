@@ -10,7 +10,7 @@ use crate::{
     sdk::{self, LineStrips3D, Mesh3D, Points3D},
     stream::{
         chunks::{Chunks, TrackId},
-        contract::{LIT, RECENT, RECENT_PAIR},
+        contract::{LIT, RECENT, RECENT_NAMES, RECENT_PAIR},
         extract::{Extractor, Surface},
         instant::Instant,
         light::{self, Light},
@@ -94,6 +94,9 @@ impl Recent {
                 let clear = Mesh3D::update_fields().with_albedo_factor(palette::translucent([0xFF; 3]));
                 chunks.log_static(RECENT_PAIR.path, &clear);
                 chunks.log_static(RECENT_PAIR.path, &light::unlit());
+                let names =
+                    Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.0)]).with_show_labels(true);
+                chunks.log_static(RECENT_NAMES.path, &names);
                 Alone {
                     track: chunks.track(RECENT_PAIR.path, [Mesh3D::descriptor_vertex_positions(), LIT.descriptor()]),
                     extractor: Extractor::default(),
@@ -200,6 +203,18 @@ impl Alone {
         let place =
             |&[x, y, z]: &Float3| ((DVec3::new(x.into(), y.into(), z.into()) - middle) / radius).as_vec3().to_array();
         let positions: Vec<Float3> = self.surface.positions.iter().map(place).collect();
+        // the names stand on the far sides of the two from each other
+        let apart = (bodies[1].centre - bodies[0].centre).normalize_or(DVec3::X);
+        let places = [0, 1].map(|which| {
+            let own = schema.bodies[pair[which]].radius;
+            let aside = if which == 0 { -apart } else { apart };
+            ((bodies[which].centre + own * aside - middle) / radius).as_vec3().to_array()
+        });
+        let names = Points3D::update_fields()
+            .with_positions(places)
+            .with_colors(pair.map(|body| color(palette::of_body(schema, body))))
+            .with_labels(pair.map(|body| schema.bodies[body].name.as_str()));
+        chunks.log(RECENT_NAMES.path, at, &names);
         let is_new = self.pair != Some(pair) || triangles != self.triangles;
         if is_new {
             self.pair = Some(pair);
