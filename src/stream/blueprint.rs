@@ -86,6 +86,8 @@ pub struct Measured<'a> {
     pub medians: Vec<(&'static str, f64)>,
     /// Typical total duration of a step and of its recording [ms]: the upper ends of the timing plots.
     pub typical: [f64; 2],
+    /// The same of the longest.
+    pub longest: [f64; 2],
     /// The largest speed [steps per second]; 0 if there is none.
     pub fastest: f64,
     /// Smallest and largest plotted q [–], if any.
@@ -111,11 +113,15 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     let mut layout = Layout::of(recording);
     let root = layout.root(subject, tab);
     layout.finish(root); // already sent; the new ids continue after its own
-    for (plot, stages) in std::mem::take(&mut layout.timings) {
+    for (plot, stages, title) in std::mem::take(&mut layout.timings) {
         let is_recording = stages.iter().any(|stage| numbers::RECORDING.contains(stage));
-        let typical = measured.typical[usize::from(is_recording)];
+        let [typical, longest] = [measured.typical, measured.longest].map(|of| of[usize::from(is_recording)]);
         if typical > 0.0 {
             let [low, high] = readable([0.0, HEADROOM * typical]);
+            if longest > high {
+                let title = format!("{title}; at most {}", significant(longest));
+                layout.log(&plot.path, &ViewBlueprint::update_fields().with_display_name(title));
+            }
             let axis = ScalarAxis::new().with_range(Range1D::new(low, high));
             layout.log(&format!("{}/ScalarAxis", plot.path), &axis);
         }
@@ -395,7 +401,7 @@ struct Layout {
     chunks: Chunks,
     next_id: u64,
     /// The plots of timings, with their stages.
-    timings: Vec<(Part, Vec<&'static str>)>,
+    timings: Vec<(Part, Vec<&'static str>, String)>,
     /// The plot of speed.
     speeds: Option<String>,
     /// The plots of q.
@@ -803,7 +809,7 @@ impl Layout {
         let contents: Vec<String> = stages.iter().map(|stage| including(&numbers::stacked(schema, stage))).collect();
         let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
         let plot = self.plot(title, "/", &contents, Corner2D::LeftTop);
-        self.timings.push((Part { id: plot.id, path: plot.path.clone() }, stages));
+        self.timings.push((Part { id: plot.id, path: plot.path.clone() }, stages, title.to_owned()));
         plot
     }
 

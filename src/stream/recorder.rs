@@ -258,6 +258,7 @@ impl Recorder {
             duration: simulation.time(),
             medians: parts.numbers.medians(),
             typical: parts.numbers.typical(),
+            longest: parts.numbers.longest(),
             fastest: parts.numbers.fastest(),
             distances: parts.pairs.plotted(),
             scalars: parts.numbers.plotted().collect(),

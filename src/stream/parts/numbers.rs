@@ -222,6 +222,12 @@ impl FrameNumbers {
         [0, 1].map(|i| f64::min(most[i], 2.0 * many[i]))
     }
 
+    /// What no step, and no recording of one, exceeds [ms], rounded up by at most an eighth; 0 if there were no frames.
+    pub fn longest(&self) -> [f64; 2] {
+        let recording = self.timings.iter().rev().take(2).filter_map(|timing| timing.spread.quantile(1.0));
+        [self.total.quantile(1.0).unwrap_or_default(), recording.sum::<f64>()]
+    }
+
     /// Logs the timings since the last frame [ms per step].
     pub fn log_timings(&mut self, at: Instant, chunks: &mut Chunks) {
         let steps = std::mem::take(&mut self.steps);

@@ -5,7 +5,6 @@ use glam::DVec3;
 
 use super::{FrameView, MAX_LABELS};
 use crate::{
-    colors,
     observe::{BodyFrame, PairEvent, Schema, schema::titled},
     sdk::{self, LineStrips3D, Mesh3D, Points3D},
     stream::{
@@ -25,9 +24,6 @@ const FRAMES: u64 = 24;
 const SELDOM: u64 = 8;
 /// How far above all bodies the label is [diagonals of the box around them].
 const ABOVE: f64 = 0.12;
-
-/// Colour of the line to the label and of the label: of no phase, and legible on dark and light.
-const LEADER: Rgb = colors::MAGENTA;
 
 /// Whether the last event's pair is drawn alone too: among so many bodies it may be hidden.
 pub fn is_drawn_alone(schema: &Schema) -> bool {
@@ -159,7 +155,7 @@ impl Recent {
             let radius = pair.map(|body| schema.bodies[body].radius).into_iter().fold(0.0, f64::max);
             place = middle.with_z(f64::max(self.top, middle.z));
             rows.strips.push(strip([middle, place]));
-            rows.colors.push(color(LEADER).to_u32());
+            rows.colors.push(color(*rgb).to_u32());
             if *age < FRAMES || age.is_multiple_of(SELDOM) {
                 alone.log(schema, *pair, bodies, (middle, radius), at, chunks);
             }
