@@ -177,25 +177,29 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
     /// Lobatto quadrature integrates the quartic part of the residual exactly, so it does not affect a slow oscillator.
     /// The rest is of higher order in the ratio of the step to the time scales involved: of the oscillator, of the
     /// influence's own oscillation, and of a sphere that the vertex passes through. So the residual counts in full only
-    /// where the force is not smooth.
+    /// where the force is not smooth. Also whether the vertex begins or ends closer to a centre, past which the force turns,
+    /// than it moves.
     #[inline(always)]
-    fn roughness(&self, start: Vector<S, W>, end: Vector<S, W>) -> Reals<S, W> {
+    fn roughness(&self, start: Vector<S, W>, end: Vector<S, W>) -> (Reals<S, W>, Mask<S, W>) {
         let (simd, step) = (self.simd, self.step);
         let material = self.course.material;
         let travelled = end - start;
         let zero = Reals::splat(simd, 0.0);
-        let (mut stiffness, mut passed) = (zero, zero);
+        let (mut stiffness, mut passed, mut passes) = (zero, zero, Mask::none(simd));
         for pull in self.pulls {
             let sphere = &self.course.spheres[pull.sphere];
             let moved = step.moments[3].centres[pull.sphere] - step.moments[0].centres[pull.sphere];
             let way = Vector::splat(simd, moved) - travelled;
+            let from = Vector::splat(simd, step.moments[0].centres[pull.sphere]) - self.rest - start;
+            let nearest = from.length_squared().smaller((from + way).length_squared());
+            passes = passes.or(nearest.below(way.length_squared()));
             let way = (way.x.abs() + way.y.abs() + way.z.abs()) * sphere.inverse_radius;
             let strength = Reals::load(simd, &pull.strength, 0).abs();
             passed = passed.larger(zero.below(strength).select(way, zero)); // only the spheres that act on the vertex
             stiffness = stiffness + strength;
         }
         let rate = stiffness.sqrt() + Reals::splat(simd, material.omega + 2.0 * material.damping);
-        (passed + rate * step.h).smaller(Reals::splat(simd, 1.0))
+        ((passed + rate * step.h).smaller(Reals::splat(simd, 1.0)), passes)
     }
 
     /// Takes the step with all vertices of the group, such that the estimated errors are below `wanted` [scene unit] if
@@ -254,7 +258,7 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
         let none = Reals::splat(simd, 0.0);
         let left_out = none.larger_or_nan(bend.length_squared().sqrt() - noise);
         let end = respond(flow[2], &weights.nodes[3].force, &forces);
-        let roughness = self.roughness(x, end);
+        let (roughness, passes) = self.roughness(x, end);
         let mut effect = left_out * roughness * RESIDUAL;
         // Depends only on what acts on each vertex, not on spheres that are near other vertices or near none.
         let Material { omega, damping, .. } = self.course.material;
@@ -262,7 +266,7 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
         let is_quick = Reals::splat(simd, RESOLVED).below(scales);
         let is_near = Reals::splat(simd, wanted).below(effect * (4.0 * gain));
         // usually the force in the middle has already shown that the error is far below the tolerance
-        if is_quick.or(is_near).any() {
+        if is_quick.or(is_near).or(passes).any() {
             let stage = &weights.aside;
             let found = self.force(ASIDE_SAMPLE, respond(x * stage.xx + u * stage.xu, &stage.force, &forces));
             let quartic = respond(bend * BEND_ASIDE, &weights.polynomial_aside, &forces);
@@ -276,7 +280,10 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
             let swing = self.step.h * self.step.weights.swing;
             let usual = self.pulled() * ((scales * scales) * (scales * scales)) * scales * (OSCILLATION * swing);
             let is_oscillation = Reals::splat(simd, wanted).below(usual);
+            // where a vertex passes a centre near the start, the residual in the middle may vanish
+            let kink = left_out.larger_or_nan(skew) * roughness * RESIDUAL;
             effect = is_quick.or(is_near.and(is_oscillation)).select(all, effect);
+            effect = passes.select(effect.larger_or_nan(kink), effect);
         }
         let bent = effect * (USUAL * gain);
         Collocated {
