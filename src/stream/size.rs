@@ -69,13 +69,27 @@ pub fn project(experiment: &dyn Experiment, settings: &Settings, min_size: u64) 
     let samples = if last < steps { MIN_SAMPLES } else { SAMPLES };
     let stride = settings.every * (last / settings.every / samples).max(1);
 
-    let simulation = experiment.start().ok()?;
-    let sampled = |detail| Settings { every: stride, detail, ..settings.clone() };
     let detail = if settings.detail == Detail::Surface { Detail::Surface } else { Detail::Forces };
-    let mut probes = vec![Probe::new(&*simulation, sampled(detail))?];
-    if settings.detail != Detail::Surface {
-        probes.push(Probe::new(&*simulation, sampled(Detail::Surface))?);
-    }
+    let sampled = |detail| sample(experiment, Settings { every: stride, detail, ..settings.clone() }, last, frames);
+    let Sampled { bytes, seen } = sampled(detail)?;
+    let without_forces = match detail {
+        Detail::Forces if bytes >= min_size => Some(sampled(Detail::Surface)?.bytes),
+        _ => None,
+    };
+    Some(Projection { bytes, without_forces, frames, seen })
+}
+
+/// The size of a recording extrapolated from samples [bytes], and the last step simulated for them.
+struct Sampled {
+    bytes: u64,
+    seen: u64,
+}
+
+/// Records the frames that `settings` ask for up to step `last`, and extrapolates to this many frames.
+fn sample(experiment: &dyn Experiment, settings: Settings, last: u64, frames: u64) -> Option<Sampled> {
+    let (schema, stride) = (experiment.schema(), settings.every);
+    let simulation = experiment.start().ok()?;
+    let mut probe = Probe::new(&*simulation, settings)?;
     let (mut frame, mut vertices, mut samples_taken) = (Frame::default(), 0, 0);
     let mut run = Run::new(simulation, Some(last));
     while matches!(run.valid_step(), Ok(true)) {
@@ -85,23 +99,16 @@ pub fn project(experiment: &dyn Experiment, settings: &Settings, min_size: u64) 
             let deformed = schema.bodies.iter().zip(&frame.bodies).filter(|(_, now)| !now.is_at_rest);
             vertices += deformed.map(|(body, _)| body.vertex_count() as u64).sum::<u64>();
             samples_taken += 1;
-            probes.iter_mut().try_for_each(|probe| probe.recorder.observe(simulation, &run.summary)).ok()?;
+            probe.recorder.observe(simulation, &run.summary).ok()?;
         }
     }
     if let Some(StepFailure::Interrupted(_)) = run.failure {
         return None;
     }
     let simulation = &*run.simulation;
-    let seen = simulation.steps_taken();
-    let sizes: Option<Vec<u64>> = probes.into_iter().map(|probe| probe.finish(simulation, frames)).collect();
-    let (bytes, without_forces) = match sizes?[..] {
-        [bytes] => (bytes, None),
-        [bytes, without] => (bytes, Some(without)),
-        _ => return None,
-    };
     let mean = vertices / u64::max(samples_taken, 1);
     let min_bytes = frames.saturating_mul(mean).saturating_mul(MIN_VERTEX_BYTES);
-    Some(Projection { bytes: bytes.max(min_bytes), without_forces, frames, seen })
+    Some(Sampled { bytes: probe.finish(simulation, frames)?.max(min_bytes), seen: simulation.steps_taken() })
 }
 
 /// A recording whose messages are measured and discarded.
@@ -118,6 +125,7 @@ impl Probe {
         let mut recorder = Recorder::new(simulation, settings).ok()?;
         let mut encoder =
             Encoder::new_eager(CrateVersion::LOCAL, EncodingOptions::PROTOBUF_COMPRESSED, Count::default()).ok()?;
+        encoder.do_not_emit_footer(); // it is not counted, and expensive
         let layout = recorder.blueprint(simulation, Tab::Scene);
         let head = append(&mut encoder, layout.into_iter().chain(recorder.take())).ok()?;
         let first = recorder.frames();

@@ -501,6 +501,9 @@ impl<'a, 'b> Union<'a, 'b> {
                 old.extend(kept);
             }
         }
+        if several.is_empty() {
+            return Ok(());
+        }
         old.sort_unstable_by_key(|t| t.part_of);
         old.dedup();
         for triangle in old {
@@ -532,9 +535,17 @@ impl<'a, 'b> Union<'a, 'b> {
 
     /// (vertex, new triangle), ascending.
     fn new_triangles_about_vertices(&self) -> Vec<(u32, u32)> {
-        let mut about: Vec<(u32, u32)> =
-            (self.new_triangles.iter().enumerate()).flat_map(|(i, t)| t.corners.map(|v| (v, i as u32))).collect();
-        about.sort_unstable();
+        let corners = || (0..).zip(&self.new_triangles).flat_map(|(i, t)| t.corners.map(|v| (v, i)));
+        // sorted by counting
+        let mut start = vec![0; self.first_vertex[self.bodies.len()] as usize + self.new_vertices.len() + 1];
+        corners().for_each(|(v, _)| start[v as usize + 1] += 1);
+        (1..start.len()).for_each(|v| start[v] += start[v - 1]);
+        let mut about = vec![(0, 0); 3 * self.new_triangles.len()];
+        for corner in corners() {
+            let next = &mut start[corner.0 as usize];
+            about[*next] = corner;
+            *next += 1;
+        }
         about
     }
 
