@@ -109,6 +109,14 @@ impl Weight {
         if z >= 1.0 { 0.0 } else { self.inside(z) }
     }
 
+    /// |dW/dz| at the centre, z = 0 [–]: the force `(c − r) W` turns there like |x| x.
+    pub fn slope_at_centre(self) -> f64 {
+        match self {
+            Weight::Linear => 1.0,
+            Weight::Wendland => 0.0, // 1 − 10 z² + …
+        }
+    }
+
     /// The largest value of `z·W(z)` [–]: bounds the acceleration of one source by `s·r_e` times this.
     pub fn max_pull(self) -> f64 {
         match self {

@@ -12,7 +12,9 @@ use crate::{
     scene::{Material, path::Bounds},
     sim::{
         numerics::{
-            control::{ASIDE, MAX_CORRECTIONS, OSCILLATION, RESIDUAL, RESOLVED, ROUNDING, SETTLED, USUAL},
+            control::{
+                ASIDE, MAX_CORRECTIONS, OSCILLATION, RESIDUAL, RESOLVED, ROUNDING, SETTLED, TURN, TURN_WIDTH, USUAL,
+            },
             dense::Dense,
             lagrange::{combine, quartic, quartic_through},
             lanes::{LANES, Mask, Reals, Vector},
@@ -177,29 +179,39 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
     /// Lobatto quadrature integrates the quartic part of the residual exactly, so it does not affect a slow oscillator.
     /// The rest is of higher order in the ratio of the step to the time scales involved: of the oscillator, of the
     /// influence's own oscillation, and of a sphere that the vertex passes through. So the residual counts in full only
-    /// where the force is not smooth. Also whether the vertex begins or ends closer to a centre, past which the force turns,
-    /// than it moves.
+    /// where the force is not smooth.
+    ///
+    /// The force also turns where the vertex passes a centre, and the samples may all miss it: second, a bound on the
+    /// mean force that the cubic leaves out there [scene unit/s²].
     #[inline(always)]
-    fn roughness(&self, start: Vector<S, W>, end: Vector<S, W>) -> (Reals<S, W>, Mask<S, W>) {
+    fn roughness(&self, start: Vector<S, W>, end: Vector<S, W>) -> (Reals<S, W>, Reals<S, W>) {
         let (simd, step) = (self.simd, self.step);
         let material = self.course.material;
         let travelled = end - start;
-        let zero = Reals::splat(simd, 0.0);
-        let (mut stiffness, mut passed, mut passes) = (zero, zero, Mask::none(simd));
+        let (zero, one) = (Reals::splat(simd, 0.0), Reals::splat(simd, 1.0));
+        let tiny = Reals::splat(simd, f64::MIN_POSITIVE);
+        let (mut stiffness, mut passed, mut turned) = (zero, zero, zero);
         for pull in self.pulls {
             let sphere = &self.course.spheres[pull.sphere];
             let moved = step.moments[3].centres[pull.sphere] - step.moments[0].centres[pull.sphere];
             let way = Vector::splat(simd, moved) - travelled;
-            let from = Vector::splat(simd, step.moments[0].centres[pull.sphere]) - self.rest - start;
-            let nearest = from.length_squared().smaller((from + way).length_squared());
-            passes = passes.or(nearest.below(way.length_squared()));
-            let way = (way.x.abs() + way.y.abs() + way.z.abs()) * sphere.inverse_radius;
             let strength = Reals::load(simd, &pull.strength, 0).abs();
+
+            // (c − r) W(|c − r|) along a line at distance b from the centre
+            let from = Vector::splat(simd, step.moments[0].centres[pull.sphere]) - self.rest - start;
+            let square = way.length_squared();
+            let theta = (zero - from.dot(way) / square.larger(tiny)).larger(zero).smaller(one);
+            let near = square * (TURN_WIDTH * TURN_WIDTH);
+            let sharpness = near / (near + (from + way * theta).length_squared()).larger(tiny);
+            let slope = TURN * self.course.weight().slope_at_centre() * sphere.inverse_radius;
+            turned = turned + strength * square * (sharpness * sharpness) * slope;
+
+            let way = (way.x.abs() + way.y.abs() + way.z.abs()) * sphere.inverse_radius;
             passed = passed.larger(zero.below(strength).select(way, zero)); // only the spheres that act on the vertex
             stiffness = stiffness + strength;
         }
         let rate = stiffness.sqrt() + Reals::splat(simd, material.omega + 2.0 * material.damping);
-        ((passed + rate * step.h).smaller(Reals::splat(simd, 1.0)), passes)
+        ((passed + rate * step.h).smaller(one), turned)
     }
 
     /// Takes the step with all vertices of the group, such that the estimated errors are below `wanted` [scene unit] if
@@ -258,7 +270,7 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
         let none = Reals::splat(simd, 0.0);
         let left_out = none.larger_or_nan(bend.length_squared().sqrt() - noise);
         let end = respond(flow[2], &weights.nodes[3].force, &forces);
-        let (roughness, passes) = self.roughness(x, end);
+        let (roughness, turned) = self.roughness(x, end);
         let mut effect = left_out * roughness * RESIDUAL;
         // Depends only on what acts on each vertex, not on spheres that are near other vertices or near none.
         let Material { omega, damping, .. } = self.course.material;
@@ -266,7 +278,7 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
         let is_quick = Reals::splat(simd, RESOLVED).below(scales);
         let is_near = Reals::splat(simd, wanted).below(effect * (4.0 * gain));
         // usually the force in the middle has already shown that the error is far below the tolerance
-        if is_quick.or(is_near).or(passes).any() {
+        if is_quick.or(is_near).any() {
             let stage = &weights.aside;
             let found = self.force(ASIDE_SAMPLE, respond(x * stage.xx + u * stage.xu, &stage.force, &forces));
             let quartic = respond(bend * BEND_ASIDE, &weights.polynomial_aside, &forces);
@@ -276,16 +288,13 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
             let all = self::left_out(simd, material, h, stiffness, [left_out, skew])
                 + self.ringing([x, u], &forces, stiffness);
             // An error near the tolerance that is larger than an oscillation usually causes is due to a kink between the
-            // samples, as where a vertex passes a centre: only the residual in the middle shows it.
+            // samples: only the residual in the middle shows it.
             let swing = self.step.h * self.step.weights.swing;
             let usual = self.pulled() * ((scales * scales) * (scales * scales)) * scales * (OSCILLATION * swing);
             let is_oscillation = Reals::splat(simd, wanted).below(usual);
-            // where a vertex passes a centre near the start, the residual in the middle may vanish
-            let kink = left_out.larger_or_nan(skew) * roughness * RESIDUAL;
             effect = is_quick.or(is_near.and(is_oscillation)).select(all, effect);
-            effect = passes.select(effect.larger_or_nan(kink), effect);
         }
-        let bent = effect * (USUAL * gain);
+        let bent = effect.larger_or_nan(turned) * (USUAL * gain);
         Collocated {
             x: end,
             u: respond(x * weights.ux + u * weights.uu, &weights.velocity, &forces),
