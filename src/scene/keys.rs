@@ -586,7 +586,7 @@ pub(super) static PATHS: [Key; 2] = [
 ];
 
 pub(super) static FREES: [Key; 4] = [
-    vector("from", "scene unit", Required, "Mass centre at t = 0."),
+    vector("from", "scene unit", Required, "Mass centre at t = 0; outside a plane that would throw the body out."),
     vector("velocity", "scene unit/s", Vector(0.0), "Velocity at t = 0."),
     vector("spin", "rad/s", Vector(0.0), "Angular velocity at t = 0."),
     key("rotation", Kind::Word(|| words(&ROTATIONS)), Word("free"), "Whether the rest shape turns with the vertices."),

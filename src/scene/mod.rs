@@ -153,6 +153,7 @@ pub mod pairs;
 pub mod parse;
 pub mod path;
 mod point;
+mod push_out;
 mod source;
 pub mod template;
 mod validate;
@@ -180,6 +181,7 @@ pub use pairs::{Members, PairLaws};
 pub use parse::SceneError;
 pub use path::Path;
 pub use point::Point;
+pub use push_out::PushedOut;
 pub use validate::InvalidScene;
 
 /// A scene as its file describes it: bodies, the law between them, planes, force points, pushes.
@@ -230,6 +232,8 @@ pub struct Scene {
     pub source: String,
     /// Values that replace those of the text; see [`Scene::with`].
     pub set: Vec<template::Override>,
+    /// The free bodies that the file places so deep in a plane that it would throw them out.
+    pub pushed_out: Vec<PushedOut>,
 }
 
 /// A soft body: a shape whose vertices are damped oscillators about their rest positions.

@@ -239,7 +239,7 @@ pub(super) fn read_document(
     let planes = plane_tables.iter().map(read_plane).collect::<Result<_, _>>()?;
     let points = point::read(&point_tables, &bodies, &names, &influence)?;
     let pushes = push_tables.iter().map(|push| read_push(push, &bodies, &names)).collect::<Result<_, _>>()?;
-    let scene = Scene {
+    let mut scene = Scene {
         name,
         dt,
         duration,
@@ -262,7 +262,9 @@ pub(super) fn read_document(
         edits: Vec::new(),
         source: String::new(),
         set: Vec::new(),
+        pushed_out: Vec::new(),
     };
+    scene.push_out();
     let edits = edit::read(source, document, meshes, &edit_tables, &scene)?;
     Ok(Scene { edits, ..scene })
 }
