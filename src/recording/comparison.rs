@@ -16,15 +16,16 @@ use crate::{
     geometry::Mesh,
     observe::Schema,
     sdk::{
-        self, ApplicationId, Arrows3D, LogMsg, Mesh3D, Points3D, Scalars, StoreId, StoreKind, TextDocument, TextLog,
-        ViewCoordinates, components::MediaType,
+        self, ApplicationId, Arrows3D, LogMsg, Mesh3D, Points3D, Scalars, SeriesPoints, StoreId, StoreKind,
+        TextDocument, TextLog, ViewCoordinates,
+        components::{MarkerShape, MediaType},
     },
     stream::{
         blueprint,
         chunks::Chunks,
         contract::{
-            ABOUT, COMPARED_ERROR, COMPARED_SURFACE, COMPARED_WORST, DIFFERENCE, EVENTS, LOG_DIFFERENCE,
-            RECORDING_INFO, WORLD,
+            ABOUT, COMPARED_DISTANCE, COMPARED_ERROR, COMPARED_EVENTS, COMPARED_SURFACE, COMPARED_WORST, DIFFERENCE,
+            EVENTS, LOG_DIFFERENCE, RECORDING_INFO, WORLD,
         },
         instant::Instant,
         light::Light,
@@ -47,6 +48,11 @@ const TOLERANCE: &str = "tolerance";
 /// Length of the longest arrow of an instant [radii of the largest body].
 const LONGEST: f64 = 0.3;
 
+/// Upper limit on the number of pairs whose distances are plotted.
+pub const MAX_PAIRS: usize = 4;
+/// The two runs, in the names of entities.
+const SIDES: [&str; 2] = ["a", "b"];
+
 /// What a comparison shows, known before it is written.
 #[derive(Clone, Debug)]
 pub struct Plan {
@@ -54,6 +60,8 @@ pub struct Plan {
     pub labels: [String; 2],
     /// Bodies to show, in descending order of difference.
     pub bodies: Vec<usize>,
+    /// The pairs whose events differ, at most [`MAX_PAIRS`].
+    pub pairs: Vec<[usize; 2]>,
     /// Vertices to be listed with the events, and what they are. The viewer opens at the instant of the first.
     pub listed: Vec<(Worst, &'static str)>,
     /// Differences up to this size are ignored [radii].
@@ -65,6 +73,7 @@ pub struct Comparison {
     chunks: Chunks,
     sinks: Sinks,
     shown: Vec<(usize, String, Arc<Mesh>)>,
+    pairs: Vec<(String, [usize; 2])>,
     /// Radius of the largest body shown [scene unit].
     radius: f64,
     frames: u64,
@@ -92,9 +101,10 @@ impl Comparison {
             .collect();
         let radius =
             shown.iter().filter_map(|&(i, ..)| schema.bodies.get(i)).map(|body| body.radius).fold(0.0, f64::max);
-        let second: Vec<_> = shown.iter().map(|(_, name, _)| COMPARED_SURFACE.of(&["b", name])).collect();
+        let second: Vec<_> = shown.iter().map(|(_, name, _)| COMPARED_SURFACE.of(&[SIDES[1], name])).collect();
         let first = plan.listed.first().map(|(first, _)| first.time);
-        for message in blueprint::of_comparison(spheres, &second, COLORS[1], first, &store) {
+        let pairs: Vec<_> = plan.pairs.iter().map(|&[a, b]| (schema.pair_name(a, b), [a, b])).collect();
+        for message in blueprint::of_comparison(spheres, (&second, COLORS[1]), !pairs.is_empty(), first, &store) {
             sinks.send(message)?;
         }
         let mut chunks = Chunks::new(store);
@@ -104,7 +114,7 @@ impl Comparison {
         let about = format!(
             "**{}**: the blue surface is {}, orange dots are the vertices of {}. Red arrows lead from the one to the other; the \
              longest of an instant has a length of {LONGEST} radii. {}  \nThe plot has the largest distance of each body; \
-             grey: the tolerance, {:e}.",
+             grey: the tolerance, {:e}.{}",
             schema.name,
             plan.labels[0],
             plan.labels[1],
@@ -114,10 +124,11 @@ impl Comparison {
                 _ => "Bodies that do not differ are not shown.".to_owned(),
             },
             plan.tolerance,
+            if pairs.is_empty() { "" } else { " Below it, q of pairs whose events differ, in both runs." },
         );
         chunks.log_static(ABOUT.path, &TextDocument::new(about).with_media_type(MediaType::MARKDOWN));
         for (_, name, mesh) in &shown {
-            for (side, rgb) in ["a", "b"].into_iter().zip(COLORS) {
+            for (side, rgb) in SIDES.into_iter().zip(COLORS) {
                 let mesh = Mesh3D::update_fields()
                     .with_triangle_indices(mesh.drawn_triangles().iter().copied())
                     .with_albedo_factor(color(rgb).0);
@@ -135,6 +146,15 @@ impl Comparison {
         for line in [&DIFFERENCE, &LOG_DIFFERENCE] {
             Series::style(&mut chunks, &line.of(&[TOLERANCE]), TOLERANCE, LIMIT, 1.0, Interpolation::Linear);
         }
+        for ((side, rgb), run) in SIDES.into_iter().zip(COLORS).zip(["first", "second"]) {
+            for (pair, _) in &pairs {
+                let entity = COMPARED_DISTANCE.of(&[side, pair]);
+                Series::style(&mut chunks, &entity, &format!("q {pair}, {run} run"), rgb, 1.5, Interpolation::Linear);
+            }
+            let marks = SeriesPoints::new().with_names([format!("events of the {run} run")]).with_colors([color(rgb)]);
+            let marks = marks.with_markers([MarkerShape::Diamond]).with_marker_sizes([5.0]);
+            chunks.log_static(&COMPARED_EVENTS.of(&[side]), &marks);
+        }
         let worst = Points3D::update_fields()
             .with_radii([sdk::Radius::new_ui_points(5.0)])
             .with_colors([color(ERROR)])
@@ -145,12 +165,13 @@ impl Comparison {
             let at = Instant { step: *step, time: *time };
             chunks.log(EVENTS.path, at, &TextLog::new(line).with_color(color(ERROR)));
         }
-        let mut comparison = Comparison { chunks, sinks, shown, radius, frames: 0, changes: 0 };
+        let mut comparison = Comparison { chunks, sinks, shown, pairs, radius, frames: 0, changes: 0 };
         comparison.send()?;
         Ok(comparison)
     }
 
-    /// Adds an instant: the vertex positions of each body in both runs [scene unit], `None` where they are unknown.
+    /// Adds an instant: the centres of the bodies in both runs, and the vertex positions of each [scene unit], `None` where
+    /// they are unknown.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -159,13 +180,14 @@ impl Comparison {
         schema: &Schema,
         at: Instant,
         tolerance: f64,
+        centres: [&[glam::Vec3]; 2],
         mut positions: impl FnMut(usize) -> [Option<Vec<DVec3>>; 2],
     ) -> Result<(), SinkError> {
         let (mut origins, mut apart, light) = (Vec::new(), Vec::new(), Light::in_world());
         let mut worst: Option<(f64, DVec3, &str, usize)> = None;
         for (index, name, mesh) in &self.shown {
             let both = positions(*index);
-            for (side, positions) in ["a", "b"].into_iter().zip(&both) {
+            for (side, positions) in SIDES.into_iter().zip(&both) {
                 let Some(positions) = positions else { continue };
                 let vectors = positions.iter().copied().collect();
                 let (mut normals, mut scratch) = (Vec::new(), normals::NormalScratch::default());
@@ -189,6 +211,13 @@ impl Comparison {
                     apart.push(b - a);
                 }
                 log_difference(&mut self.chunks, name, largest, at);
+            }
+        }
+        for (pair, [a, b]) in &self.pairs {
+            for (side, centres) in SIDES.into_iter().zip(centres) {
+                let (Some(from), Some(to)) = (centres.get(*a), centres.get(*b)) else { continue };
+                let q = f64::from(from.distance(*to)) / (schema.bodies[*a].radius + schema.bodies[*b].radius);
+                self.chunks.log(&COMPARED_DISTANCE.of(&[side, pair]), at, &Scalars::single(q));
             }
         }
         let longest = apart.iter().map(|apart| apart.length()).fold(0.0, f64::max);
@@ -223,6 +252,19 @@ impl Comparison {
             _ => change.to_string(),
         };
         self.chunks.log(EVENTS.path, at, &TextLog::new(line).with_color(color(rgb)));
+        let runs = match change {
+            Change::Moved(was, is) => [Some(was), Some(is)],
+            Change::Vanished(event) => [Some(event), None],
+            Change::Appeared(event) => [None, Some(event)],
+            Change::Reordered(_) => [None, None],
+        };
+        for (side, event) in SIDES.into_iter().zip(runs) {
+            let Some(event) = event.filter(|event| self.pairs.iter().any(|(pair, _)| *pair == event.pair)) else {
+                continue;
+            };
+            let at = Instant { step: event.step, time: event.time };
+            self.chunks.log(&COMPARED_EVENTS.of(&[side]), at, &Scalars::single(event.q));
+        }
         self.changes += 1;
     }
 

@@ -7,7 +7,7 @@ use std::fmt;
 
 use super::{
     ReadError, Recorded,
-    comparison::{Comparison, Plan},
+    comparison::{Comparison, MAX_PAIRS, Plan},
     events::{self, Change},
     frames::{FrameReader, RecordedFrame},
     quantities::{self, Deviation, Deviations},
@@ -244,7 +244,14 @@ pub fn save(
     if bodies.is_empty() {
         bodies = (0..schema.bodies.len()).collect();
     }
+    let mut pairs: Vec<[usize; 2]> = Vec::new();
+    for change in &difference.events {
+        let body = |name: &str| schema.bodies.iter().position(|body| body.name == name);
+        let pair = change.pair().split_once('~').and_then(|(a, b)| Some([body(a)?, body(b)?]));
+        pairs.extend(pair.filter(|pair| pairs.len() < MAX_PAIRS && !pairs.contains(pair)));
+    }
     let plan = Plan {
+        pairs,
         labels: [[recorded[0], recorded[1]], [recorded[1], recorded[0]]].map(|[recorded, other]| {
             let name = recorded.path.file_name().unwrap_or_default().to_string_lossy();
             let Schema { integrator, dt, .. } = &recorded.schema;
@@ -270,7 +277,9 @@ pub fn save(
         comparison.deviation(deviation);
     }
     let walked = walk(recorded, |frames| {
-        comparison.frame(schema, frames[0].at(), tolerance, |index| frames.map(|frame| frame.world_positions(index)))
+        let centres = frames.map(|frame| &frame.centres[..]);
+        comparison
+            .frame(schema, frames[0].at(), tolerance, centres, |index| frames.map(|frame| frame.world_positions(index)))
     })?;
     Ok(walked.and_then(|_| comparison.finish()))
 }

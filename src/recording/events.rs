@@ -4,7 +4,10 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use super::recorded::RecordedEvent;
-use crate::observe::{PairEvent, Schema, schema::titled};
+use crate::{
+    observe::{PairEvent, Schema, schema::titled},
+    text::significant,
+};
 
 /// Times of an event that are at most this far apart are equal [s].
 pub const SAME_TIME: f64 = 1e-6;
@@ -23,6 +26,15 @@ pub enum Change {
 }
 
 impl Change {
+    /// The pair, as `A~B`.
+    pub fn pair(&self) -> &str {
+        match self {
+            Change::Moved(event, _) | Change::Vanished(event) | Change::Appeared(event) | Change::Reordered(event) => {
+                &event.pair
+            }
+        }
+    }
+
     /// The time of the event, in the run that has it [s].
     pub fn time(&self) -> f64 {
         match self {
@@ -54,7 +66,7 @@ impl RecordedEvent {
     /// How much later or earlier it is than another event, in words.
     pub fn delay(&self, than: &RecordedEvent) -> String {
         let later = self.time - than.time;
-        format!("{:.3e} s {}", later.abs(), if later > 0.0 { "later" } else { "earlier" })
+        format!("{} s {}", significant(later.abs()), if later > 0.0 { "later" } else { "earlier" })
     }
 
     /// Converts an event to its recorded form.

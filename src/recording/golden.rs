@@ -428,6 +428,7 @@ fn show(
         labels: ["the golden recording".to_owned(), "this run".to_owned()],
         listed: worst.map(|worst| (worst.clone(), "largest")).into_iter().collect(),
         bodies,
+        pairs: Vec::new(),
         tolerance: schema.tolerance,
     };
     let mut comparison = Comparison::new(schema, &simulation.framing(false), &plan, path)?;
@@ -439,7 +440,7 @@ fn show(
             break;
         }
         run.simulation.observe(Want::default(), &mut frame);
-        comparison.frame(schema, frame.at, tolerance(schema, frame.at.time), |index| {
+        comparison.frame(schema, frame.at, tolerance(schema, frame.at.time), [&[]; 2], |index| {
             let (body, now) = (&schema.bodies[index], &frame.bodies[index]);
             now.local_positions(now.rest_of(body), &mut local);
             let found = local.iter().map(|position| now.centre + position).collect();

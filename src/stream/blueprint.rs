@@ -8,11 +8,11 @@ use glam::DVec3;
 use super::{
     chunks::{Chunks, blueprint_time},
     contract::{
-        ABOUT, ACCURACY, ARROWS, BODY, BODY_FORCE, BODY_SCALAR, BODY_SURFACE, DEFORMING, DIAGNOSTIC, DRAWN, EVENTS,
-        Entity, FORCE, GROUP_LINE, INFLUENCE, LAG, LARGEST, LEGEND, LOG_DIFFERENCE, MAP, MARKS_AT_Q, MARKS_ON_AXIS,
-        MEASURE, MERGED, MERGED_SURFACE, NAMES, PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_LEVEL, PAIR_NECK,
-        PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR, PLANE, RECENT_NAMES, RECENT_PAIR, RESTING, SIM_TIME, SLICE, SPEED,
-        STAGE, STAGES, STEP, TRAILS, VOLUME, WORLD,
+        ABOUT, ACCURACY, ARROWS, BODY, BODY_FORCE, BODY_SCALAR, BODY_SURFACE, COMPARED_DISTANCE, COMPARED_EVENTS,
+        DEFORMING, DIAGNOSTIC, DRAWN, EVENTS, Entity, FORCE, GROUP_LINE, INFLUENCE, LAG, LARGEST, LEGEND,
+        LOG_DIFFERENCE, MAP, MARKS_AT_Q, MARKS_ON_AXIS, MEASURE, MERGED, MERGED_SURFACE, NAMES, PAIR_CONTACT,
+        PAIR_DISTANCE, PAIR_GAP, PAIR_LEVEL, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR, PLANE, RECENT_NAMES,
+        RECENT_PAIR, RECENT_SPHERES, RESTING, SIM_TIME, SLICE, SPEED, STAGE, STAGES, STEP, TRAILS, VOLUME, WORLD,
     },
     focus::Focus,
     light, palette,
@@ -189,9 +189,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         if tab != Tab::Stages {
             layout.open_at(focus.interval(measured.duration));
         }
-        // among many bodies, a camera near the pair would see little else, and the pair perhaps not
-        let is_near = subject.settings.entities == Entities::Body;
-        for (view, aspect) in std::mem::take(&mut layout.spaces).into_iter().filter(|_| is_near) {
+        for (view, aspect) in std::mem::take(&mut layout.spaces) {
             let camera = camera_past(&focus.spheres, &focus.pair, &focus.others, aspect);
             layout.log(&format!("{view}/EyeControls3D"), &camera);
         }
@@ -233,6 +231,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
 /// The title of the view of everything.
 fn scene_title(schema: &Schema) -> &'static str {
     match schema.bodies.iter().all(|body| body.reach == 0.0) && schema.points.is_empty() {
+        _ if recent::is_drawn_alone(schema) => "Bodies, and the pair of the last event",
         true => "Bodies, forces",
         false => "Bodies, influence spheres, forces",
     }
@@ -274,12 +273,12 @@ pub fn beside_controls(subject: &Subject<'_>, recording: &StoreId) -> Vec<LogMsg
 
 /// The layout of a comparison of two runs: surfaces and error arrows, differences over time, events.
 ///
-/// `second` are the surfaces of the second run, drawn as dots of the colour `rgb`; the viewer opens at `first` [s], if
-/// there is one.
+/// `second` are the surfaces of the second run, drawn as dots of the colour `rgb`; `has_pairs`: whether q is compared; the
+/// viewer opens at `first` [s], if there is one.
 pub fn of_comparison(
     spheres: &[(DVec3, f64)],
-    second: &[String],
-    rgb: palette::Rgb,
+    (second, rgb): (&[String], palette::Rgb),
+    has_pairs: bool,
     first: Option<f64>,
     recording: &StoreId,
 ) -> Vec<LogMsg> {
@@ -300,7 +299,15 @@ pub fn of_comparison(
     let title = "Largest difference [radii], as its decimal logarithm";
     let plot = layout.time_series(title, "/", &[&family(&LOG_DIFFERENCE)], Corner2D::RightBottom);
     let events = layout.lines("Events", EVENTS.path);
-    let right = layout.container(ContainerKind::Vertical, "Differences", vec![plot, events], &[1.5, 1.0]);
+    let (mut parts, mut shares) = (vec![plot, events], vec![1.5, 1.0]);
+    if has_pairs {
+        let distances = "Pair distances q in both runs";
+        let contents = [&COMPARED_DISTANCE, &COMPARED_EVENTS].map(family);
+        let contents = contents.each_ref().map(String::as_str);
+        parts.insert(1, layout.time_series(distances, "/", &contents, Corner2D::RightBottom));
+        shares.insert(1, 1.0);
+    }
+    let right = layout.container(ContainerKind::Vertical, "Differences", parts, &shares);
     let root = layout.container(ContainerKind::Horizontal, "meldscope", vec![left, right], &[1.6, 1.0]);
     if let Some(first) = first {
         layout.open_at([(first - BEFORE).max(0.0), first + AFTER]);
@@ -587,6 +594,10 @@ impl Layout {
         let right = if schema.bodies.len() > 1 {
             // a lane for each pair, as far as there is room
             let mut parts = self.pair_views(schema);
+            if recent::is_drawn_alone(schema) {
+                // as many names would cover half of a small plot
+                self.log(&format!("{}/PlotLegend", parts[0].path), &PlotLegend::new().with_visible(false));
+            }
             let shares = match schema.bodies.len() {
                 2 => [1.5, 0.5, 0.9, 1.0],
                 _ if recent::is_drawn_alone(schema) => [1.2, 0.9, 0.8, 1.4],
@@ -876,12 +887,15 @@ impl Layout {
             let path = format!("{}/ViewContents/overrides{entity}/visualizers", view.path);
             self.log(&path, &EntityBehavior::new().with_visible(false));
         };
-        if settings.entities == Entities::Batch {
-            hide(INFLUENCE.path); // spheres that reach another body are drawn with the pairs
+        // what is hidden can be enabled in the view's entity list: among many bodies, one would see nothing else
+        let is_crowd = recent::is_drawn_alone(schema);
+        if is_crowd {
+            hide(INFLUENCE.path);
+            hide(TRAILS.path);
+            net_forces::KINDS.iter().for_each(|(name, ..)| hide(&FORCE.of(&[name])));
         }
         if settings.detail != Detail::Surface {
-            // the other terms can be enabled in the view's entity list
-            for term in schema.terms.iter().filter(|term| !term.is_shown) {
+            for term in schema.terms.iter().filter(|term| is_crowd || !term.is_shown) {
                 hide(&FORCE.of(&[term.name]));
             }
         }
@@ -925,10 +939,10 @@ impl Layout {
 
     /// The pair of the last event, cut out of everything that may hide it.
     fn recent_pair(&mut self) -> Part {
-        let contents = [&RECENT_PAIR, &RECENT_NAMES].map(|of| including(of.path));
+        let contents = [&RECENT_PAIR, &RECENT_SPHERES, &RECENT_NAMES].map(|of| including(of.path));
         let contents = contents.each_ref().map(String::as_str);
         let ground = self.ground.take();
-        let framing: Framing<'_> = (&[(DVec3::ZERO, 2.2)], WIDE);
+        let framing: Framing<'_> = (&[(DVec3::ZERO, 2.6)], WIDE);
         let view = self.space(framing, "The pair of the last event, alone", &contents);
         self.ground = ground;
         self.spaces.pop(); // its camera stays
@@ -1236,7 +1250,11 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame) ->
     }
     let phases = schema.phases.iter().map(|phase| format!("{} {}", colors::name(phase.color), phase.name));
     let phases = phases.collect::<Vec<_>>().join(", ");
+    let is_crowd = recent::is_drawn_alone(schema);
     let spheres = match settings.entities {
+        Entities::Body if is_crowd => {
+            format!("- **Lines, lanes**, and the spheres of the last event's pair: {phases}\n")
+        }
         _ if schema.bodies.iter().all(|body| body.reach == 0.0) => format!("- **Lines, lanes**: {phases}\n"),
         Entities::Body => format!("- **Spheres, lines, lanes**: {phases}; grey reaches no body\n"),
         Entities::Batch => {
@@ -1246,13 +1264,14 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame) ->
     let arrows = match settings.detail {
         Detail::Surface => "- Force arrows were not recorded (`--detail forces`)\n".to_owned(),
         Detail::Forces | Detail::Stages { .. } => {
-            let shown = lengths(schema, |term| term.is_shown);
-            let hidden: Vec<String> =
-                schema.terms.iter().filter(|term| term.can_act && !term.is_shown).map(called).collect();
+            let shown = lengths(schema, |term| term.is_shown || is_crowd);
+            let hidden = |term: &&TermSchema| term.can_act && !term.is_shown && !is_crowd;
+            let hidden: Vec<String> = schema.terms.iter().filter(hidden).map(called).collect();
             let hidden = (!hidden.is_empty()).then(|| format!("hidden at first: {}", hidden.join(", ")));
             let shown = (!shown.is_empty()).then(|| format!("1 R long if: {shown}"));
             let parts: Vec<String> = shown.into_iter().chain(hidden).collect();
-            if parts.is_empty() { String::new() } else { format!("- **Arrows**, {}\n", parts.join("; ")) }
+            let place = if is_crowd { " (in Forces; here hidden at first)" } else { "" };
+            if parts.is_empty() { String::new() } else { format!("- **Arrows**{place}, {}\n", parts.join("; ")) }
         }
     };
     let bound = if !settings.only.is_empty() {
@@ -1279,9 +1298,10 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame) ->
         String::new()
     };
     let has_net = frame.bodies.iter().any(|now| now.net_force.is_some());
-    let net_forces = if settings.detail != Detail::Surface && has_net { at_centres(schema) } else { String::new() };
+    let net_forces =
+        if settings.detail != Detail::Surface && has_net && !is_crowd { at_centres(schema) } else { String::new() };
     let is_free = schema.bodies.iter().any(|body| body.is_free);
-    let trails = if is_free && settings.entities == Entities::Body {
+    let trails = if is_free && !is_crowd && settings.entities == Entities::Body {
         format!("- **Trails**: the centres of free bodies in the last {} s\n", trails::SECONDS)
     } else {
         String::new()

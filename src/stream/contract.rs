@@ -109,6 +109,8 @@ entities! {
         "The pair that had the last event, labelled with the event and q: for 24 frames, with more than 8 bodies until the next event, and then with a line up to the label, above all bodies.";
     RECENT_PAIR = "/recent/pair" ["Mesh3D, lit_colors, unlit_normals"]
         "With more than 8 bodies: the two of the last event alone, about the point midway between them [radii of the larger].";
+    RECENT_SPHERES = "/recent/spheres" ["Ellipsoids3D"]
+        "Their influence spheres.";
     RECENT_NAMES = "/recent/names" ["Points3D"]
         "Their names.";
     NAMES = "/world/names" ["Points3D"]
@@ -207,6 +209,10 @@ entities! {
         "In a comparison: arrows from the vertices of the first run towards those of the second; the longest of an instant has a length of 0.3 radii.";
     COMPARED_WORST = "/world/worst" ["Points3D"]
         "In a comparison: the vertex that differs most, labelled.";
+    COMPARED_DISTANCE = "/q/SIDE/A~B" ["Scalars"]
+        "In a comparison: q in the first or the second run, of the first 4 pairs whose events differ.";
+    COMPARED_EVENTS = "/q/events/SIDE" ["Scalars, SeriesPoints"]
+        "In a comparison: the events of these pairs that differ, as markers at q.";
     DIFFERENCE = "/difference/NAME" ["Scalars"]
         "In a comparison: the largest difference of a body [radii], and the tolerance.";
     LOG_DIFFERENCE = "/log10/difference/NAME" ["Scalars"]

@@ -4,15 +4,13 @@
 use glam::DVec3;
 
 use super::{
-    parts::FrameView,
+    parts::{FrameView, recent},
     settings::{Around, Settings},
 };
-use crate::observe::{Frame, PairEvent, Schema};
+use crate::observe::{PairEvent, Schema};
 
-/// With more bodies than this, only the pair is kept in view.
-const MAX_BODIES: usize = 8;
-/// The pair's spheres are then enlarged by this factor, to show its surroundings.
-const ENLARGEMENT: f64 = 2.0;
+/// How long the viewer plays on after the instant, at most [s].
+const AFTER: f64 = 1.0;
 
 /// An instant of a run, and the spheres to look at.
 #[derive(Clone, Debug)]
@@ -30,22 +28,23 @@ pub struct Focus {
 impl Focus {
     /// The interval around the instant in a run of `duration` [s] that is played in a loop [s].
     pub fn interval(&self, duration: f64) -> [f64; 2] {
-        let [before, after] = [(0.5, 0.125), (1.0, 0.25)].map(|(max, share)| f64::min(max, share * duration));
+        let [before, after] = [(0.5, 0.125), (AFTER, 0.25)].map(|(max, share)| f64::min(max, share * duration));
         [f64::max(0.0, self.time - before), f64::min(duration, self.time + after)]
     }
 
-    fn on(frame: &Frame, schema: &Schema, time: f64, pair: [usize; 2]) -> Focus {
-        let is_crowd = schema.bodies.len() > MAX_BODIES;
+    fn on(view: FrameView<'_>, time: f64, pair: [usize; 2]) -> Focus {
+        let FrameView { schema, frame, .. } = view;
         let bodies = || frame.bodies.iter().zip(&schema.bodies).enumerate();
-        let seen = bodies().filter(|(index, _)| !is_crowd || pair.contains(index));
-        let spheres = seen.map(|(index, (now, body))| {
+        let spheres = bodies().map(|(index, (now, body))| {
             let radius = if pair.contains(&index) { f64::max(body.reach, body.radius) } else { body.radius };
-            (now.centre, if is_crowd { ENLARGEMENT * radius } else { radius })
+            (now.centre, radius)
         });
+        let middle = 0.5 * (frame.bodies[pair[0]].centre + frame.bodies[pair[1]].centre);
+        let label = recent::is_drawn_alone(schema).then(|| (recent::label_above(middle, view.bounds()), 0.0));
         let others = bodies().filter(|(index, _)| !pair.contains(index));
         Focus {
             time,
-            spheres: spheres.collect(),
+            spheres: spheres.chain(label).collect(),
             pair: pair.map(|index| (frame.bodies[index].centre, schema.bodies[index].radius)),
             others: others.map(|(_, (now, body))| (now.centre, body.radius)).collect(),
         }
@@ -91,15 +90,20 @@ impl FocusFinder {
     pub fn frame(&mut self, view: FrameView<'_>) {
         let FrameView { schema, frame, at } = view;
         match self.event {
-            Some(_) if self.focus.is_some() => {}
-            Some((time, pair)) => self.focus = Some(Focus::on(frame, schema, time, pair)),
+            Some((time, _)) if let Some(focus) = &mut self.focus => {
+                // what becomes of many bodies while the instant is shown
+                if recent::is_drawn_alone(schema) && at.time <= time + AFTER {
+                    focus.spheres.extend(view.bodies().map(|(body, now)| (now.centre, body.radius)));
+                }
+            }
+            Some((time, pair)) => self.focus = Some(Focus::on(view, time, pair)),
             None => {
                 let is_shown = |a: usize, b: usize| self.only.is_empty() || self.only.contains(&schema.pair_name(a, b));
                 let shown = frame.pairs.iter().filter(|pair| is_shown(pair.a, pair.b));
                 let Some(pair) = shown.min_by(|x, y| x.q.total_cmp(&y.q)) else { return };
                 if self.nearest.is_none_or(|nearest| pair.q < nearest) {
                     self.nearest = Some(pair.q);
-                    self.focus = Some(Focus::on(frame, schema, at.time, [pair.a, pair.b]));
+                    self.focus = Some(Focus::on(view, at.time, [pair.a, pair.b]));
                 }
             }
         }

@@ -44,6 +44,7 @@
 //! | `/world/pairs` | LineStrips3D; with more than 64 bodies Ellipsoids3D | Lines between the centres of the closest pairs within reach, up to three labelled with the pair and q; with many bodies also the influence spheres that reach another body. |
 //! | `/world/recent` | LineStrips3D, Points3D | The pair that had the last event, labelled with the event and q: for 24 frames, with more than 8 bodies until the next event, and then with a line up to the label, above all bodies. |
 //! | `/recent/pair` | Mesh3D, lit_colors, unlit_normals | With more than 8 bodies: the two of the last event alone, about the point midway between them [radii of the larger]. |
+//! | `/recent/spheres` | Ellipsoids3D | Their influence spheres. |
 //! | `/recent/names` | Points3D | Their names. |
 //! | `/world/names` | Points3D | The names of up to 8 bodies. |
 //! | `/world/forces` | AnnotationContext | Names of the pairs of bodies between which forces act, as classes of arrows. |
@@ -93,6 +94,8 @@
 //! | `/world/SIDE/NAME` | Mesh3D | In a comparison: the surface of a body in the first or the second run. |
 //! | `/world/error` | Arrows3D | In a comparison: arrows from the vertices of the first run towards those of the second; the longest of an instant has a length of 0.3 radii. |
 //! | `/world/worst` | Points3D | In a comparison: the vertex that differs most, labelled. |
+//! | `/q/SIDE/A~B` | Scalars | In a comparison: q in the first or the second run, of the first 4 pairs whose events differ. |
+//! | `/q/events/SIDE` | Scalars, SeriesPoints | In a comparison: the events of these pairs that differ, as markers at q. |
 //! | `/difference/NAME` | Scalars | In a comparison: the largest difference of a body [radii], and the tolerance. |
 //! | `/log10/difference/NAME` | Scalars | In a comparison: the decimal logarithms of these, where they are not 0. |
 //! | `/map/LAYER` | Image, LineStrips2D, Points2D | In the map of a sweep: its regions, their boundaries, every run as a point, thresholds that were bisected, and ticks; on the timeline slice, which counts maps. |

@@ -9,6 +9,17 @@ pub fn net_force_scale(scene: &Scene) -> f64 {
     arrow_length(2.5 * radius, f64::max(scene.free_fall().length(), 0.25 * strongest_pull(scene, radius)))
 }
 
+/// Like [`net_force_scale`], for reactions: what acts on a heavy body accelerates a light one by up to the ratio
+/// of their masses, by its root usually.
+pub fn reaction_scale(scene: &Scene) -> f64 {
+    let radius = scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
+    let heaviest = scene.bodies.iter().map(|body| body.mass).fold(0.0, f64::max);
+    let free = scene.bodies.iter().filter(|body| body.path().is_none());
+    let lightest = free.map(|body| body.mass).fold(heaviest, f64::min);
+    arrow_length(2.5 * radius, 0.25 * strongest_pull(scene, radius) * (heaviest / lightest).sqrt())
+        .min(net_force_scale(scene))
+}
+
 /// The strongest influence on any vertex [scene unit/s²], of the largest body, whose radius is given, and of force points.
 pub fn strongest_pull(scene: &Scene, radius: f64) -> f64 {
     let pull = |strength: f64, sphere_radius: f64| strength.abs() * sphere_radius * scene.influence.weight.max_pull();

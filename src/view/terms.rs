@@ -11,7 +11,7 @@ use crate::{
     sim::Cause,
 };
 
-use super::scales::{net_force_scale, plane_scale};
+use super::scales::{net_force_scale, plane_scale, reaction_scale};
 
 /// All phases in order of depth, deepest last.
 pub const PHASES: [Phase; 3] = [Phase::Apart, Phase::Merged, Phase::Core];
@@ -72,7 +72,8 @@ pub fn term(scene: &Scene, cause: Cause) -> TermSchema {
     let arrow_scale = match cause {
         Cause::Plane => plane_scale(scene),
         // one arrow for a whole body, which would not be seen at the length of those at vertices
-        Cause::Gravity | Cause::Reaction => Some(net_force_scale(scene)),
+        Cause::Gravity => Some(net_force_scale(scene)),
+        Cause::Reaction => Some(reaction_scale(scene)),
         _ => None,
     };
     let (name, is_sum) = (cause.name(), cause == Cause::Net);

@@ -491,7 +491,7 @@ impl Run {
         entities.extend(["/timings/speed", "/timings/lag", "/world/pairs", "/world/recent"].map(str::to_owned));
         entities.extend((2..=8).contains(&self.scene.bodies.len()).then(|| "/world/names".to_owned()));
         if self.scene.bodies.len() > 8 {
-            entities.extend(["/recent/pair", "/recent/names"].map(str::to_owned));
+            entities.extend(["/recent/pair", "/recent/spheres", "/recent/names"].map(str::to_owned));
         }
         if self.settings.detail == Detail::Forces {
             entities.extend(["/legend/bar", "/legend/ticks", "/largest"].map(str::to_owned));
@@ -544,7 +544,7 @@ impl Run {
                 if path == "/checksum"
                     || path.starts_with("/events")
                     || path.starts_with("/marks/")
-                    || ["/world/recent", "/recent/pair", "/recent/names"].contains(&path.as_str())
+                    || ["/world/recent", "/recent/pair", "/recent/spheres", "/recent/names"].contains(&path.as_str())
                     // the gap where the energy jumps at an event
                     || (path.starts_with("/diagnostics/energy") && row.scalar().is_none())
                     || (path.starts_with("/pairs/") && path.ends_with("/phase"))
@@ -867,8 +867,9 @@ impl Run {
                     .fold(f64::INFINITY, f64::min)
             };
             let (mut largest, mut of_all): (Option<(f64, DVec3, String)>, f64) = (None, 0.0);
-            let (mut on_surface, mut of_largest, mut radius) = (vec![], DVec3::ZERO, 0.0);
+            let (mut on_surface, mut top) = (vec![], f64::NEG_INFINITY);
             for (index, body) in world.bodies().enumerate() {
+                top = top.max(body.centre().z + body.scene().radius);
                 for vertex in 0..body.vertex_count() {
                     let displacement = body.displacement(vertex).length() / body.scene().radius;
                     of_all = of_all.max(displacement);
@@ -878,7 +879,6 @@ impl Run {
                         let name = &body.scene().name;
                         let label = format!("largest on the surface: {name}:{vertex}, {displacement:.3} R");
                         largest = Some((displacement, body.position(vertex), label));
-                        (of_largest, radius) = (body.centre(), body.scene().radius);
                     }
                 }
             }
@@ -892,9 +892,7 @@ impl Run {
                 let ends = held.vectors("Points3D:positions");
                 assert_eq!((ends.len(), ends[0]), (2, position.as_vec3()), "step {}", world.steps_taken());
                 let [from, to] = [ends[0], ends[1]].map(|end| end.as_dvec3());
-                let outward = position - of_largest;
-                assert!((to - from).dot(outward.with_z(outward.z.max(0.0))) >= 0.0, "{ends:?}, about {of_largest}");
-                assert!(to.distance(from) >= 0.499 * radius && to.z >= from.z, "{ends:?}");
+                assert!(to.z > top.max(from.z) && to.truncate() == from.truncate(), "{ends:?}, below {top}");
                 let [.., end] = &scale.held[frame].texts("Points2D:labels")[..] else { panic!("no numbers") };
                 // the colours end where a tenth of the surface has more, but not below 0.3 of the largest
                 on_surface.sort_by(f64::total_cmp);

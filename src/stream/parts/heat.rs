@@ -39,9 +39,8 @@ const SHARE: f64 = 0.9;
 const OF_LARGEST: f64 = 0.3;
 /// A vertex this close to the centre of another body is hidden by it [radii of that body].
 const INSIDE: f64 = 0.95;
-/// How far outside of its body the label of the largest displacement is [radii of its body]; farther at the underside, where
-/// it is aside.
-const ABOVE: f64 = 0.5;
+/// How far above all bodies the label of the largest displacement is [diagonals of the box around them].
+const ABOVE: f64 = 0.06;
 
 /// Colour of the mark and its label: it is none of the scale, and legible on dark and light.
 const MARK: palette::Rgb = colors::VERMILION;
@@ -114,10 +113,8 @@ impl Heat {
         let mark = outside.filter(|largest| largest.displacement > 0.0).map(|outside| {
             let hidden = of_all.filter(|of_all| of_all.displacement > outside.displacement);
             let hidden = hidden.map(|hidden| format!("; inside another body: {}", hidden.text(view)));
-            let radius = view.schema.bodies[outside.body].radius;
-            let outward = (outside.position - view.frame.bodies[outside.body].centre).normalize_or(DVec3::Z);
-            let (aside, below) = (outward.with_z(outward.z.max(0.0)), f64::max(-outward.z, 0.0));
-            let end = outside.position + (ABOVE + below) * radius * aside.normalize_or(DVec3::X);
+            let [low, high] = view.bounds();
+            let end = outside.position.with_z(f64::max(high.z, outside.position.z) + ABOVE * low.distance(high));
             let label = format!("largest on the surface: {}{}", outside.text(view), hidden.unwrap_or_default());
             ([outside.position, end], label)
         });

@@ -19,15 +19,20 @@ pub struct Marks {
     styled: Vec<&'static str>,
 }
 
+/// The name of all marks on the axis.
+const ON_AXIS: &str = "events";
+
 impl Marks {
     /// Logs the markers of an event; `is_plotted`: whether its pair has a plot of q.
     pub fn log(&mut self, schema: &Schema, event: &PairEvent, is_plotted: bool, chunks: &mut Chunks) {
         let rgb = schema.phases[event.to].color;
-        let markers = [(&MARKS_ON_AXIS, MarkerShape::Up, 5.0), (&MARKS_AT_Q, MarkerShape::Diamond, 5.0)];
+        // on the axis with one name: those of all kinds would fill the legends of all plots
+        let markers =
+            [(&MARKS_ON_AXIS, ON_AXIS, MarkerShape::Up, 5.0), (&MARKS_AT_Q, event.name, MarkerShape::Diamond, 5.0)];
         if !self.styled.contains(&event.name) {
             self.styled.push(event.name);
-            for (parent, shape, size) in markers {
-                chunks.log_static(&entity(parent, event.name), &style(event.name, rgb, shape, size));
+            for (parent, name, shape, size) in markers {
+                chunks.log_static(&entity(parent, event.name), &style(name, rgb, shape, size));
             }
         }
         let at = Instant { step: event.step, time: event.time };
@@ -66,10 +71,10 @@ pub fn log_near_misses(schema: &Schema, approaches: &[&Approach], chunks: &mut C
 /// Marks the ends of a run in every plot, so that all of them show the same range of time; `level` is any plotted q, if
 /// there is one.
 pub fn log_ends(ends: [Instant; 2], level: Option<f64>, chunks: &mut Chunks) {
-    for (family, value) in [(&MARKS_ON_AXIS, Some(0.0)), (&MARKS_AT_Q, level)] {
+    for (family, name, value) in [(&MARKS_ON_AXIS, ON_AXIS, Some(0.0)), (&MARKS_AT_Q, "start, end", level)] {
         let Some(value) = value else { continue };
         let entity = family.of(&["ends"]);
-        chunks.log_static(&entity, &style("start, end", GREY, MarkerShape::Plus, 3.0));
+        chunks.log_static(&entity, &style(name, GREY, MarkerShape::Plus, 3.0));
         for at in ends {
             chunks.log(&entity, at, &Scalars::new([value]));
         }

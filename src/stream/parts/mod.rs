@@ -68,7 +68,7 @@ impl<'a> FrameView<'a> {
     }
 
     /// The least and the largest corner of the box around the undeformed bodies [scene unit].
-    fn bounds(self) -> [DVec3; 2] {
+    pub fn bounds(self) -> [DVec3; 2] {
         let present = self.bodies().filter(|(_, now)| !now.is_absent);
         present.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[low, high], (body, now)| {
             [low.min(now.centre - body.radius), high.max(now.centre + body.radius)]

@@ -44,6 +44,8 @@ pub struct FrameNumbers {
     scalars: Vec<ScalarLine>,
     /// Lines of the scalars of bodies, body by body.
     of_bodies: Vec<LineId>,
+    /// Whether a pair changed its phase between the last two frames.
+    has_changed: bool,
     timings: Vec<Timing>,
     /// Steps since messages were last sent.
     steps_since_sent: u32,
@@ -128,6 +130,7 @@ impl FrameNumbers {
         FrameNumbers {
             scalars,
             of_bodies,
+            has_changed: false,
             timings,
             steps_since_sent: 0,
             sending: Duration::ZERO,
@@ -174,7 +177,8 @@ impl FrameNumbers {
     }
 
     /// Logs the schema's scalars. `changed` is the instant of the last phase change since the last frame; lines that
-    /// jump there are interrupted: a steep line would look like a change over the course of a frame.
+    /// jump there are interrupted: a steep line would look like a change over the course of a frame. Not where phases
+    /// change from frame to frame: only points would be left.
     pub fn log_scalars(
         &mut self,
         view: FrameView<'_>,
@@ -182,8 +186,9 @@ impl FrameNumbers {
         series: &mut Series,
         chunks: &mut Chunks,
     ) {
+        let has_changed = std::mem::replace(&mut self.has_changed, changed.is_some());
         for (line, &of_state) in self.scalars.iter_mut().zip(&view.frame.scalars) {
-            if let Some(at) = changed.filter(|_| line.jumps) {
+            if let Some(at) = changed.filter(|_| line.jumps && !has_changed) {
                 series.interrupt(chunks, line.id, at);
             }
             let value = if line.of == ScalarOf::State { of_state } else { std::mem::take(&mut line.value) };

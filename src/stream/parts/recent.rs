@@ -3,13 +3,13 @@
 
 use glam::DVec3;
 
-use super::{FrameView, MAX_LABELS};
+use super::{FrameView, MAX_LABELS, spheres};
 use crate::{
     observe::{BodyFrame, PairEvent, Schema, schema::titled},
-    sdk::{self, LineStrips3D, Mesh3D, Points3D},
+    sdk::{self, Ellipsoids3D, LineStrips3D, Mesh3D, Points3D, components::FillMode},
     stream::{
         chunks::{Chunks, TrackId},
-        contract::{LIT, RECENT, RECENT_NAMES, RECENT_PAIR},
+        contract::{LIT, RECENT, RECENT_NAMES, RECENT_PAIR, RECENT_SPHERES},
         extract::{Extractor, Surface},
         instant::Instant,
         light::{self, Light},
@@ -24,6 +24,12 @@ const FRAMES: u64 = 24;
 const SELDOM: u64 = 8;
 /// How far above all bodies the label is [diagonals of the box around them].
 const ABOVE: f64 = 0.12;
+
+/// Where the label of an event stands among many bodies in the box from `low` to `high`, at this place seen from above
+/// [scene unit].
+pub fn label_above(place: DVec3, [low, high]: [DVec3; 2]) -> DVec3 {
+    place.with_z(high.z + ABOVE * low.distance(high))
+}
 
 /// Whether the last event's pair is drawn alone too: among so many bodies it may be hidden.
 pub fn is_drawn_alone(schema: &Schema) -> bool {
@@ -93,6 +99,11 @@ impl Recent {
                 let names =
                     Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.0)]).with_show_labels(true);
                 chunks.log_static(RECENT_NAMES.path, &names);
+                let spheres = Ellipsoids3D::update_fields()
+                    .with_fill_mode(FillMode::MajorWireframe)
+                    .with_line_radii([sdk::Radius::new_ui_points(spheres::LINE)])
+                    .with_show_labels(false);
+                chunks.log_static(RECENT_SPHERES.path, &spheres);
                 Alone {
                     track: chunks.track(RECENT_PAIR.path, [Mesh3D::descriptor_vertex_positions(), LIT.descriptor()]),
                     extractor: Extractor::default(),
@@ -133,8 +144,7 @@ impl Recent {
     /// Logs changed values.
     pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
         if self.alone.is_some() {
-            let [low, high] = view.bounds();
-            self.top = high.z + ABOVE * low.distance(high);
+            self.top = label_above(DVec3::ZERO, view.bounds()).z;
         }
         let Some(event) = &mut self.event else { return self.push(Rows::default(), view.at, chunks) };
         event.age += 1;
@@ -157,7 +167,7 @@ impl Recent {
             rows.strips.push(strip([middle, place]));
             rows.colors.push(color(*rgb).to_u32());
             if *age < FRAMES || age.is_multiple_of(SELDOM) {
-                alone.log(schema, *pair, bodies, (middle, radius), at, chunks);
+                alone.log(schema, (*pair, *rgb), bodies, (middle, radius), at, chunks);
             }
         }
         rows.places.push(place.as_vec3().to_array());
@@ -175,11 +185,11 @@ impl Recent {
 }
 
 impl Alone {
-    /// Logs the surfaces about `middle`, in units of `radius`.
+    /// Logs the surfaces, and the spheres in this colour, about `middle`, in units of `radius`.
     fn log(
         &mut self,
         schema: &Schema,
-        pair: [usize; 2],
+        (pair, rgb): ([usize; 2], Rgb),
         bodies: [&BodyFrame; 2],
         (middle, radius): (DVec3, f64),
         at: Instant,
@@ -193,8 +203,8 @@ impl Alone {
             self.surface.append_in_world(body, now, &mut self.extractor);
             triangles.extend(now.mesh_of(body).drawn_triangles().iter().map(|t| t.map(|v| v + first as u32)));
             let normals = &self.surface.normals[first..];
-            let rgb = palette::of_body(schema, index);
-            lit.extend(normals.iter().map(|&normal| Light::in_world().on(rgb, normal)));
+            let own = palette::of_body(schema, index);
+            lit.extend(normals.iter().map(|&normal| Light::in_world().on(own, normal)));
         }
         let place =
             |&[x, y, z]: &Float3| ((DVec3::new(x.into(), y.into(), z.into()) - middle) / radius).as_vec3().to_array();
@@ -211,6 +221,12 @@ impl Alone {
             .with_colors(pair.map(|body| color(palette::of_body(schema, body))))
             .with_labels(pair.map(|body| schema.bodies[body].name.as_str()));
         chunks.log(RECENT_NAMES.path, at, &names);
+        let half_size = |body: usize| [(schema.reach(body, at.time) / radius) as f32; 3];
+        let spheres = Ellipsoids3D::update_fields()
+            .with_centers(bodies.map(|now| ((now.centre - middle) / radius).as_vec3().to_array()))
+            .with_half_sizes(pair.map(half_size))
+            .with_colors([color(rgb)]);
+        chunks.log(RECENT_SPHERES.path, at, &spheres);
         let is_new = self.pair != Some(pair) || triangles != self.triangles;
         if is_new {
             self.pair = Some(pair);

@@ -14,7 +14,7 @@ use crate::{
 };
 
 /// Line width of wireframe spheres [points on the screen].
-const LINE: f32 = 0.6;
+pub const LINE: f32 = 0.6;
 
 /// Influence spheres, with the last logged values.
 pub struct SphereEntities {
