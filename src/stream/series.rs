@@ -6,7 +6,10 @@ use super::{
     palette::{Rgb, color},
 };
 use crate::observe::schema::ScalarSchema;
-use crate::sdk::{Scalars, SeriesLines, components::InterpolationMode};
+use crate::sdk::{
+    Scalars, SeriesLines,
+    components::{AggregationPolicy, InterpolationMode},
+};
 
 /// Interpolation between the values of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,15 +54,17 @@ impl Series {
 
     /// Sets the name and style of a line.
     pub fn style(chunks: &mut Chunks, entity: &str, name: &str, rgb: Rgb, width: f32, shape: Interpolation) {
-        let mode = match shape {
-            Interpolation::Linear => InterpolationMode::Linear,
-            Interpolation::Step => InterpolationMode::StepAfter,
+        // of points that are less than a pixel or so apart, the viewer draws minimum and maximum: a steep line gets stairs
+        let (mode, aggregation) = match shape {
+            Interpolation::Linear => (InterpolationMode::Linear, AggregationPolicy::Average),
+            Interpolation::Step => (InterpolationMode::StepAfter, AggregationPolicy::MinMax),
         };
         let style = SeriesLines::new()
             .with_names([name])
             .with_colors([color(rgb)])
             .with_widths([width])
-            .with_interpolation_mode(mode);
+            .with_interpolation_mode(mode)
+            .with_aggregation_policy(aggregation);
         chunks.log_static(entity, &style);
     }
 
