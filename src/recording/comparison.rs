@@ -16,8 +16,8 @@ use crate::{
     geometry::Mesh,
     observe::Schema,
     sdk::{
-        self, ApplicationId, Arrows3D, LogMsg, Mesh3D, Points3D, Scalars, SeriesPoints, StoreId, StoreKind,
-        TextDocument, TextLog, ViewCoordinates,
+        self, ApplicationId, Arrows3D, LogMsg, Mesh3D, Points3D, Scalars, StoreId, StoreKind, TextDocument, TextLog,
+        ViewCoordinates,
         components::{MarkerShape, MediaType},
     },
     stream::{
@@ -31,6 +31,7 @@ use crate::{
         light::Light,
         normals,
         palette::{self, Rgb, color},
+        parts::marks,
         series::{Interpolation, Series},
         settings::file_stem,
         sinks::{Destinations, Saved, SinkError, Sinks},
@@ -151,9 +152,10 @@ impl Comparison {
                 let entity = COMPARED_DISTANCE.of(&[side, pair]);
                 Series::style(&mut chunks, &entity, &format!("q {pair}, {run} run"), rgb, 1.5, Interpolation::Linear);
             }
-            let marks = SeriesPoints::new().with_names([format!("events of the {run} run")]).with_colors([color(rgb)]);
-            let marks = marks.with_markers([MarkerShape::Diamond]).with_marker_sizes([5.0]);
-            chunks.log_static(&COMPARED_EVENTS.of(&[side]), &marks);
+            if !pairs.is_empty() {
+                let marks = marks::style(&format!("events of the {run} run"), rgb, MarkerShape::Diamond, 5.0);
+                chunks.log_static(&COMPARED_EVENTS.of(&[side]), &marks);
+            }
         }
         let worst = Points3D::update_fields()
             .with_radii([sdk::Radius::new_ui_points(5.0)])
@@ -239,7 +241,7 @@ impl Comparison {
 
     /// Logs a difference between the events of the two runs.
     pub fn change(&mut self, schema: &Schema, change: &Change) {
-        let time = change.time();
+        let time = change.event().time;
         let at = Instant { step: (time / schema.dt).ceil().max(0.0) as u64, time };
         let rgb = match change {
             Change::Vanished(_) => COLORS[0],

@@ -247,7 +247,7 @@ pub fn save(
     let mut pairs: Vec<[usize; 2]> = Vec::new();
     for change in &difference.events {
         let body = |name: &str| schema.bodies.iter().position(|body| body.name == name);
-        let pair = change.pair().split_once('~').and_then(|(a, b)| Some([body(a)?, body(b)?]));
+        let pair = change.event().pair.split_once('~').and_then(|(a, b)| Some([body(a)?, body(b)?]));
         pairs.extend(pair.filter(|pair| pairs.len() < MAX_PAIRS && !pairs.contains(pair)));
     }
     let plan = Plan {

@@ -26,20 +26,11 @@ pub enum Change {
 }
 
 impl Change {
-    /// The pair, as `A~B`.
-    pub fn pair(&self) -> &str {
+    /// The event, in the run that has it; in the first, if both have.
+    pub fn event(&self) -> &RecordedEvent {
         match self {
             Change::Moved(event, _) | Change::Vanished(event) | Change::Appeared(event) | Change::Reordered(event) => {
-                &event.pair
-            }
-        }
-    }
-
-    /// The time of the event, in the run that has it [s].
-    pub fn time(&self) -> f64 {
-        match self {
-            Change::Moved(event, _) | Change::Vanished(event) | Change::Appeared(event) | Change::Reordered(event) => {
-                event.time
+                event
             }
         }
     }
@@ -109,6 +100,6 @@ pub fn compare(first: &[RecordedEvent], second: &[RecordedEvent]) -> Vec<Change>
         }
     }
     changes.extend(others.into_values().flatten().map(|(_, event)| Change::Appeared(event.clone())));
-    changes.sort_by(|a, b| a.time().total_cmp(&b.time()));
+    changes.sort_by(|a, b| a.event().time.total_cmp(&b.event().time));
     changes
 }

@@ -232,7 +232,7 @@ pub struct Scene {
     pub source: String,
     /// Values that replace those of the text; see [`Scene::with`].
     pub set: Vec<template::Override>,
-    /// The free bodies that the file places so deep in a plane that it would throw them out.
+    /// The free bodies that were moved, as the file places them so deep in a plane that it would throw them out.
     pub pushed_out: Vec<PushedOut>,
 }
 

@@ -44,7 +44,7 @@ impl Scene {
             }
         }
         let of_pairs = warnings.into_iter().filter_map(|all| summary(all, "pair"));
-        let of_bodies = [self.not_enclosed(), self.hollow(), self.warnings_of_pushed_out()];
+        let of_bodies = [self.not_enclosed(), self.hollow(), self.thrown_out()];
         of_pairs.chain(of_bodies.into_iter().filter_map(|all| summary(all, "body"))).collect()
     }
 

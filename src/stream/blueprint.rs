@@ -189,9 +189,12 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         if tab != Tab::Stages {
             layout.open_at(focus.interval(measured.duration));
         }
-        for (view, aspect) in std::mem::take(&mut layout.spaces) {
+        let spaces = std::mem::take(&mut layout.spaces);
+        for aspect in [WIDE, NARROW] {
             let camera = camera_past(&focus.spheres, &focus.pair, &focus.others, aspect);
-            layout.log(&format!("{view}/EyeControls3D"), &camera);
+            for (view, _) in spaces.iter().filter(|(_, of)| *of == aspect) {
+                layout.log(&format!("{view}/EyeControls3D"), &camera);
+            }
         }
     }
     let Told { alike, changed, met, all } = &measured.pairs;
@@ -1252,10 +1255,10 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame) ->
     let phases = phases.collect::<Vec<_>>().join(", ");
     let is_crowd = recent::is_drawn_alone(schema);
     let spheres = match settings.entities {
+        _ if schema.bodies.iter().all(|body| body.reach == 0.0) => format!("- **Lines, lanes**: {phases}\n"),
         Entities::Body if is_crowd => {
             format!("- **Lines, lanes**, and the spheres of the last event's pair: {phases}\n")
         }
-        _ if schema.bodies.iter().all(|body| body.reach == 0.0) => format!("- **Lines, lanes**: {phases}\n"),
         Entities::Body => format!("- **Spheres, lines, lanes**: {phases}; grey reaches no body\n"),
         Entities::Batch => {
             format!("- **Spheres** (only of bodies that reach another), **lines, lanes**: {phases}\n")

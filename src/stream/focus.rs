@@ -35,20 +35,33 @@ impl Focus {
     fn on(view: FrameView<'_>, time: f64, pair: [usize; 2]) -> Focus {
         let FrameView { schema, frame, .. } = view;
         let bodies = || frame.bodies.iter().zip(&schema.bodies).enumerate();
-        let spheres = bodies().map(|(index, (now, body))| {
-            let radius = if pair.contains(&index) { f64::max(body.reach, body.radius) } else { body.radius };
-            (now.centre, radius)
-        });
-        let middle = 0.5 * (frame.bodies[pair[0]].centre + frame.bodies[pair[1]].centre);
-        let label = recent::is_drawn_alone(schema).then(|| (recent::label_above(middle, view.bounds()), 0.0));
+        let spheres = match recent::is_drawn_alone(schema) {
+            true => in_box(view).to_vec(),
+            false => bodies()
+                .map(|(index, (now, body))| {
+                    let radius = if pair.contains(&index) { f64::max(body.reach, body.radius) } else { body.radius };
+                    (now.centre, radius)
+                })
+                .collect(),
+        };
         let others = bodies().filter(|(index, _)| !pair.contains(index));
         Focus {
             time,
-            spheres: spheres.chain(label).collect(),
+            spheres,
             pair: pair.map(|index| (frame.bodies[index].centre, schema.bodies[index].radius)),
             others: others.map(|(_, (now, body))| (now.centre, body.radius)).collect(),
         }
     }
+}
+
+/// The corners of the box around all bodies and the label above them: of many bodies, what a camera must have in view.
+fn in_box(view: FrameView<'_>) -> [(DVec3, f64); 8] {
+    let ([low, high], top) = (view.bounds(), recent::label_height(view));
+    std::array::from_fn(|corner| {
+        let is_high = |axis: usize| corner >> axis & 1 == 1;
+        let at = |axis: usize, [low, high]: [f64; 2]| if is_high(axis) { high } else { low };
+        (DVec3::new(at(0, [low.x, high.x]), at(1, [low.y, high.y]), at(2, [low.z, top])), 0.0)
+    })
 }
 
 /// Finds the focus of a run while it proceeds.
@@ -93,7 +106,7 @@ impl FocusFinder {
             Some((time, _)) if let Some(focus) = &mut self.focus => {
                 // what becomes of many bodies while the instant is shown
                 if recent::is_drawn_alone(schema) && at.time <= time + AFTER {
-                    focus.spheres.extend(view.bodies().map(|(body, now)| (now.centre, body.radius)));
+                    focus.spheres.extend(in_box(view));
                 }
             }
             Some((time, pair)) => self.focus = Some(Focus::on(view, time, pair)),

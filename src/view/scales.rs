@@ -5,19 +5,23 @@ use crate::scene::{Body, Scene};
 /// Length per acceleration of net force arrows: about a radius for gravity or for a quarter of the strongest influence,
 /// whichever is larger.
 pub fn net_force_scale(scene: &Scene) -> f64 {
-    let radius = scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
+    let radius = largest_radius(scene);
     arrow_length(2.5 * radius, f64::max(scene.free_fall().length(), 0.25 * strongest_pull(scene, radius)))
 }
 
 /// Like [`net_force_scale`], for reactions: what acts on a heavy body accelerates a light one by up to the ratio
 /// of their masses, by its root usually.
 pub fn reaction_scale(scene: &Scene) -> f64 {
-    let radius = scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
+    let radius = largest_radius(scene);
     let heaviest = scene.bodies.iter().map(|body| body.mass).fold(0.0, f64::max);
     let free = scene.bodies.iter().filter(|body| body.path().is_none());
     let lightest = free.map(|body| body.mass).fold(heaviest, f64::min);
     arrow_length(2.5 * radius, 0.25 * strongest_pull(scene, radius) * (heaviest / lightest).sqrt())
         .min(net_force_scale(scene))
+}
+
+fn largest_radius(scene: &Scene) -> f64 {
+    scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max)
 }
 
 /// The strongest influence on any vertex [scene unit/s²], of the largest body, whose radius is given, and of force points.
@@ -32,7 +36,7 @@ pub fn strongest_pull(scene: &Scene, radius: f64) -> f64 {
 /// Length of an arrow per acceleration [scene unit per scene unit/s²]. The strongest influence or push on the largest
 /// body gets an arrow of about 0.4 of its radius.
 pub fn arrow_scale(scene: &Scene) -> f64 {
-    let radius = scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
+    let radius = largest_radius(scene);
     let pull = strongest_pull(scene, radius);
     arrow_length(radius, scene.pushes.iter().map(|push| push.strength.abs()).fold(pull, f64::max))
 }
@@ -41,7 +45,7 @@ pub fn arrow_scale(scene: &Scene) -> f64 {
 /// is a tenth of the largest radius behind the stiffest plane gets an arrow of about 0.4 of that radius. `None` without
 /// planes.
 pub fn plane_scale(scene: &Scene) -> Option<f64> {
-    let radius = scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
+    let radius = largest_radius(scene);
     let stiffest = scene.planes.iter().map(|plane| plane.stiffness).fold(0.0, f64::max);
     (stiffest > 0.0).then(|| arrow_length(radius, 0.1 * radius * stiffest).min(arrow_scale(scene)))
 }

@@ -31,9 +31,9 @@ pub const SHORTER: f64 = (1 << ORDER) as f64;
 pub const ASIDE: f64 = 0.13;
 /// Number of time scales of an oscillation that pass in a step up to which its samples resolve it: about a sixth of a turn.
 pub const RESOLVED: f64 = 1.0;
-/// Factor from a bound on an error to the largest error seen: 0.15 to 0.4 over the vertices of the scenes of `bench error`,
+/// Share of the bound on an error that counts. The largest seen: 0.15 to 0.4 over the vertices of the scenes of `bench error`,
 /// 0.41 over those of random scenes.
-pub const USUAL: f64 = 0.45;
+pub const OF_BOUND: f64 = 0.45;
 /// The error that an oscillation usually causes, over the strongest pull, the time that it lasts, and the fifth power of the
 /// number of time scales that pass in the step: the residual of a cubic is at most h⁴/384 times the fourth derivative, of
 /// which a thirty-second counts by `bench error`. Larger errors come from kinks.

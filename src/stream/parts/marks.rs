@@ -48,7 +48,8 @@ fn entity(family: &Entity, event: &str) -> String {
     family.of(&[&name])
 }
 
-fn style(name: &str, rgb: Rgb, shape: MarkerShape, size: f32) -> SeriesPoints {
+/// The style of markers.
+pub fn style(name: &str, rgb: Rgb, shape: MarkerShape, size: f32) -> SeriesPoints {
     let style = SeriesPoints::new().with_names([name]).with_colors([color(rgb)]);
     style.with_markers([shape]).with_marker_sizes([size])
 }

@@ -6,7 +6,7 @@ use glam::DVec3;
 use super::{FrameView, MAX_LABELS, spheres};
 use crate::{
     observe::{BodyFrame, PairEvent, Schema, schema::titled},
-    sdk::{self, Ellipsoids3D, LineStrips3D, Mesh3D, Points3D, components::FillMode},
+    sdk::{self, Ellipsoids3D, LineStrips3D, Mesh3D, Points3D},
     stream::{
         chunks::{Chunks, TrackId},
         contract::{LIT, RECENT, RECENT_NAMES, RECENT_PAIR, RECENT_SPHERES},
@@ -25,10 +25,10 @@ const SELDOM: u64 = 8;
 /// How far above all bodies the label is [diagonals of the box around them].
 const ABOVE: f64 = 0.12;
 
-/// Where the label of an event stands among many bodies in the box from `low` to `high`, at this place seen from above
-/// [scene unit].
-pub fn label_above(place: DVec3, [low, high]: [DVec3; 2]) -> DVec3 {
-    place.with_z(high.z + ABOVE * low.distance(high))
+/// The height at which the label of an event stands among many bodies [scene unit].
+pub fn label_height(view: FrameView<'_>) -> f64 {
+    let [low, high] = view.bounds();
+    high.z + ABOVE * low.distance(high)
 }
 
 /// Whether the last event's pair is drawn alone too: among so many bodies it may be hidden.
@@ -99,11 +99,7 @@ impl Recent {
                 let names =
                     Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.0)]).with_show_labels(true);
                 chunks.log_static(RECENT_NAMES.path, &names);
-                let spheres = Ellipsoids3D::update_fields()
-                    .with_fill_mode(FillMode::MajorWireframe)
-                    .with_line_radii([sdk::Radius::new_ui_points(spheres::LINE)])
-                    .with_show_labels(false);
-                chunks.log_static(RECENT_SPHERES.path, &spheres);
+                chunks.log_static(RECENT_SPHERES.path, &spheres::wireframe());
                 Alone {
                     track: chunks.track(RECENT_PAIR.path, [Mesh3D::descriptor_vertex_positions(), LIT.descriptor()]),
                     extractor: Extractor::default(),
@@ -144,7 +140,7 @@ impl Recent {
     /// Logs changed values.
     pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
         if self.alone.is_some() {
-            self.top = label_above(DVec3::ZERO, view.bounds()).z;
+            self.top = label_height(view);
         }
         let Some(event) = &mut self.event else { return self.push(Rows::default(), view.at, chunks) };
         event.age += 1;

@@ -14,7 +14,7 @@ use crate::{
 };
 
 /// Line width of wireframe spheres [points on the screen].
-pub const LINE: f32 = 0.6;
+const LINE: f32 = 0.6;
 
 /// Influence spheres, with the last logged values.
 pub struct SphereEntities {
@@ -51,9 +51,7 @@ struct SphereRows {
 impl SphereEntities {
     /// Logs static data.
     pub fn new(schema: &Schema, entities: Entities, chunks: &mut Chunks) -> SphereEntities {
-        let mut spheres = Ellipsoids3D::update_fields()
-            .with_fill_mode(FillMode::MajorWireframe)
-            .with_line_radii([sdk::Radius::new_ui_points(LINE)])
+        let mut spheres = wireframe()
             .with_labels(schema.bodies.iter().map(|body| body.name.as_str()))
             // several bodies have their names beside them instead
             .with_show_labels(schema.bodies.len() == 1);
@@ -119,6 +117,13 @@ impl SphereEntities {
     }
 }
 
+/// The style of influence spheres.
+pub fn wireframe() -> Ellipsoids3D {
+    Ellipsoids3D::update_fields()
+        .with_fill_mode(FillMode::MajorWireframe)
+        .with_line_radii([sdk::Radius::new_ui_points(LINE)])
+}
+
 /// Whether the radii of spheres change during the run.
 fn is_changing(schema: &Schema) -> bool {
     !schema.changes.is_empty() || schema.bodies.iter().any(|body| body.can_be_absent)
@@ -131,10 +136,7 @@ fn half_size(schema: &Schema, body: usize, time: f64) -> Float3 {
 
 impl Reaching {
     fn new(chunks: &mut Chunks) -> Reaching {
-        let style = Ellipsoids3D::update_fields()
-            .with_fill_mode(FillMode::MajorWireframe)
-            .with_line_radii([sdk::Radius::new_ui_points(LINE)]);
-        chunks.log_static(PAIR_LINES.path, &style);
+        chunks.log_static(PAIR_LINES.path, &wireframe());
         let components = [
             Ellipsoids3D::descriptor_centers(),
             Ellipsoids3D::descriptor_half_sizes(),

@@ -13,7 +13,7 @@ use crate::{
     sim::{
         numerics::{
             control::{
-                ASIDE, MAX_CORRECTIONS, OSCILLATION, RESIDUAL, RESOLVED, ROUNDING, SETTLED, TURN, TURN_WIDTH, USUAL,
+                ASIDE, MAX_CORRECTIONS, OF_BOUND, OSCILLATION, RESIDUAL, RESOLVED, ROUNDING, SETTLED, TURN, TURN_WIDTH,
             },
             dense::Dense,
             lagrange::{combine, quartic, quartic_through},
@@ -244,7 +244,7 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
         }
         // Effect of a force error on the displacement, now or after the oscillator has converted the velocity.
         let gain = weights.gain();
-        let left = stiffness * (USUAL * weights.constant.abs() * gain);
+        let left = stiffness * (OF_BOUND * weights.constant.abs() * gain);
         let enough = Reals::splat(simd, SETTLED * wanted);
         let mut unsettled = Reals::splat(simd, f64::INFINITY);
         let mut settled = Mask::none(simd);
@@ -294,7 +294,7 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
             let is_oscillation = Reals::splat(simd, wanted).below(usual);
             effect = is_quick.or(is_near.and(is_oscillation)).select(all, effect);
         }
-        let bent = effect.larger_or_nan(turned) * (USUAL * gain);
+        let bent = effect.larger_or_nan(turned) * (OF_BOUND * gain);
         Collocated {
             x: end,
             u: respond(x * weights.ux + u * weights.uu, &weights.velocity, &forces),
