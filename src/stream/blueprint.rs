@@ -15,6 +15,7 @@ use super::{
         RECENT_PAIR, RECENT_SPHERES, RESTING, SIM_TIME, SLICE, SPEED, STAGE, STAGES, STEP, TRAILS, VOLUME, WORLD,
     },
     focus::Focus,
+    legends::Plot,
     light, palette,
     parts::{
         body_forces, heat, net_forces, numbers,
@@ -92,6 +93,8 @@ pub struct Measured<'a> {
     pub fastest: f64,
     /// Smallest and largest plotted q [–], if any.
     pub distances: Option<[f64; 2]>,
+    /// The entities of all lines of plots, with some of their points: steps and values.
+    pub lines: Vec<(&'a str, &'a [(u64, f64)])>,
     /// Smallest and largest plotted value of each scalar of the schema.
     pub scalars: Vec<Option<[f64; 2]>>,
     /// The pairs that have plots.
@@ -122,8 +125,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
                 let title = format!("{title}; at most {}", significant(longest));
                 layout.log(&plot.path, &ViewBlueprint::update_fields().with_display_name(title));
             }
-            let axis = ScalarAxis::new().with_range(Range1D::new(low, high));
-            layout.log(&format!("{}/ScalarAxis", plot.path), &axis);
+            layout.set_range(&plot.path, [low, high]);
         }
         for (stage, median) in measured.medians.iter().filter(|(stage, _)| stages.contains(stage)) {
             let median = if *median < 1e-3 { "below 0.001".to_owned() } else { significant(*median) };
@@ -134,14 +136,13 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         }
     }
     if let Some(speeds) = layout.speeds.take().filter(|_| measured.fastest > 0.0) {
-        let [low, high] = readable([0.0, measured.fastest]);
-        layout.log(&format!("{speeds}/ScalarAxis"), &ScalarAxis::new().with_range(Range1D::new(low, high)));
+        layout.set_range(&speeds, readable([0.0, measured.fastest]));
     }
     if let Some([low, high]) = measured.distances {
         // an automatic axis would begin at 0
-        let axis = ScalarAxis::new().with_range(Range1D::new(low - 0.05 * (high - low), high + 0.05 * (high - low)));
+        let margin = 0.05 * (high - low);
         for plot in layout.distances.clone() {
-            layout.log(&format!("{plot}/ScalarAxis"), &axis);
+            layout.set_range(&plot, [low - margin, high + margin]);
         }
     }
     let owned = || subject.schema.body_scalars.iter().chain(&subject.schema.pair_scalars);
@@ -161,7 +162,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         }
         let range = if high - low < least { [-0.5 * least, 0.5 * least] } else { readable([low, high]) };
         if range[0] < range[1] {
-            layout.log(&format!("{plot}/ScalarAxis"), &ScalarAxis::new().with_range(Range1D::new(range[0], range[1])));
+            layout.set_range(&plot, range);
         }
         let largest = high.max(-low);
         if lines == 1 && largest > 0.0 {
@@ -223,8 +224,17 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         ];
         for (paths, lines) in views {
             for path in paths {
+                if let Some(plot) = layout.plots.iter_mut().find(|plot| plot.path == path) {
+                    plot.contents.clone_from(&lines);
+                }
                 layout.log(&format!("{path}/ViewContents"), &ViewContents::new(lines.iter().map(String::as_str)));
             }
+        }
+    }
+    for plot in std::mem::take(&mut layout.plots) {
+        let corner = plot.emptiest_corner(&measured.lines);
+        if corner != plot.corner {
+            layout.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::update_fields().with_corner(corner));
         }
     }
     let messages = layout.chunks.take();
@@ -414,6 +424,8 @@ struct Layout {
     timings: Vec<(Part, Vec<&'static str>, String)>,
     /// The plot of speed.
     speeds: Option<String>,
+    /// All plots over time.
+    plots: Vec<Plot>,
     /// The plots of q.
     distances: Vec<String>,
     /// The plots of scalars, with their names.
@@ -464,6 +476,7 @@ impl Layout {
             next_id: 0,
             timings: Vec::new(),
             speeds: None,
+            plots: Vec::new(),
             distances: Vec::new(),
             scalars: Vec::new(),
             phases: Vec::new(),
@@ -869,7 +882,18 @@ impl Layout {
     fn time_series(&mut self, name: &str, origin: &str, contents: &[&str], corner: Corner2D) -> Part {
         let legend = PlotLegend::new().with_corner(corner);
         let axis = TimeAxis::new().with_link(LinkAxis::LinkToGlobal);
-        self.view("TimeSeries", name, origin, contents, &[("PlotLegend", &legend), ("TimeAxis", &axis)])
+        let view = self.view("TimeSeries", name, origin, contents, &[("PlotLegend", &legend), ("TimeAxis", &axis)]);
+        let contents = contents.iter().map(|rule| (*rule).to_owned()).collect();
+        self.plots.push(Plot { path: view.path.clone(), contents, corner, range: None });
+        view
+    }
+
+    /// Sets the ends of the axis of values of a plot.
+    fn set_range(&mut self, plot: &str, [low, high]: [f64; 2]) {
+        self.log(&format!("{plot}/ScalarAxis"), &ScalarAxis::new().with_range(Range1D::new(low, high)));
+        if let Some(plot) = self.plots.iter_mut().find(|known| known.path == plot) {
+            plot.range = Some([low, high]);
+        }
     }
 
     /// A 3D view of everything, with the forces that make bodies merge and split.

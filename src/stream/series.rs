@@ -35,6 +35,35 @@ struct Line {
     track: TrackId,
     shape: Interpolation,
     last: Option<Last>,
+    entity: String,
+    outline: Outline,
+}
+
+/// Some points of a line, evenly spaced over the steps for which it has values.
+#[derive(Default)]
+struct Outline {
+    points: Vec<(u64, f64)>,
+    /// Number of steps from one point to the next, at least.
+    spacing: u64,
+}
+
+impl Outline {
+    const MAX_POINTS: usize = 256;
+
+    fn add(&mut self, step: u64, value: f64) {
+        if self.points.last().is_some_and(|(last, _)| step < last + self.spacing) {
+            return;
+        }
+        if self.points.len() == Outline::MAX_POINTS {
+            let mut index = 0;
+            self.points.retain(|_| {
+                index += 1;
+                index % 2 == 1
+            });
+            self.spacing = 2 * self.spacing.max(1);
+        }
+        self.points.push((step, value));
+    }
 }
 
 /// The last value, when it was logged, and when it was last observed unchanged.
@@ -71,7 +100,7 @@ impl Series {
     /// Creates a line without points.
     pub fn line(&mut self, chunks: &mut Chunks, entity: &str, shape: Interpolation) -> LineId {
         let track = chunks.track(entity, [Scalars::descriptor_scalars()]);
-        self.lines.push(Line { track, shape, last: None });
+        self.lines.push(Line { track, shape, last: None, entity: entity.to_owned(), outline: Outline::default() });
         LineId(self.lines.len() - 1)
     }
 
@@ -100,7 +129,8 @@ impl Series {
 
     /// Adds a point to a line if the value has changed.
     pub fn log(&mut self, chunks: &mut Chunks, LineId(line): LineId, value: f64, now: Instant) {
-        let Line { track, shape, last } = &mut self.lines[line];
+        let Line { track, shape, last, outline, .. } = &mut self.lines[line];
+        outline.add(now.step, value);
         match last {
             Some(last) if last.value == value && !self.is_whole => last.seen = now,
             Some(last) if self.is_whole => {
@@ -134,6 +164,11 @@ impl Series {
         if line.last.take().is_some() {
             chunks.push(line.track, now, &[&[0.0_f64; 0]]);
         }
+    }
+
+    /// The entity of each line, and some of its points: steps and values.
+    pub fn outlines(&self) -> impl Iterator<Item = (&str, &[(u64, f64)])> {
+        self.lines.iter().map(|line| (line.entity.as_str(), line.outline.points.as_slice()))
     }
 
     /// Extends all lines to where their values were last observed.

@@ -1,0 +1,83 @@
+//! Where legends of plots cover no data.
+
+use crate::sdk::blueprint::components::Corner2D;
+
+/// The width of a legend, and the height of each of its lines, as fractions of its plot's. No legend is higher than its
+/// plot, in which it scrolls.
+const WIDTH: f64 = 0.3;
+const HEIGHT: f64 = 0.13;
+
+/// A plot over time whose legend has a corner.
+pub struct Plot {
+    pub path: String,
+    /// What it shows, as rules of a view's contents.
+    pub contents: Vec<String>,
+    /// The corner of the legend.
+    pub corner: Corner2D,
+    /// The ends of the axis of values; those of the lines if there are none.
+    pub range: Option<[f64; 2]>,
+}
+
+impl Plot {
+    /// Whether an entity has a line in the plot.
+    fn shows(&self, entity: &str) -> bool {
+        let names = |rule: &str| match rule.strip_suffix("/**") {
+            Some(family) => entity.strip_prefix(family).is_some_and(|rest| rest.starts_with('/') || family.is_empty()),
+            None => entity == rule,
+        };
+        let is_named = |sign: &str| self.contents.iter().filter_map(|rule| rule.strip_prefix(sign)).any(names);
+        is_named("+ ") && !is_named("- ")
+    }
+
+    /// The corner in which the legend covers the fewest points of the lines: entities, with steps and values. The present
+    /// one if no other is better.
+    pub fn emptiest_corner(&self, lines: &[(&str, &[(u64, f64)])]) -> Corner2D {
+        let shown = || lines.iter().filter(|(entity, points)| !points.is_empty() && self.shows(entity));
+        let height = f64::min(HEIGHT * (shown().count() + 1) as f64, 0.95); // one more for events
+        let points: Vec<(f64, f64)> =
+            shown().flat_map(|(_, points)| points.iter().map(|&(step, value)| (step as f64, value))).collect();
+        let end =
+            lines.iter().filter_map(|(_, points)| points.last()).map(|(step, _)| *step as f64).fold(0.0, f64::max);
+        let of_points = points
+            .iter()
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], &(_, value)| [low.min(value), high.max(value)]);
+        let [low, high] = self.range.unwrap_or(of_points);
+        let covered = |corner: &Corner2D| {
+            let (is_left, is_top) = match corner {
+                Corner2D::LeftTop => (true, true),
+                Corner2D::LeftBottom => (true, false),
+                Corner2D::RightTop => (false, true),
+                Corner2D::RightBottom => (false, false),
+            };
+            let is_covered = |&&(step, value): &&(f64, f64)| {
+                let (across, up) = (step / end, (value - low) / (high - low));
+                let (x, y) = (if is_left { across } else { 1.0 - across }, if is_top { 1.0 - up } else { up });
+                x <= WIDTH && (0.0..=height).contains(&y)
+            };
+            points.iter().filter(is_covered).count()
+        };
+        // the first of equal ones
+        let corners = [self.corner, Corner2D::RightBottom, Corner2D::RightTop, Corner2D::LeftBottom, Corner2D::LeftTop];
+        corners.into_iter().min_by_key(covered).unwrap_or(self.corner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_legend_moves_to_the_corner_without_lines() {
+        let plot = |corner| {
+            let contents = ["+ /pairs/**", "- /pairs/a~b/gap"].map(str::to_owned).to_vec();
+            Plot { path: String::new(), contents, corner, range: None }
+        };
+        let falling: Vec<(u64, f64)> = (0..=100).map(|step| (step, 100.0 - step as f64)).collect();
+        let rising: Vec<(u64, f64)> = (0..=100).map(|step| (step, step as f64)).collect();
+        let lines = [("/pairs/a~b/distance", falling.as_slice()), ("/pairs/a~b/gap", &rising), ("/energy", &rising)];
+        // from the left top to the right bottom
+        assert_eq!(plot(Corner2D::RightBottom).emptiest_corner(&lines), Corner2D::RightTop);
+        assert_eq!(plot(Corner2D::LeftBottom).emptiest_corner(&lines), Corner2D::LeftBottom);
+        assert_eq!(plot(Corner2D::LeftTop).emptiest_corner(&[]), Corner2D::LeftTop);
+    }
+}
