@@ -40,8 +40,11 @@ pub fn scenes(arguments: &Arguments) -> Result<(), Failure> {
 }
 
 fn show(name: &str) -> Result<(), Failure> {
-    // with the meshes that it names, so that its text alone is a scene
-    let scene = Scene::builtin(name).map(|scene| scene.source);
+    // With the meshes that it names, so that its text alone is a scene; without its name, so that the recording of the
+    // user's file is named after that file.
+    let own_name = format!("name = {name:?}");
+    let unnamed = |text: &str| text.lines().filter(|line| *line != own_name).collect::<Vec<_>>().join("\n");
+    let scene = Scene::builtin(name).map(|scene| unnamed(&scene.source));
     let sweep = || sweep::builtin::ALL.iter().find(|builtin| builtin.name == name);
     let Some(text) = scene.or_else(|| Some(sweep()?.text.to_owned())) else {
         let scenes = builtin::ALL.iter().map(|builtin| builtin.name);

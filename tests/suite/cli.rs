@@ -1035,6 +1035,10 @@ fn the_reference_explains_scenes_that_a_user_can_start_from() {
         let scene = Scene::parse(&shown, builtin.name).expect("a scene");
         assert_eq!(Scene::builtin(builtin.name).map(|own| own.bodies.len()), Some(scene.bodies.len()));
     }
+    let shown = run(&dir, &["scenes", "--show", "two"]).succeeded().out;
+    std::fs::write(dir.file("mine.toml"), shown).expect("a file");
+    let output = run(&dir, &["run", "mine.toml", "--thin"]).succeeded().out;
+    assert!(output.contains("saved mine.rrd"), "not under the name of the built-in scene: {output}");
     assert!(run(&dir, &["scenes", "--show", "collid"]).failed(2).contains("did you mean \"collide\"?"));
 }
 
