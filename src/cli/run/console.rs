@@ -155,6 +155,10 @@ pub fn summarize(console: &Console, outcome: &Outcome, finished: &Finished) {
         let (path, program) = (saved.path.display(), text::program());
         let word = shell_word(&path.to_string());
         let size = bytes(saved.bytes);
+        if outcome.is_unwritten() {
+            console.print(&format!("no --on event occurred: {path} is not written"));
+            return;
+        }
         if settings.frames == Frames::Thin {
             let events = counted(*event_count, "event");
             console.print(&format!("saved {path}: the scene, {events} and {}, {size}", counted(steps + 1, "checksum")));
@@ -164,9 +168,6 @@ pub fn summarize(console: &Console, outcome: &Outcome, finished: &Finished) {
             return;
         }
         console.print(&format!("saved {path}: {}, {size}", counted(*frames, "frame")));
-        if *frames == 0 {
-            console.print("no --on event occurred, so no frame was written");
-        }
         console.print(&format!(
             "open it with `rerun {word}` (pip install rerun-sdk==0.36.3), or install nothing: \
              `{program} run … --serve` shows a run in the browser"

@@ -17,8 +17,8 @@ use crate::{
     stream::{
         Pipeline, Recorder,
         pipeline::PipelineEnd,
-        settings::Settings,
-        sinks::{Finished, Serving, Sinks},
+        settings::{Frames, Settings},
+        sinks::{Complete, Finished, Serving, Sinks},
     },
 };
 
@@ -39,6 +39,13 @@ pub struct Outcome {
     pub seconds: [f64; 2],
 }
 
+impl Outcome {
+    /// Whether a flight recorder waited for an event that did not occur.
+    pub fn is_unwritten(&self) -> bool {
+        self.frames == 0 && matches!(self.settings.frames, Frames::Last { .. })
+    }
+}
+
 /// A run whose recording is complete and whose destinations are still open.
 pub struct Simulated {
     pub outcome: Outcome,
@@ -49,9 +56,16 @@ pub struct Simulated {
 }
 
 impl Simulated {
-    /// Finishes every destination.
+    /// Finishes every destination. A file that a flight recorder has written no frame to is removed.
     pub fn conclude(self, console: &Console) -> Result<(Outcome, Finished), Failure> {
-        let finished = self.sinks.finish();
+        let finished = match self.outcome.is_unwritten() {
+            true => {
+                let (finished, file) = self.sinks.complete();
+                file.into_iter().for_each(Complete::discard);
+                finished
+            }
+            false => self.sinks.finish(),
+        };
         let Some(failure) = self.failure else {
             let finished = finished.map_err(|error| Failure::Run(error.to_string()))?;
             return Ok((self.outcome, finished));
@@ -59,7 +73,7 @@ impl Simulated {
         let finished = finished.ok();
         let serving = finished.as_ref().and_then(|finished| finished.serving.as_ref());
         console.notes(serving.and_then(Serving::refused).as_slice());
-        let saved = finished.and_then(|finished| finished.save);
+        let saved = finished.and_then(|finished| finished.save).filter(|_| !self.outcome.is_unwritten());
         let saved = saved.map(|saved| format!("; {} contains the steps up to here", saved.path.display()));
         Err(Failure::Run(format!("{failure}{}", saved.unwrap_or_default())))
     }
