@@ -43,6 +43,9 @@ const LIVE_INTERVAL: Duration = Duration::from_millis(30);
 /// those for its values.
 const FILE_INTERVAL: Duration = Duration::from_millis(400);
 
+/// Viewers of a shorter run get the layout of its end, too: nobody has rearranged theirs.
+const UNTOUCHED: Duration = Duration::from_secs(3);
+
 /// The simulation's side of the pipeline.
 pub struct Pipeline {
     settings: Settings,
@@ -60,6 +63,7 @@ pub struct Pipeline {
     empty: Receiver<Packet>,
     shared: Arc<Mutex<Shared>>,
     tab: Tab,
+    started: Clock,
     thread: Option<JoinHandle<Recording>>,
 }
 
@@ -75,11 +79,12 @@ pub struct PipelineEnd {
     pub failure: Option<String>,
     /// The tab that files open on.
     tab: Tab,
+    started: Clock,
 }
 
 impl PipelineEnd {
     /// Ends the recording of a run, with the [cause](crate::observe::Run::cause) if it failed, and sends the remaining
-    /// messages, and to files the changes of their layout. Returns the reason if that fails.
+    /// messages, and to files and viewers of short runs the changes of their layout. Returns the reason if that fails.
     pub fn finish(&mut self, simulation: &dyn Simulation, cause: Option<&str>) -> Option<String> {
         if let Some(cause) = cause {
             self.recorder.fail(cause);
@@ -88,11 +93,11 @@ impl PipelineEnd {
         let [is_live, is_recorded] = self.sinks.are_live_and_recorded();
         let mut failure = if is_live { show(&mut self.recorder, &mut self.sinks, is_recorded) } else { None };
         if is_recorded {
-            let rest = self.recorder.take();
-            let layout = self.recorder.measured_layout(simulation, self.tab);
-            failure = failure.or(send_to(Audience::Files, &mut self.sinks, rest.into_iter().chain(layout)));
+            failure = failure.or(send_to(Audience::Files, &mut self.sinks, self.recorder.take()));
         }
-        failure
+        let audience = if self.started.elapsed() < UNTOUCHED { Audience::All } else { Audience::Files };
+        let layout = self.recorder.measured_layout(simulation, self.tab);
+        failure.or(send_to(audience, &mut self.sinks, layout))
     }
 }
 
@@ -162,6 +167,7 @@ impl Pipeline {
             empty,
             shared,
             tab,
+            started: Clock::now(),
             thread: Some(thread),
         })
     }
@@ -238,7 +244,7 @@ impl Pipeline {
                 self.watch.take().into_iter().for_each(|watch| recorder.watched_by(watch));
                 let Shared { notes, failure } = take(&mut *self.lock());
                 let failure = failure.or(handed_over.err());
-                Ok(PipelineEnd { recorder, sinks, notes, failure, tab: self.tab })
+                Ok(PipelineEnd { recorder, sinks, notes, failure, tab: self.tab, started: self.started })
             }
             _ => Err(broken()),
         }

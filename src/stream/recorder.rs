@@ -250,8 +250,8 @@ impl Recorder {
     }
 
     /// Layout changes for the end of a file: it opens at its first event, and timing plots are scaled to typical
-    /// values, because the first frames and waits for the disk would dwarf everything else. Not for open viewers, which
-    /// would lose the user's arrangement.
+    /// values, because the first frames and waits for the disk would dwarf everything else. A viewer that has been open
+    /// for a while would lose the user's arrangement.
     pub fn measured_layout(&self, simulation: &dyn Simulation, tab: Tab) -> Vec<LogMsg> {
         let Some(parts) = &self.parts else { return Vec::new() };
         let measured = Measured {
