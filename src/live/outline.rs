@@ -24,6 +24,8 @@ pub struct Answer {
     number: u64,
     outcome: String,
     simulated_ms: f64,
+    /// Whether the events include those of surfaces, which take longer to find.
+    is_measured: bool,
     events: Vec<Event>,
     levels: Vec<Level>,
     plots: Vec<Plot>,
@@ -38,6 +40,8 @@ struct Event {
     time: f64,
     step: u64,
     q: Option<f64>,
+    /// Whether surfaces touch or part.
+    is_contact: bool,
     color: String,
     text: String,
 }
@@ -124,9 +128,9 @@ impl Outline {
     }
 
     /// What is sent to pages; `contacts` are known once the run is recorded.
-    pub fn answer(&self, number: u64, contacts: &[SurfaceEvent]) -> Answer {
+    pub fn answer(&self, number: u64, contacts: Option<&[SurfaceEvent]>) -> Answer {
         let schema = &self.schema;
-        let events = rows(&self.events, contacts, &self.bodies).into_iter().map(|row| {
+        let events = rows(&self.events, contacts.unwrap_or_default(), &self.bodies).into_iter().map(|row| {
             let (name, pair, q, color) = match &row {
                 EventRow::Phase(event, _) => {
                     (event.name, Some(schema.pair_name(event.a, event.b)), Some(event.q), schema.phases[event.to].color)
@@ -142,7 +146,8 @@ impl Outline {
                 (None, _) => String::new(),
             };
             let (time, step, text) = (row.time(), row.step(), row.describe(schema));
-            Event { event: format!("{name} {whom}"), pair, time, step, q, color: hex(color), text }
+            let is_contact = matches!(row, EventRow::Contact(_));
+            Event { event: format!("{name} {whom}"), pair, time, step, q, is_contact, color: hex(color), text }
         });
         let events = events.collect();
         let least = |curve: &[Option<f64>]| curve.iter().flatten().copied().fold(f64::INFINITY, f64::min);
@@ -169,6 +174,7 @@ impl Outline {
             number,
             outcome: outcome_of(self.events.iter().map(|event| event.name)),
             simulated_ms: self.simulated_ms,
+            is_measured: contacts.is_some(),
             events,
             levels,
             plots: pairs.into_iter().map(plot).collect(),

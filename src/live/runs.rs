@@ -357,7 +357,7 @@ impl Runs {
             simulation.observe(settings.want(), &mut at_cursor);
         }
         outline.simulated_ms = 1e3 * start.elapsed().as_secs_f64();
-        self.feed.send("run", &outline.answer(number, &[]));
+        self.feed.send("run", &outline.answer(number, None));
 
         let start = Clock::now();
         let mut simulation = experiment.start().map_err(Problem::new)?;
@@ -401,7 +401,7 @@ impl Runs {
         writer.write(&recorder.take())?;
         drop(writer);
         if self.is_current(number) {
-            self.feed.send("run", &outline.answer(number, &contacts));
+            self.feed.send("run", &outline.answer(number, Some(&contacts)));
             let ms = 1e3 * start.elapsed().as_secs_f64();
             self.feed.send("frames", &Recorded { number, frames: recorder.written(), ms, every });
         }

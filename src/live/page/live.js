@@ -100,7 +100,8 @@ const handlers = {
   },
   run(message) {
     if (run && message.number < run.number) return;
-    if (message.number !== run?.number) before = pinned ?? run; // the same run again, with what its surfaces do
+    if (message.number !== run?.number) before = pinned ?? run;
+    else if (pinned?.number === run.number) pinned = before = message; // the same run again, with what its surfaces do
     run = message;
     say(`run ${message.number}: ${message.outcome}; simulated in ${message.simulated_ms.toFixed(1)} ms`);
     showProblem(message.problem ?? null);
@@ -364,8 +365,10 @@ $("pin").addEventListener("click", () => {
 
 // ---------------------------------------------------------------------------------------------------------------- events
 
-// Events of two runs correspond if they have the same name, in the order of time.
+// Events of two runs correspond if they have the same name, in the order of time. Those of surfaces are compared once both
+// runs have them.
 function matched() {
+  const areMeasured = run.is_measured && before?.is_measured;
   const counts = new Map();
   const keyed = (events) => events.map((event) => {
     const count = counts.get(event.event) ?? 0;
@@ -374,18 +377,19 @@ function matched() {
   });
   const now = keyed(run.events);
   counts.clear();
-  const then = new Map(before && before !== run ? keyed(before.events) : []);
+  const then = new Map(before && before !== run ? keyed(before.events.filter((event) => areMeasured || !event.is_contact)) : []);
   const rows = now.map(([key, event]) => {
     const old = then.get(key);
     then.delete(key);
-    return { event, old };
+    return { event, old, isCompared: areMeasured || !event.is_contact };
   });
   return [...rows, ...[...then.values()].map((event) => ({ event, isGone: true }))].sort((a, b) => a.event.time - b.event.time);
 }
 
-function differenceOf({ event, old, isGone }) {
+function differenceOf({ event, old, isCompared, isGone }) {
   if (!before || before === run) return ["", ""];
   if (isGone) return ["gone", "gone"];
+  if (!isCompared) return ["", ""];
   if (!old) return ["new", "new"];
   const by = event.time - old.time;
   if (Math.abs(by) < 5e-7) return ["", "same"];
@@ -570,6 +574,7 @@ const viewer = {
       url: [],
       render_backend: query.get("renderer"),
       hide_welcome_screen: true,
+      theme: "dark", // the page's own
       enable_history: false,
       persist: false,
       panel_state_overrides: NARROW,

@@ -1,4 +1,5 @@
-// Starts the Rerun viewer with the recording at the address `?url=`. `?renderer=webgl|webgpu` selects how it draws.
+// Starts the Rerun viewer with the recording at the address `?url=`. `?renderer=webgl|webgpu` selects how it draws,
+// `?theme=light|dark` its colors: labels are hard to read in the light theme.
 "use strict";
 
 const query = new URLSearchParams(location.search);
@@ -34,6 +35,7 @@ async function start() {
     url: recordings,
     render_backend: query.get("renderer"),
     hide_welcome_screen: true, // it lists examples from the web
+    theme: query.get("theme") ?? "dark",
     persist: true,
   });
   setInterval(() => handle.has_panicked() && say(`The viewer has crashed.\n${handle.panic_message()}`), 1000);
