@@ -110,7 +110,6 @@ pub mod extract;
 mod flight;
 mod focus;
 pub mod instant;
-mod legends;
 pub mod light;
 pub mod machine;
 pub mod normals;

@@ -131,17 +131,16 @@ impl Pipeline {
         mut sinks: Sinks,
         tab: Tab,
     ) -> Result<Pipeline, SinkError> {
-        let layout = recorder.blueprint(simulation, tab);
         let [is_live, _] = sinks.are_live_and_recorded();
         // first what a replay needs, because the run may be killed at any moment
         let mut first = if is_live { recorder.take() } else { recorder.take_full() };
         let rest = first.split_off(Recorder::HEAD.min(first.len()));
-        for message in first.into_iter().chain(layout).chain(rest) {
-            sinks.send(message)?;
-        }
+        first.into_iter().try_for_each(|message| sinks.send(message))?;
+        let layout = recorder.blueprint(simulation, tab);
         if !is_live {
             sinks.flush()?;
         }
+        layout.into_iter().chain(rest).try_for_each(|message| sinks.send(message))?;
         let (full, filled) = channel();
         let (emptied, empty) = channel();
         for _ in 1..PACKETS {

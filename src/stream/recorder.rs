@@ -256,7 +256,6 @@ impl Recorder {
         let Some(parts) = &self.parts else { return Vec::new() };
         let measured = Measured {
             duration: simulation.time(),
-            medians: parts.numbers.medians(),
             typical: parts.numbers.typical(),
             longest: parts.numbers.longest(),
             fastest: parts.numbers.fastest(),
@@ -475,6 +474,7 @@ impl Recorder {
             self.write_kept();
             if let Some(parts) = &mut self.parts {
                 parts.series.extend_all(&mut self.chunks);
+                parts.numbers.log_medians(&self.schema, &mut self.chunks);
                 if self.flight.is_none() {
                     let level = parts.pairs.plotted().map(|[low, _]| low);
                     let first = Instant { step: self.first, time: self.first as f64 * self.schema.dt };

@@ -222,11 +222,6 @@ impl Lattice {
         self.spring_count
     }
 
-    /// Upper bound of the highest frequency of the lattice at rest [rad/s].
-    pub fn highest_frequency(&self) -> f64 {
-        (CELL_MODE * self.stiffness / self.lightest).sqrt()
-    }
-
     /// The longest stable step [s], with external accelerations whose derivative is at most `outside` [1/s²].
     pub fn step_limit(&self, outside: f64) -> f64 {
         let square = CELL_MODE * self.stiffness / self.lightest;

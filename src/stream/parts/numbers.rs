@@ -5,7 +5,7 @@ use std::time::{Duration, Instant as Clock};
 use super::FrameView;
 use crate::{
     observe::{Schema, schema::ScalarOf},
-    sdk::Scalars,
+    sdk::{Scalars, SeriesLines},
     stream::{
         chunks::{Chunks, TrackId},
         contract::{BODY_SCALAR, DIAGNOSTIC, LAG, SPEED, STACKED, TIMING},
@@ -15,6 +15,7 @@ use crate::{
         settings::MAX_BODY_ENTITIES,
         step::StepRecord,
     },
+    text::significant,
 };
 
 /// Additional stages in `/timings`: the cost of observation on the simulation thread.
@@ -206,9 +207,15 @@ impl FrameNumbers {
         self.scalars.iter().map(|line| line.plotted)
     }
 
-    /// The median of each stage's duration over all frames [ms]; empty if there were no frames.
-    pub fn medians(&self) -> Vec<(&'static str, f64)> {
-        self.timings.iter().filter_map(|timing| Some((timing.name, timing.spread.quantile(0.5)?))).collect()
+    /// Names the lines of stages after the medians of their durations over all frames, if there were any.
+    pub fn log_medians(&self, schema: &Schema, chunks: &mut Chunks) {
+        for Timing { name, spread, .. } in self.timings.iter().filter(|timing| timing.stacked.is_some()) {
+            let Some(median) = spread.quantile(0.5) else { continue };
+            let median = if median < 1e-3 { "below 0.001".to_owned() } else { significant(median) };
+            let name_with_median = format!("{name}, median {median} ms");
+            let style = SeriesLines::update_fields().with_names([name_with_median]);
+            chunks.log_static(&stacked(schema, name), &style);
+        }
     }
 
     /// The largest speed of the run [steps per second]; 0 if there were no two frames.

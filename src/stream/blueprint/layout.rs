@@ -1,0 +1,313 @@
+//! The parts of a layout: containers and views, each an entity of the blueprint store with its own id.
+
+use glam::DVec3;
+
+use super::{
+    camera::{Framing, camera_past},
+    legends::Plot,
+};
+use crate::{
+    observe::Schema,
+    sdk::{
+        AsComponents, BlueprintActivationCommand, LogMsg, Mesh3D, StoreId, StoreKind, TimePoint,
+        blueprint::{
+            archetypes::{
+                ActiveVisualizers, Background, ContainerBlueprint, LineGrid3D, PanelBlueprint, PlotLegend, ScalarAxis,
+                TextLogColumns, TimeAxis, TimePanelBlueprint, ViewBlueprint, ViewContents, ViewportBlueprint,
+                VisualizerInstruction,
+            },
+            components::{
+                AbsoluteTimeRange, BackgroundKind, ContainerKind, Corner2D, LinkAxis, LoopMode, PanelState, PlayState,
+                TimelineColumn, VisualizerInstructionId,
+            },
+            datatypes::{ComponentSourceKind, TextLogColumn, TextLogColumnKind, VisualizerComponentMapping},
+        },
+        components::{Plane3D, Range1D},
+        datatypes::{self, Uuid},
+    },
+    stream::{
+        chunks::{Chunks, blueprint_time},
+        contract::{DRAWN, Entity, MARKS_ON_AXIS, RESTING, SIM_TIME, WORLD},
+        light, palette,
+        settings::{Entities, Settings},
+    },
+};
+
+/// A line of a view's contents: an entity.
+pub fn including(entity: &str) -> String {
+    format!("+ {entity}")
+}
+
+/// A line of a view's contents: all entities of a family, and what is below them.
+pub fn family(entity: &Entity) -> String {
+    format!("+ {}/**", entity.family())
+}
+
+/// A container or a view that has been logged.
+pub struct Part {
+    pub id: Uuid,
+    pub path: String,
+}
+
+/// Source of a component of a visualizer.
+#[derive(Clone, Copy, Debug)]
+pub struct Mapping {
+    /// The component of the visualizer.
+    pub target: &'static str,
+    /// The component of the entity that supplies it.
+    pub source: &'static str,
+}
+
+pub struct Layout {
+    pub chunks: Chunks,
+    pub next_id: u64,
+    /// The plots of timings, with their stages.
+    pub timings: Vec<(Part, Vec<&'static str>, String)>,
+    /// The plot of speed.
+    pub speeds: Option<String>,
+    /// All plots over time.
+    pub plots: Vec<Plot>,
+    /// The plots of q.
+    pub distances: Vec<String>,
+    /// The plots of scalars, with their names.
+    pub scalars: Vec<(String, &'static str)>,
+    /// The lanes of phases.
+    pub phases: Vec<String>,
+    /// Views of whether surfaces touch.
+    pub contacts: Vec<String>,
+    /// The view of each force term, with its name; none for terms that cannot act.
+    pub forces: Vec<Option<(String, String)>>,
+    /// The views in 3D, with their aspect ratios.
+    pub spaces: Vec<(String, f64)>,
+    /// The grid below everything visible, if there is one.
+    pub ground: Option<Ground>,
+    /// The timeline that the viewer opens with.
+    pub timeline: &'static str,
+    /// The state of the panel that shows what is selected.
+    pub selection: PanelState,
+}
+
+/// A horizontal grid below everything visible.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ground {
+    /// Height [scene unit].
+    pub height: f64,
+    /// Distance between its lines [scene unit].
+    pub spacing: f64,
+}
+
+impl Ground {
+    pub fn under(spheres: &[(DVec3, f64)]) -> Option<Ground> {
+        let height = spheres.iter().map(|&(centre, radius)| centre.z - radius).fold(f64::INFINITY, f64::min);
+        let largest = spheres.iter().map(|&(_, radius)| radius).fold(0.0, f64::max);
+        let decade = 10f64.powf(largest.log10().floor());
+        let steps = [1.0, 2.0, 5.0].map(|step| step * decade);
+        let spacing = steps.into_iter().rfind(|&step| step <= largest).unwrap_or(decade);
+        (height.is_finite() && spacing.is_finite() && spacing > 0.0).then_some(Ground { height, spacing })
+    }
+}
+
+impl Layout {
+    /// An empty layout for a recording.
+    pub fn of(recording: &StoreId) -> Layout {
+        let id = format!("blueprint-{}", recording.recording_id().as_str());
+        let store = StoreId::new(StoreKind::Blueprint, recording.application_id().clone(), id);
+        Layout {
+            chunks: Chunks::new(store),
+            next_id: 0,
+            timings: Vec::new(),
+            speeds: None,
+            plots: Vec::new(),
+            distances: Vec::new(),
+            scalars: Vec::new(),
+            phases: Vec::new(),
+            contacts: Vec::new(),
+            forces: Vec::new(),
+            spaces: Vec::new(),
+            ground: None,
+            timeline: SIM_TIME,
+            selection: PanelState::Collapsed,
+        }
+    }
+
+    /// Opens the viewer in this interval of time [s], which it repeats: there is no other way to set its time cursor.
+    pub fn open_at(&mut self, interval: [f64; 2]) {
+        let [min, max] = interval.map(|time| ((1e9 * time) as i64).into());
+        let time_panel = TimePanelBlueprint::update_fields()
+            .with_time_selection(AbsoluteTimeRange::from(datatypes::AbsoluteTimeRange { min, max }))
+            .with_loop_mode(LoopMode::Selection)
+            .with_play_state(PlayState::Playing);
+        self.log("time_panel", &time_panel);
+    }
+
+    /// Makes `root` the content of the whole window.
+    pub fn finish(&mut self, root: Part) -> Vec<LogMsg> {
+        self.log(
+            "viewport",
+            &ViewportBlueprint::new().with_root_container(root.id).with_auto_layout(false).with_auto_views(false),
+        );
+        for (panel, state) in [("blueprint_panel", PanelState::Collapsed), ("selection_panel", self.selection)] {
+            self.log(panel, &PanelBlueprint::new().with_state(state));
+        }
+        self.log(
+            "time_panel",
+            &TimePanelBlueprint::new().with_state(PanelState::Collapsed).with_timeline(self.timeline),
+        );
+
+        let messages = self.chunks.take();
+        self.activate(messages)
+    }
+
+    pub fn activate(&self, mut messages: Vec<LogMsg>) -> Vec<LogMsg> {
+        let blueprint_id = self.chunks.store().clone();
+        let activate = BlueprintActivationCommand { blueprint_id, make_active: true, make_default: true };
+        messages.push(LogMsg::BlueprintActivationCommand(activate));
+        messages
+    }
+
+    pub fn container(&mut self, kind: ContainerKind, name: &str, parts: Vec<Part>, shares: &[f32]) -> Part {
+        let (id, text) = self.id();
+        let path = format!("container/{text}");
+        let mut container = ContainerBlueprint::new(kind)
+            .with_display_name(name)
+            .with_contents(parts.iter().map(|part| part.path.as_str()));
+        container = match kind {
+            ContainerKind::Horizontal => container.with_col_shares(shares.iter().copied()),
+            ContainerKind::Vertical => container.with_row_shares(shares.iter().copied()),
+            _ => container,
+        };
+        self.log(&path, &container);
+        Part { id, path }
+    }
+
+    pub fn view(
+        &mut self,
+        class: &str,
+        name: &str,
+        origin: &str,
+        contents: &[&str],
+        properties: &[(&str, &dyn AsComponents)],
+    ) -> Part {
+        let (id, text) = self.id();
+        let path = format!("view/{text}");
+        let contents = ViewContents::new(contents.iter().copied());
+        self.log(&format!("{path}/ViewContents"), &contents);
+        self.log(&path, &ViewBlueprint::new(class).with_display_name(name).with_space_origin(origin));
+        for (property, components) in properties {
+            self.log(&format!("{path}/{property}"), *components);
+        }
+        Part { id, path }
+    }
+
+    pub fn id(&mut self) -> (Uuid, String) {
+        self.next_id += 1;
+        // A version 8 UUID of RFC 9562, whose bits are free to choose: here a counter.
+        let value = 0x6d65_6c64_0000_8000_8000_0000_0000_0000_u128 | u128::from(self.next_id);
+        let digits = format!("{value:032x}");
+        let text =
+            format!("{}-{}-{}-{}-{}", &digits[..8], &digits[8..12], &digits[12..16], &digits[16..20], &digits[20..]);
+        (Uuid { bytes: value.to_be_bytes() }, text)
+    }
+
+    pub fn log(&mut self, entity: &str, components: &dyn AsComponents) {
+        let time: TimePoint = blueprint_time();
+        self.chunks.row(entity, time, components);
+    }
+
+    pub fn lines(&mut self, name: &str, entity: &str) -> Part {
+        self.listed(name, entity, &[&format!("+ {entity}/**")])
+    }
+
+    pub fn listed(&mut self, name: &str, entity: &str, contents: &[&str]) -> Part {
+        let columns = TextLogColumns::new()
+            .with_timeline_columns(Vec::<TimelineColumn>::new())
+            .with_text_log_columns([TextLogColumn { kind: TextLogColumnKind::Body, visible: true.into() }]);
+        self.view("TextLog", name, entity, contents, &[("TextLogColumns", &columns)])
+    }
+
+    /// A plot over time, with the events as markers on its axis.
+    pub fn plot(&mut self, name: &str, origin: &str, contents: &[&str], corner: Corner2D) -> Part {
+        let marks = family(&MARKS_ON_AXIS);
+        let contents: Vec<&str> = contents.iter().copied().chain([marks.as_str()]).collect();
+        self.time_series(name, origin, &contents, corner)
+    }
+
+    /// A plot over time. All plots share one time range.
+    pub fn time_series(&mut self, name: &str, origin: &str, contents: &[&str], corner: Corner2D) -> Part {
+        let legend = PlotLegend::new().with_corner(corner);
+        let axis = TimeAxis::new().with_link(LinkAxis::LinkToGlobal);
+        let view = self.view("TimeSeries", name, origin, contents, &[("PlotLegend", &legend), ("TimeAxis", &axis)]);
+        let contents = contents.iter().map(|rule| (*rule).to_owned()).collect();
+        self.plots.push(Plot { path: view.path.clone(), contents, corner, range: None });
+        view
+    }
+
+    /// Sets the ends of the axis of values of a plot.
+    pub fn set_range(&mut self, plot: &str, [low, high]: [f64; 2]) {
+        self.log(&format!("{plot}/ScalarAxis"), &ScalarAxis::new().with_range(Range1D::new(low, high)));
+        if let Some(plot) = self.plots.iter_mut().find(|known| known.path == plot) {
+            plot.range = Some([low, high]);
+        }
+    }
+
+    /// A 3D view.
+    pub fn space(&mut self, (spheres, aspect): Framing<'_>, name: &str, contents: &[&str]) -> Part {
+        let grid = match self.ground {
+            None => LineGrid3D::new().with_visible(false),
+            Some(Ground { height, spacing }) => LineGrid3D::new()
+                .with_visible(true)
+                .with_plane(Plane3D::new(glam::Vec3::Z, height as f32))
+                .with_spacing(spacing as f32)
+                .with_stroke_width(1.0)
+                .with_color(palette::color(palette::GROUND)),
+        };
+        let background = Background::new(BackgroundKind::SolidColor).with_color(palette::color(palette::BACKGROUND));
+        let camera = camera_past(spheres, &[], &[], aspect);
+        let properties: [(&str, &dyn AsComponents); 3] =
+            [("EyeControls3D", &camera), ("LineGrid3D", &grid), ("Background", &background)];
+        let view = self.view("3D", name, WORLD.path, contents, &properties);
+        self.spaces.push((view.path.clone(), aspect));
+        view
+    }
+
+    /// Draws the own surface of a body only while it is not part of a merged one.
+    pub fn draw_unmerged(&mut self, view: &Part, surface: &str, overrides: &dyn AsComponents) {
+        let drawn = Mapping { target: "Mesh3D:triangle_indices", source: DRAWN.0 };
+        self.visualize(&view.path, surface, &[("Mesh3D", &[drawn, light::COLORS, light::NO_LIGHT], overrides)]);
+    }
+
+    /// Draws a surface with its baked lighting.
+    pub fn draw_lit(&mut self, view: &Part, surface: &str, overrides: &dyn AsComponents) {
+        let mappings = [light::COLORS, light::NO_LIGHT];
+        self.visualize(&view.path, surface, &[("Mesh3D", &mappings, overrides)]);
+    }
+
+    /// Draws the undeformed bodies of a batched scene with baked lighting.
+    pub fn draw_resting(&mut self, view: &Part, schema: &Schema, settings: &Settings) {
+        if settings.entities == Entities::Batch {
+            for shape in schema.shapes().keys() {
+                self.draw_lit(view, &RESTING.of(&[shape]), &Mesh3D::update_fields());
+            }
+        }
+    }
+
+    /// Replaces the default visualizers of an entity in a view.
+    pub fn visualize(&mut self, view: &str, entity: &str, visualizers: &[(&str, &[Mapping], &dyn AsComponents)]) {
+        let base = format!("{view}/ViewContents/overrides{entity}/visualizers");
+        let mut ids = Vec::new();
+        for (class, mapping, overrides) in visualizers {
+            let (id, text) = self.id();
+            let path = format!("{base}/{text}");
+            let mapping = mapping.iter().map(|mapping| VisualizerComponentMapping {
+                target: mapping.target.into(),
+                source_kind: ComponentSourceKind::SourceComponent,
+                source_component: Some(mapping.source.into()),
+                selector: None,
+            });
+            self.log(&path, &VisualizerInstruction::new(*class).with_component_map(mapping));
+            self.log(&path, *overrides);
+            ids.push(VisualizerInstructionId(id));
+        }
+        self.log(&base, &ActiveVisualizers::new(ids));
+    }
+}

@@ -1,0 +1,214 @@
+//! What is known of a run only at its end: ranges of axes, the first event, the pairs that have plots.
+
+use super::{
+    Subject, Tab,
+    camera::{NARROW, WIDE, camera_past},
+    layout::{Layout, family, including},
+    tabs::ENERGY,
+};
+use crate::{
+    sdk::{
+        LogMsg, SeriesLines, StoreId,
+        blueprint::archetypes::{PlotLegend, ViewBlueprint, ViewContents},
+    },
+    stream::{
+        contract::{Entity, MARKS_AT_Q, PAIR_CONTACT, PAIR_DISTANCE, PAIR_LEVEL, PAIR_PHASE},
+        focus::Focus,
+        parts::{
+            numbers,
+            pairs::{self, Told},
+        },
+    },
+    text::{counted, significant},
+};
+
+/// Data of a run that is known only at its end.
+#[derive(Clone, Debug, Default)]
+pub struct Measured<'a> {
+    /// Duration of the run [s].
+    pub duration: f64,
+    /// Typical total duration of a step and of its recording [ms]: the upper ends of the timing plots.
+    pub typical: [f64; 2],
+    /// The same of the longest.
+    pub longest: [f64; 2],
+    /// The largest speed [steps per second]; 0 if there is none.
+    pub fastest: f64,
+    /// Smallest and largest plotted q [–], if any.
+    pub distances: Option<[f64; 2]>,
+    /// The entities of all lines of plots, with some of their points: steps and values.
+    pub lines: Vec<(&'a str, &'a [(u64, f64)])>,
+    /// Smallest and largest plotted value of each scalar of the schema.
+    pub scalars: Vec<Option<[f64; 2]>>,
+    /// The pairs that have plots.
+    pub pairs: Told,
+    /// The initial focus of the viewer.
+    pub focus: Option<&'a Focus>,
+    /// The times between which a flight recorder has frames [s], if there is one and it has some.
+    pub kept: Option<[f64; 2]>,
+    /// Whether each force term has acted on any body; empty if forces were not recorded.
+    pub have_acted: &'a [bool],
+}
+
+/// The changes to [`messages`] at the end of a run. The axes of timing plots exclude rare outliers. The viewer opens
+/// at the first event: playing it in a loop is the only way in which a layout can move the time cursor.
+pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: &Measured<'_>) -> Vec<LogMsg> {
+    /// Ratio of a plot's upper end to the typical value.
+    const HEADROOM: f64 = 1.3;
+
+    let mut layout = Layout::of(recording);
+    let root = layout.root(subject, tab);
+    layout.finish(root); // already sent; the new ids continue after its own
+    for (plot, stages, title) in std::mem::take(&mut layout.timings) {
+        let is_recording = stages.iter().any(|stage| numbers::RECORDING.contains(stage));
+        let [typical, longest] = [measured.typical, measured.longest].map(|of| of[usize::from(is_recording)]);
+        if typical > 0.0 {
+            let [low, high] = readable([0.0, HEADROOM * typical]);
+            if longest > high {
+                let title = format!("{title}; at most {}", significant(longest));
+                layout.log(&plot.path, &ViewBlueprint::update_fields().with_display_name(title));
+            }
+            layout.set_range(&plot.path, [low, high]);
+        }
+    }
+    if let Some(speeds) = layout.speeds.take().filter(|_| measured.fastest > 0.0) {
+        layout.set_range(&speeds, readable([0.0, measured.fastest]));
+    }
+    if let Some([low, high]) = measured.distances {
+        // an automatic axis would begin at 0
+        let margin = 0.05 * (high - low);
+        for plot in layout.distances.clone() {
+            layout.set_range(&plot, [low - margin, high + margin]);
+        }
+    }
+    let owned = || subject.schema.body_scalars.iter().chain(&subject.schema.pair_scalars);
+    let ranges = || subject.schema.scalars.iter().zip(&measured.scalars);
+    let is_energy = |plot: &str| plot.starts_with(ENERGY);
+    let energies = ranges().filter(|(scalar, _)| is_energy(scalar.plot)).filter_map(|(_, range)| *range);
+    let exchanged = energies.map(|[low, high]| high - low).fold(0.0, f64::max);
+    for (plot, name) in std::mem::take(&mut layout.scalars) {
+        if measured.duration == 0.0 || owned().any(|scalar| scalar.plot == name) {
+            continue; // their ranges are not known
+        }
+        let ([mut low, mut high], mut least, mut lines) = ([0.0_f64; 2], 0.0, 0); // events are marked at 0
+        for (scalar, range) in ranges().filter(|(scalar, _)| scalar.plot == name) {
+            let of = range.unwrap_or_default();
+            (low, high) = (low.min(of[0]), high.max(of[1]));
+            (least, lines) = (scalar.least_range.max(least), lines + 1);
+        }
+        let range = if high - low < least { [-0.5 * least, 0.5 * least] } else { readable([low, high]) };
+        if range[0] < range[1] {
+            layout.set_range(&plot, range);
+        }
+        let largest = high.max(-low);
+        if lines == 1 && largest > 0.0 {
+            let share = match is_energy(name) && exchanged > 0.0 {
+                true => format!(", {:.0e} of the largest exchange", largest / exchanged),
+                false => String::new(),
+            };
+            let largest = if largest < 1e-3 { format!("{largest:.1e}") } else { significant(largest) };
+            let title = format!("{name}: at most {largest}{share}");
+            layout.log(&plot, &ViewBlueprint::update_fields().with_display_name(title));
+        }
+    }
+    for (view, has_acted) in std::mem::take(&mut layout.forces).into_iter().zip(measured.have_acted) {
+        if !has_acted
+            && measured.duration > 0.0
+            && let Some((view, name)) = view
+        {
+            layout.log(&view, &ViewBlueprint::update_fields().with_display_name(format!("{name} (none)")));
+        }
+    }
+    if let Some(kept) = measured.kept {
+        layout.open_at(kept);
+    }
+    if let Some(focus) = measured.focus {
+        if tab != Tab::Stages {
+            layout.open_at(focus.interval(measured.duration));
+        }
+        let spaces = std::mem::take(&mut layout.spaces);
+        for aspect in [WIDE, NARROW] {
+            let camera = camera_past(&focus.spheres, &focus.pair, &focus.others, aspect);
+            for (view, _) in spaces.iter().filter(|(_, of)| *of == aspect) {
+                layout.log(&format!("{view}/EyeControls3D"), &camera);
+            }
+        }
+    }
+    let Told { alike, changed, met, all } = &measured.pairs;
+    let is_shorter = alike.len() < *all || changed.len() < *all || met.len() < *all;
+    if is_shorter || (!pairs::has_named_pairs(subject.schema) && *all > 0) {
+        // the pairs that have plots, and what they plot, are known only now
+        let mut lines = vec![family(&MARKS_AT_Q)];
+        for alike in alike {
+            let Some(pair) = alike.first() else { continue };
+            lines.push(including(&PAIR_DISTANCE.of(&[pair])));
+            let levels = subject.schema.thresholds.iter().map(|threshold| PAIR_LEVEL.of(&[pair, threshold.name]));
+            lines.extend(levels.map(|level| including(&level)));
+            if alike.len() > 1 {
+                let others = counted(alike.len() as u64 - 1, "other pair");
+                let style = SeriesLines::update_fields().with_names([format!("q {pair}, and {others} like it")]);
+                for plot in layout.distances.clone() {
+                    layout.visualize(&plot, &PAIR_DISTANCE.of(&[pair]), &[("SeriesLines", &[], &style)]);
+                }
+            }
+        }
+        let lanes = |of: &Entity, pairs: &[String]| pairs.iter().map(|pair| including(&of.of(&[pair]))).collect();
+        let views = [
+            (std::mem::take(&mut layout.distances), lines),
+            (std::mem::take(&mut layout.phases), lanes(&PAIR_PHASE, changed)),
+            (std::mem::take(&mut layout.contacts), lanes(&PAIR_CONTACT, met)),
+        ];
+        for (paths, lines) in views {
+            for path in paths {
+                if let Some(plot) = layout.plots.iter_mut().find(|plot| plot.path == path) {
+                    plot.contents.clone_from(&lines);
+                }
+                layout.log(&format!("{path}/ViewContents"), &ViewContents::new(lines.iter().map(String::as_str)));
+            }
+        }
+    }
+    for plot in std::mem::take(&mut layout.plots) {
+        let corner = plot.emptiest_corner(&measured.lines);
+        if corner != plot.corner {
+            layout.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::update_fields().with_corner(corner));
+        }
+    }
+    let messages = layout.chunks.take();
+    if messages.is_empty() { messages } else { layout.activate(messages) }
+}
+
+/// The range of an axis that has numbers: the viewer labels the multiples of a power of ten, unless they are dense. Some
+/// more is shown where that lets it label the next power.
+fn readable([low, high]: [f64; 2]) -> [f64; 2] {
+    /// Multiples that have labels in a plot of usual height.
+    const LABELLED: f64 = 6.0;
+    const MARGIN: f64 = 0.04;
+
+    let decade = 10f64.powf(high.max(-low).log10().floor());
+    let ten = if high - low > LABELLED * decade { 10.0 * decade } else { 0.0 };
+    let [low, high] = if high >= -low { [low, high.max(ten)] } else { [low.min(-ten), high] };
+    let margin = MARGIN * (high - low);
+    [low - margin, high + margin]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn axes_have_a_labelled_number_beside_zero() {
+        for (range, expected) in [
+            ([0.0, 3.0], [0.0, 3.0]),
+            ([0.0, 0.819], [0.0, 1.0]),
+            ([-4.4e4, 8.6e4], [-4.4e4, 1e5]),
+            ([-7.0, 1.0], [-10.0, 1.0]),
+            ([0.0, 4.8e-7], [0.0, 4.8e-7]),
+        ] {
+            let [low, high] = readable(range);
+            let margin = 0.04 * (expected[1] - expected[0]);
+            let error = f64::max((low + margin - expected[0]).abs(), (high - margin - expected[1]).abs());
+            assert!(error <= 1e-12 * margin.max(1e-3), "{range:?}: {low} {high}");
+        }
+        let empty = readable([0.0, 0.0]);
+        assert!(empty[0].partial_cmp(&empty[1]) != Some(std::cmp::Ordering::Less), "no range: {empty:?}");
+    }
+}

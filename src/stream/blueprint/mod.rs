@@ -1,0 +1,200 @@
+//! The layout (blueprint) that the viewer opens with, sent along with every recording.
+//!
+//! The SDK's own builder supports neither cameras nor axes, so this module logs the blueprint's archetypes itself.
+//!
+//! | contents | module |
+//! | --- | --- |
+//! | containers, views and what is overridden in them | `layout` |
+//! | the tabs of a run, one function each | `tabs` |
+//! | what is known only at the end of a run | `measured` |
+//! | texts of panels | `panels` |
+//! | cameras | `camera` |
+//! | corners of legends | `legends` |
+
+mod camera;
+mod layout;
+mod legends;
+mod measured;
+mod panels;
+mod tabs;
+
+use glam::DVec3;
+
+use self::{
+    camera::WIDE,
+    layout::{Ground, Layout, Part, family, including},
+    tabs::{VERTICES, capitalized, scene_title},
+};
+pub use self::{
+    layout::Mapping,
+    measured::{Measured, measured},
+    panels::{about, arrows},
+    tabs::surfaces,
+};
+use crate::{
+    observe::{Schema, Simulation},
+    sdk::{
+        self, AsComponents, LogMsg, Points3D, StoreId,
+        blueprint::{
+            archetypes::{TimePanelBlueprint, VisualBounds2D},
+            components::{ContainerKind, Corner2D, PanelState, PlayState},
+        },
+        datatypes,
+    },
+    stream::{
+        contract::{
+            ABOUT, COMPARED_DISTANCE, COMPARED_EVENTS, EVENTS, LOG_DIFFERENCE, MAP, MEASURE, SLICE, STEP, WORLD,
+        },
+        palette,
+        settings::{Detail, Settings},
+    },
+};
+
+/// The recording for which a layout is made.
+pub struct Subject<'a> {
+    /// The recorded simulation.
+    pub simulation: &'a dyn Simulation,
+    /// The schema of the simulation.
+    pub schema: &'a Schema,
+    /// The settings of the recording.
+    pub settings: &'a Settings,
+}
+
+/// The messages that create the layout for `recording` and activate it.
+pub fn messages(subject: &Subject<'_>, tab: Tab, recording: &StoreId) -> Vec<LogMsg> {
+    let mut layout = Layout::of(recording);
+    let root = layout.root(subject, tab);
+    layout.finish(root)
+}
+
+/// The layout for a page that has its own controls of time, curves and list of events: what is in space alone, paused.
+pub fn beside_controls(subject: &Subject<'_>, recording: &StoreId) -> Vec<LogMsg> {
+    let Subject { simulation, schema, settings } = *subject;
+    let (framing, close) = (simulation.framing(false), simulation.framing(true));
+    let mut layout = Layout::of(recording);
+    layout.timeline = STEP;
+    layout.ground = Ground::under(&framing).filter(|_| schema.planes.is_empty());
+    let mut tabs = vec![layout.scene_view((&framing, WIDE), schema, scene_title(schema), settings)];
+    if schema.bodies.len() > 1 {
+        tabs.push(layout.surface_view((&close, WIDE), schema, settings));
+    }
+    if settings.detail != Detail::Surface {
+        tabs.push(layout.forces_tab(&close, schema, settings));
+        tabs.push(layout.displacement_tab(&close, schema, settings));
+    }
+    let root = layout.container(ContainerKind::Tabs, "meldscope", tabs, &[]);
+    layout.log("time_panel", &TimePanelBlueprint::update_fields().with_play_state(PlayState::Paused));
+    layout.finish(root)
+}
+
+/// The layout of a comparison of two runs: surfaces and error arrows, differences over time, events.
+///
+/// `second` are the surfaces of the second run, drawn as dots of the colour `rgb`; `has_pairs`: whether q is compared; the
+/// viewer opens at `first` [s], if there is one.
+pub fn of_comparison(
+    spheres: &[(DVec3, f64)],
+    (second, rgb): (&[String], palette::Rgb),
+    has_pairs: bool,
+    first: Option<f64>,
+    recording: &StoreId,
+) -> Vec<LogMsg> {
+    /// What is repeated around that instant [s].
+    const BEFORE: f64 = 0.2;
+    const AFTER: f64 = 1.0;
+
+    let mut layout = Layout::of(recording);
+    layout.ground = Ground::under(spheres);
+    let surfaces = layout.space((spheres, WIDE), "Both surfaces, and arrows between them", &[&family(&WORLD)]);
+    let dots =
+        Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(2.0)]).with_colors([palette::color(rgb)]);
+    for surface in second {
+        layout.visualize(&surfaces.path, surface, &[("Points3D", &[VERTICES], &dots)]);
+    }
+    let about = layout.view("TextDocument", "What is what", ABOUT.path, &[&including(ABOUT.path)], &[]);
+    let left = layout.container(ContainerKind::Vertical, "Surfaces", vec![surfaces, about], &[3.4, 1.0]);
+    let title = "Largest difference [radii], as its decimal logarithm";
+    let plot = layout.time_series(title, "/", &[&family(&LOG_DIFFERENCE)], Corner2D::RightBottom);
+    let events = layout.lines("Events", EVENTS.path);
+    let (mut parts, mut shares) = (vec![plot, events], vec![1.5, 1.0]);
+    if has_pairs {
+        let distances = "Pair distances q in both runs";
+        let contents = [&COMPARED_DISTANCE, &COMPARED_EVENTS].map(family);
+        let contents = contents.each_ref().map(String::as_str);
+        parts.insert(1, layout.time_series(distances, "/", &contents, Corner2D::RightBottom));
+        shares.insert(1, 1.0);
+    }
+    let right = layout.container(ContainerKind::Vertical, "Differences", parts, &shares);
+    let root = layout.container(ContainerKind::Horizontal, "meldscope", vec![left, right], &[1.6, 1.0]);
+    if let Some(first) = first {
+        layout.open_at([(first - BEFORE).max(0.0), first + AFTER]);
+    }
+    layout.finish(root)
+}
+
+/// The layout of the map of a sweep: the map, its legend, and measures along a line, one at a time. What is selected is
+/// shown beside it. `picture` is the size of the map and of the diagrams [px].
+pub fn of_map(measures: &[&str], recording: &StoreId, picture: [f64; 2]) -> Vec<LogMsg> {
+    let mut layout = Layout::of(recording);
+    (layout.timeline, layout.selection) = (SLICE, PanelState::Expanded);
+    let [x, y] = picture;
+    let bounds = VisualBounds2D::new(datatypes::Range2D {
+        x_range: [-0.11 * x, 1.05 * x].into(),
+        y_range: [-0.14 * y, 1.12 * y].into(),
+    });
+    let bounds: [(&str, &dyn AsComponents); 1] = [("VisualBounds2D", &bounds)];
+    let map = layout.view("2D", "Map", MAP.family(), &[&family(&MAP)], &bounds);
+    let about = layout.view("TextDocument", "What is what", ABOUT.path, &[&including(ABOUT.path)], &[]);
+    let plots = measures.iter().map(|measure| {
+        let entity = format!("{}/{measure}", MEASURE.family());
+        layout.view("2D", &capitalized(&measure.replace('_', " ")), &entity, &[&format!("+ {entity}/**")], &bounds)
+    });
+    let plots: Vec<Part> = plots.collect();
+    let left = layout.container(ContainerKind::Vertical, "Map", vec![map, about], &[3.2, 1.0]);
+    let mut parts = vec![left];
+    if !plots.is_empty() {
+        parts.push(layout.container(ContainerKind::Tabs, "Along the first axis", plots, &[]));
+    }
+    let root = layout.container(ContainerKind::Horizontal, "meldscope", parts, &[1.4, 1.0]);
+    layout.finish(root)
+}
+
+/// A tab of the layout.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tab {
+    /// An overview of everything.
+    Scene,
+    /// One 3D view per force term.
+    Forces,
+    /// Surfaces coloured by displacement, with selectable vertices.
+    Displacement,
+    /// The surfaces of groups, and geometric measures of pairs beside their phases.
+    Surface,
+    /// Distances, phases and events of pairs.
+    Pairs,
+    /// Durations of stages.
+    Timings,
+    /// Energy and other scalars of the state.
+    Energy,
+    /// The stages inside steps.
+    Stages,
+}
+
+impl Tab {
+    /// All tabs, in the order of the viewer.
+    pub const ALL: [Tab; 8] =
+        [Tab::Scene, Tab::Surface, Tab::Forces, Tab::Displacement, Tab::Pairs, Tab::Timings, Tab::Energy, Tab::Stages];
+
+    /// The name of the tab on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Tab::Scene => "scene",
+            Tab::Forces => "forces",
+            Tab::Displacement => "displacement",
+            Tab::Surface => "surface",
+            Tab::Pairs => "pairs",
+            Tab::Timings => "timings",
+            Tab::Energy => "energy",
+            Tab::Stages => "stages",
+        }
+    }
+}

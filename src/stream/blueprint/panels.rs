@@ -1,0 +1,186 @@
+//! The texts of panels: what colors, lines and arrows mean.
+
+use super::tabs::draws_springs;
+use crate::{
+    colors,
+    observe::{Frame, Schema, schema::TermSchema},
+    stream::{
+        palette,
+        parts::{body_forces, net_forces, recent, trails},
+        settings::{Detail, Entities, Frames, Settings},
+    },
+    text::{self, counted, significant},
+};
+
+/// A force term with its colour.
+fn called(term: &TermSchema) -> String {
+    format!("{} {}", colors::name(term.color), term.name)
+}
+
+/// The accelerations at which arrows are as long as the largest radius, with the terms of which this is true.
+fn lengths(schema: &Schema, is_listed: impl Fn(&TermSchema) -> bool) -> String {
+    let radius = schema.largest_radius();
+    let mut lengths: Vec<(f64, Vec<String>)> = Vec::new();
+    for term in schema.terms.iter().filter(|term| term.can_act && is_listed(term)) {
+        let scale = schema.arrow_scale_of(term);
+        match lengths.iter_mut().find(|(of, _)| *of == scale) {
+            Some((_, terms)) => terms.push(called(term)),
+            None => lengths.push((scale, vec![called(term)])),
+        }
+    }
+    let lengths =
+        lengths.iter().map(|(scale, terms)| format!("{} = {} unit/s²", terms.join(", "), short(radius / scale)));
+    lengths.collect::<Vec<_>>().join("; ")
+}
+
+/// A number with three digits at most.
+fn short(x: f64) -> String {
+    let text = significant(x);
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+}
+
+/// The text about the arrows at the centres of free bodies.
+fn at_centres(schema: &Schema) -> String {
+    let radius = schema.largest_radius();
+    let of = net_forces::KINDS.map(|(name, rgb, _)| format!("{} {}", colors::name(rgb), name.replace('_', " ")));
+    format!(
+        "- **At the centres** of free bodies: {} (over M, and over M R), 1 R long if {} unit/s², at most {} R\n",
+        of.join(", "),
+        short(radius / schema.net_force_scale),
+        net_forces::LONGEST,
+    )
+}
+
+/// The text of the panel beside arrows and plots of forces: their colours, and what their lengths mean.
+pub fn arrows(schema: &Schema) -> String {
+    let radius = schema.largest_radius();
+    let is_uniform = schema.terms.iter().any(|term| term.can_act && term.is_uniform);
+    if !schema.terms.iter().any(|term| term.can_act) {
+        return "No force can act in this scene.\n".to_owned();
+    }
+    format!(
+        "An arrow is **1 R = {} unit long** if: {}.\n\nArrows begin at vertices{}.{}\n",
+        short(radius),
+        lengths(schema, |_| true),
+        if is_uniform { "; those that act on all alike, at the centre" } else { "" },
+        match schema.bodies.len() > body_forces::MOST_BODIES {
+            true => format!(" The net forces of up to {} bodies are plotted.", body_forces::MOST_BODIES),
+            false => " Lines beside them: the same colours, means over a body.".to_owned(),
+        },
+    )
+}
+
+/// The text of the panel: what the colours mean, the scene, integrator, step and settings. The recording begins with
+/// step `first`; `frame` is one of its states.
+pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame) -> String {
+    let program = text::program();
+    let frames = match (&settings.frames, settings.every) {
+        (Frames::Thin, _) => "no frames".to_owned(),
+        (Frames::All, 1) => "a frame every step".to_owned(),
+        (Frames::All, every) => format!("a frame every {every} steps"),
+        (Frames::Last { most: 1, on, .. }, _) if on.is_empty() => "the last frame".to_owned(),
+        (Frames::Last { most, on, .. }, _) if on.is_empty() => format!("the last {most} frames"),
+        (Frames::Last { most, on, after }, _) => {
+            let on: Vec<&str> = on.iter().map(|trigger| trigger.name()).collect();
+            let frames = if *most == 1 { "frame".to_owned() } else { format!("{most} frames") };
+            let after = if *after > 0 { format!(" and {} after it", counted(*after, "frame")) } else { String::new() };
+            format!("the last {frames} before each {}{after}", on.join(", "))
+        }
+    };
+    let steps = match settings.steps {
+        None => "until stopped".to_owned(),
+        Some(last) if first > 0 => format!("steps {first} to {last}"),
+        Some(1) => "1 step".to_owned(),
+        Some(steps) => format!("{steps} steps"),
+    };
+    let integrator = if schema.integrator.is_empty() { String::new() } else { format!("`{}`, ", schema.integrator) };
+    let head = format!(
+        "**{}**: {} {}, {} vertices{}. {integrator}Δt = {:.6} s, {steps}, {frames}.\n\n{}\n\n",
+        schema.name,
+        schema.bodies.len(),
+        if schema.bodies.len() == 1 { "body" } else { "bodies" },
+        schema.vertex_count(),
+        schema.non_default_model().map(|model| format!(", model **{model}**")).unwrap_or_default(),
+        schema.dt,
+        schema.law,
+    );
+    let warnings = schema.warnings.iter().map(|warning| format!("\n**Warning**: {warning}.\n"));
+    let warnings = warnings.collect::<String>();
+    if settings.frames == Frames::Thin {
+        return format!(
+            "**This recording is thin**: what was simulated, its events, and a checksum of every step. It has no frames; make \
+             them:\n\n\
+             - `{program} replay F.rrd --save full.rrd`: all frames, to be opened here\n\
+             - `… --from STEP --to STEP`: those of some steps\n\
+             - `{program} replay F.rrd`: verifies every step\n\
+             - `{program} explain F.rrd --step N`: forces and phases in numbers\n\n{head}{warnings}"
+        );
+    }
+    let phases = schema.phases.iter().map(|phase| format!("{} {}", colors::name(phase.color), phase.name));
+    let phases = phases.collect::<Vec<_>>().join(", ");
+    let is_crowd = recent::is_drawn_alone(schema);
+    let spheres = match settings.entities {
+        _ if schema.bodies.iter().all(|body| body.reach == 0.0) => format!("- **Lines, lanes**: {phases}\n"),
+        Entities::Body if is_crowd => {
+            format!("- **Lines, lanes**, and the spheres of the last event's pair: {phases}\n")
+        }
+        Entities::Body => format!("- **Spheres, lines, lanes**: {phases}; grey reaches no body\n"),
+        Entities::Batch => {
+            format!("- **Spheres** (only of bodies that reach another), **lines, lanes**: {phases}\n")
+        }
+    };
+    let arrows = match settings.detail {
+        Detail::Surface => "- Force arrows were not recorded (`--detail forces`)\n".to_owned(),
+        Detail::Forces | Detail::Stages { .. } => {
+            let shown = lengths(schema, |term| term.is_shown || is_crowd);
+            let hidden = |term: &&TermSchema| term.can_act && !term.is_shown && !is_crowd;
+            let hidden: Vec<String> = schema.terms.iter().filter(hidden).map(called).collect();
+            let hidden = (!hidden.is_empty()).then(|| format!("hidden at first: {}", hidden.join(", ")));
+            let shown = (!shown.is_empty()).then(|| format!("1 R long if: {shown}"));
+            let parts: Vec<String> = shown.into_iter().chain(hidden).collect();
+            let place = if is_crowd { " (in Forces; here hidden at first)" } else { "" };
+            if parts.is_empty() { String::new() } else { format!("- **Arrows**{place}, {}\n", parts.join("; ")) }
+        }
+    };
+    let bound = if !settings.only.is_empty() {
+        format!("- Only {} has plots, lanes and lines (`--pair`); events list all pairs\n", settings.only.join(", "))
+    } else if schema.bodies.len() * schema.bodies.len().saturating_sub(1) / 2 > settings.pairs {
+        let max = settings.pairs;
+        format!(
+            "- The first {max} pairs within reach, and the first with events, have plots and lanes, the closest {max} lines \
+             (`--plots`, `--pair a~b`); events list them all\n"
+        )
+    } else {
+        String::new()
+    };
+    let joined: Vec<String> =
+        schema.phases.iter().filter(|phase| phase.is_joined).map(|phase| phase.name.to_owned()).collect();
+    // a surface of its own is part of the law
+    let merged = if schema.surfaces.get().is_none() && schema.bodies.len() > 1 && !joined.is_empty() {
+        let smooth = match schema.blend {
+            0.0 => "sharp where they meet".to_owned(),
+            blend => format!("smooth within {blend} R of where they meet"),
+        };
+        format!("- **Surface**: bodies that are {} share one, {smooth}; white lines show where\n", joined.join(" or "))
+    } else {
+        String::new()
+    };
+    let has_net = frame.bodies.iter().any(|now| now.net_force.is_some());
+    let net_forces =
+        if settings.detail != Detail::Surface && has_net && !is_crowd { at_centres(schema) } else { String::new() };
+    let is_free = schema.bodies.iter().any(|body| body.is_free);
+    let trails = if is_free && !is_crowd && settings.entities == Entities::Body {
+        format!("- **Trails**: the centres of free bodies in the last {} s\n", trails::SECONDS)
+    } else {
+        String::new()
+    };
+    let springs = match draws_springs(schema, settings) {
+        true => format!(
+            "- **Springs**: blue shorter, white as long, orange longer than at rest (full colour: {} %)\n",
+            100.0 * palette::MAX_STRAIN
+        ),
+        false => String::new(),
+    };
+    let credit = if schema.credit.is_empty() { String::new() } else { format!("\nAfter {}.\n", schema.credit) };
+    head + &spheres + &springs + &merged + &arrows + &net_forces + &trails + &bound + &warnings + &credit
+}

@@ -1,0 +1,472 @@
+//! The tabs of the layout of a run, one function each.
+
+use glam::DVec3;
+
+use super::{
+    Subject, Tab,
+    camera::{Framing, NARROW, WIDE},
+    layout::{Ground, Layout, Mapping, Part, family, including},
+};
+use crate::{
+    observe::Schema,
+    sdk::{
+        self, Mesh3D, Points3D,
+        blueprint::{
+            archetypes::{ContainerBlueprint, EntityBehavior, PlotLegend, VisibleTimeRanges},
+            components::{ContainerKind, Corner2D, VisibleTimeRange},
+        },
+        datatypes::{self, TimeRange, TimeRangeBoundary},
+    },
+    stream::{
+        contract::{
+            ABOUT, ACCURACY, ARROWS, BODY, BODY_FORCE, BODY_SCALAR, BODY_SURFACE, DEFORMING, DIAGNOSTIC, EVENTS,
+            Entity, FORCE, GROUP_LINE, INFLUENCE, LAG, LARGEST, LEGEND, MARKS_AT_Q, MERGED, MERGED_SURFACE, NAMES,
+            PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR, PLANE,
+            RECENT_NAMES, RECENT_PAIR, RECENT_SPHERES, RESTING, SIM_TIME, SPEED, STAGE, STAGES, STEP, TRAILS, VOLUME,
+            WORLD,
+        },
+        palette,
+        parts::{
+            body_forces, heat, net_forces, numbers,
+            pairs::{self, MEASURES},
+            recent, trails,
+        },
+        settings::{Detail, Entities, Settings},
+    },
+};
+
+/// The vertices of a mesh as points.
+pub const VERTICES: Mapping = Mapping { target: "Points3D:positions", source: "Mesh3D:vertex_positions" };
+
+/// How the names of plots of energies begin: they are shown large, beside the others.
+pub const ENERGY: &str = "Energy";
+
+/// Upper limit on the number of bodies that are drawn transparent in views of forces.
+pub const MAX_SHEER: usize = 16;
+
+impl Layout {
+    pub fn root(&mut self, subject: &Subject<'_>, front: Tab) -> Part {
+        let Subject { simulation, schema, settings } = *subject;
+        let framing = simulation.framing(false);
+        let close = simulation.framing(true);
+        // planes have their own grids
+        self.ground = Ground::under(&framing).filter(|_| schema.planes.is_empty());
+        if front == Tab::Stages {
+            self.timeline = STAGE;
+        }
+        let mut tabs = vec![(Tab::Scene, self.scene_tab(&framing, schema, settings))];
+        if schema.bodies.len() > 1 {
+            tabs.push((Tab::Surface, self.surface_tab(&close, schema, settings)));
+        }
+        if settings.detail != Detail::Surface {
+            tabs.push((Tab::Forces, self.forces_tab(&close, schema, settings)));
+            tabs.push((Tab::Displacement, self.displacement_tab(&close, schema, settings)));
+        }
+        if schema.bodies.len() > 1 {
+            let parts = self.pair_views(schema);
+            tabs.push((Tab::Pairs, self.container(ContainerKind::Vertical, "Pairs", parts, &[2.0, 1.0, 0.8])));
+        }
+        tabs.push((Tab::Timings, self.timings_tab(schema)));
+        tabs.push((Tab::Energy, self.energy_tab(schema)));
+        if matches!(settings.detail, Detail::Stages { .. }) {
+            tabs.push((Tab::Stages, self.stages_tab(&framing, schema, settings)));
+        }
+        let active = tabs.iter().find(|(tab, _)| *tab == front).map(|(_, part)| part.path.clone());
+        let root =
+            self.container(ContainerKind::Tabs, "meldscope", tabs.into_iter().map(|(_, part)| part).collect(), &[]);
+        if let Some(active) = active {
+            self.log(&root.path, &ContainerBlueprint::update_fields().with_active_tab(active.as_str()));
+        }
+        root
+    }
+
+    /// An overview of everything.
+    pub fn scene_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
+        let scene_view = self.scene_view((framing, WIDE), schema, scene_title(schema), settings);
+        let about = self.view("TextDocument", "What is what", ABOUT.path, &[&including(ABOUT.path)], &[]);
+        let left = self.container(ContainerKind::Vertical, "Space", vec![scene_view, about], &[2.6, 1.0]);
+        let right = if schema.bodies.len() > 1 {
+            // a lane for each pair, as far as there is room
+            let mut parts = self.pair_views(schema);
+            if recent::is_drawn_alone(schema) {
+                // as many names would cover half of a small plot
+                self.log(&format!("{}/PlotLegend", parts[0].path), &PlotLegend::new().with_visible(false));
+            }
+            let shares = match schema.bodies.len() {
+                2 => [1.5, 0.5, 0.9, 1.0],
+                _ if recent::is_drawn_alone(schema) => [1.2, 0.9, 0.8, 1.4],
+                _ => [1.4, 1.1, 0.8, 0.9],
+            };
+            parts.push(match recent::is_drawn_alone(schema) {
+                true => self.recent_pair(),
+                false => self.small_timings(schema),
+            });
+            self.container(ContainerKind::Vertical, "Time", parts, &shares)
+        } else {
+            // a single body: show its motion and its timings
+            let mut parts: Vec<Part> = self.diagnostics(schema, 2).into_iter().map(|(_, plot)| plot).collect();
+            parts.push(self.small_timings(schema));
+            let shares = vec![1.0; parts.len()];
+            self.container(ContainerKind::Vertical, "Time", parts, &shares)
+        };
+        self.container(ContainerKind::Horizontal, "Scene", vec![left, right], &[1.6, 1.0])
+    }
+
+    /// A 3D view of everything, with the forces that make bodies merge and split.
+    pub fn scene_view(&mut self, framing: Framing<'_>, schema: &Schema, name: &str, settings: &Settings) -> Part {
+        let view = self.space(framing, name, &[&family(&WORLD)]);
+        for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
+            let mut of = Mesh3D::update_fields();
+            if draws_springs(schema, settings) && settings.entities == Entities::Body {
+                of = of.with_albedo_factor(palette::sheer(palette::of_body(schema, index)));
+            }
+            self.draw_unmerged(&view, &surface, &of);
+        }
+        if schema.bodies.len() > 1 {
+            self.draw_lit(&view, MERGED_SURFACE.path, &Mesh3D::update_fields());
+        }
+        self.draw_resting(&view, schema, settings);
+        let mut hide = |entity: &str| {
+            let path = format!("{}/ViewContents/overrides{entity}/visualizers", view.path);
+            self.log(&path, &EntityBehavior::new().with_visible(false));
+        };
+        // what is hidden can be enabled in the view's entity list: among many bodies, one would see nothing else
+        let is_crowd = recent::is_drawn_alone(schema);
+        if is_crowd {
+            hide(INFLUENCE.path);
+            hide(TRAILS.path);
+            net_forces::KINDS.iter().for_each(|(name, ..)| hide(&FORCE.of(&[name])));
+        }
+        if settings.detail != Detail::Surface {
+            for term in schema.terms.iter().filter(|term| is_crowd || !term.is_shown) {
+                hide(&FORCE.of(&[term.name]));
+            }
+        }
+        if settings.entities == Entities::Body && schema.bodies.iter().any(|body| body.is_free) {
+            let seconds = (-trails::SECONDS * 1e9) as i64;
+            let ranges = [(SIM_TIME, seconds), (STEP, (-trails::SECONDS / schema.dt) as i64)].map(|(line, start)| {
+                VisibleTimeRange(datatypes::VisibleTimeRange {
+                    timeline: line.into(),
+                    range: TimeRange {
+                        start: TimeRangeBoundary::CursorRelative(start.into()),
+                        end: TimeRangeBoundary::CursorRelative(0.into()),
+                    },
+                })
+            });
+            let path = format!("{}/ViewContents/overrides{}", view.path, TRAILS.path);
+            self.log(&path, &VisibleTimeRanges::new(ranges.clone()));
+            self.log(&format!("{path}/visualizers"), &VisibleTimeRanges::new(ranges));
+        }
+        view
+    }
+
+    /// The pair of the last event, cut out of everything that may hide it.
+    pub fn recent_pair(&mut self) -> Part {
+        let contents = [&RECENT_PAIR, &RECENT_SPHERES, &RECENT_NAMES].map(|of| including(of.path));
+        let contents = contents.each_ref().map(String::as_str);
+        let ground = self.ground.take();
+        let framing: Framing<'_> = (&[(DVec3::ZERO, 2.6)], WIDE);
+        let view = self.space(framing, "The pair of the last event, alone", &contents);
+        self.ground = ground;
+        self.spaces.pop(); // its camera stays
+        self.draw_lit(&view, RECENT_PAIR.path, &Mesh3D::update_fields());
+        view
+    }
+
+    /// The surfaces of groups, and the gap and overlap of pairs above their phases.
+    pub fn surface_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
+        let view = self.surface_view((framing, NARROW), schema, settings);
+        let mut parts = Vec::new();
+        if pairs::has_named_pairs(schema) {
+            let measures: [(&str, &[&Entity]); 2] = [
+                ("Gap and neck (thin) [R of the smaller]", &[&PAIR_GAP, &PAIR_NECK]),
+                ("Overlap [R³ of the smaller]", &[&PAIR_OVERLAP]),
+            ];
+            let plots = measures.map(|(title, measures)| {
+                let lines = measures.iter().flat_map(|measure| pairs::named(schema, measure));
+                let contents: Vec<String> = lines.map(|line| including(&line)).collect();
+                let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
+                self.plot(title, "/", &contents, Corner2D::RightTop)
+            });
+            parts.push(self.container(ContainerKind::Tabs, "Pairs", plots.into(), &[]));
+        }
+        let title = "Do surfaces touch? (red: joined, not touching; yellow: touching, not joined)";
+        let mut contents: Vec<String> = pairs::named(schema, &PAIR_PHASE).map(|lane| format!("- {lane}")).collect();
+        contents.push(family(&PAIR_PHASE));
+        let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
+        let contacts = self.view("StateTimeline", title, PAIR_PHASE.family(), &contents, &[]);
+        self.contacts.push(contacts.path.clone());
+        parts.push(contacts);
+        if pairs::has_named_pairs(schema) {
+            // no marks of events, which are at 0: a change of a hundredth is visible
+            let title = "Volume [unit³]: what merging loses lies between the lines";
+            parts.push(self.time_series(title, "/", &[&family(&VOLUME)], Corner2D::LeftBottom));
+        } else {
+            parts.push(self.plot("Groups: volume, bodies, genus", "/", &[&family(&GROUP_LINE)], Corner2D::RightTop));
+        }
+        parts.push(self.events());
+        let shares = vec![1.0; parts.len()];
+        let right = self.container(ContainerKind::Vertical, "Measures", parts, &shares);
+        self.container(ContainerKind::Horizontal, "Surface", vec![view, right], &[1.6, 1.0])
+    }
+
+    /// One surface for each group of bodies.
+    pub fn surface_view(&mut self, framing: Framing<'_>, schema: &Schema, settings: &Settings) -> Part {
+        // a seam lies inside the smooth surface and would show through in places
+        let merged = if schema.blend > 0.0 { including(MERGED_SURFACE.path) } else { family(&MERGED) };
+        let contents = [&BODY, &DEFORMING, &RESTING, &PLANE, &NAMES].map(family);
+        let contents: Vec<&str> = contents.iter().chain([&merged]).map(String::as_str).collect();
+        let view = self.space(framing, "One surface per group", &contents);
+        for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
+            // a batch has a colour per vertex
+            let rgb = if settings.entities == Entities::Batch { [0xFF; 3] } else { palette::of_body(schema, index) };
+            self.draw_unmerged(&view, &surface, &Mesh3D::update_fields().with_albedo_factor(palette::opaque(rgb)));
+        }
+        let opaque = Mesh3D::update_fields().with_albedo_factor(sdk::Rgba32::WHITE);
+        self.draw_lit(&view, MERGED_SURFACE.path, &opaque);
+        self.draw_resting(&view, schema, settings);
+        view
+    }
+
+    /// A view of all forces and one for each that can act in the scene, of which one is in front, and the net force on each
+    /// body over time. All views have the same initial camera; Rerun 0.36 cannot link two of them.
+    pub fn forces_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
+        /// Plots upon one another, of more bodies, would have no room for numbers: they are tabs.
+        const MOST_STACKED: usize = 3;
+
+        let sums = schema.terms.iter().filter(|term| term.is_sum).map(|sum| sum.name);
+        let sums = sums.chain(net_forces::KINDS.map(|(name, ..)| name));
+        let mut arrows: Vec<String> = sums.map(|name| format!("- {}", FORCE.of(&[name]))).collect();
+        arrows.push(family(&FORCE));
+        let mut views = vec![self.forces_view(framing, "All", &arrows, schema, settings)];
+        for term in &schema.terms {
+            if !term.can_act {
+                self.forces.push(None);
+                continue;
+            }
+            let name = capitalized(term.name);
+            let view = self.forces_view(framing, &name, &[including(&FORCE.of(&[term.name]))], schema, settings);
+            self.forces.push(Some((view.path.clone(), name)));
+            views.push(view);
+        }
+        let causes = self.container(ContainerKind::Tabs, "Causes", views, &[]);
+        let scale = including(ARROWS.path);
+        let scale = self.view("TextDocument", "What arrows and lines mean", ARROWS.path, &[&scale], &[]);
+        let causes = self.container(ContainerKind::Vertical, "Forces", vec![causes, scale], &[4.2, 1.0]);
+        if schema.bodies.len() > body_forces::MOST_BODIES {
+            return causes;
+        }
+        let is_stacked = schema.bodies.len() <= MOST_STACKED;
+        let plots = schema.bodies.iter().map(|body| {
+            let title = match is_stacked {
+                true => format!("Net force on {} by cause, over its mass [unit/s²]", body.name),
+                false => format!("On {} [unit/s²]", body.name),
+            };
+            let contents = format!("+ {}/{}/**", BODY_FORCE.family(), body.name);
+            let plot = self.plot(&title, "/", &[&contents], Corner2D::RightTop);
+            if is_stacked {
+                // the lines have the colours of the arrows; a legend would cover half of a small plot
+                self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
+            }
+            plot
+        });
+        let plots: Vec<Part> = plots.collect();
+        let shares = vec![1.0; plots.len()];
+        let kind = if is_stacked { ContainerKind::Vertical } else { ContainerKind::Tabs };
+        let plots = self.container(kind, "Net forces", plots, &shares);
+        self.container(ContainerKind::Horizontal, "Forces", vec![causes, plots], &[1.6, 1.0])
+    }
+
+    /// Arrows on translucent bodies.
+    pub fn forces_view(
+        &mut self,
+        framing: &[(DVec3, f64)],
+        name: &str,
+        arrows: &[String],
+        schema: &Schema,
+        settings: &Settings,
+    ) -> Part {
+        const WHITE: palette::Rgb = [0xFF; 3];
+        let bodies = [&BODY, &DEFORMING, &PLANE, &NAMES].map(family);
+        let contents: Vec<&str> = bodies.iter().chain(arrows).map(String::as_str).collect();
+        let view = self.space((framing, WIDE), name, &contents);
+        if schema.bodies.len() <= MAX_SHEER || settings.entities == Entities::Batch {
+            for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
+                // a batch has a colour per vertex
+                let rgb = if settings.entities == Entities::Batch { WHITE } else { palette::of_body(schema, index) };
+                let sheer = Mesh3D::update_fields().with_albedo_factor(palette::sheer(rgb));
+                self.draw_lit(&view, &surface, &sheer);
+            }
+        }
+        view
+    }
+
+    /// Surfaces coloured by displacement, with selectable vertices, above the colour scale.
+    pub fn displacement_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
+        let contents = [&BODY, &DEFORMING, &PLANE, &LARGEST, &NAMES].map(family);
+        let contents = contents.each_ref().map(String::as_str);
+        let title = "Displacement from rest; select a vertex to see its numbers";
+        let view = self.space((framing, WIDE), title, &contents);
+        let white = sdk::Rgba32::WHITE;
+        let opaque = Mesh3D::update_fields().with_albedo_factor(white).with_vertex_colors([white]);
+        let dots = Points3D::update_fields()
+            .with_radii([sdk::Radius::new_ui_points(2.5)])
+            .with_colors([palette::color(palette::DOT)]);
+        for surface in surfaces(schema, settings) {
+            self.visualize(
+                &view.path,
+                &surface,
+                &[("Mesh3D", &heat::MAPPINGS, &opaque), ("Points3D", &[VERTICES], &dots)],
+            );
+        }
+        let scale = self.view(
+            "2D",
+            "Displacement [radii]: at this instant, at most a tenth of the surface has more than the colours show",
+            LEGEND.family(),
+            &[&family(&LEGEND)],
+            &[],
+        );
+        self.container(ContainerKind::Vertical, "Displacement", vec![view, scale], &[6.0, 1.0])
+    }
+
+    /// Views of pair distances, phases and events.
+    pub fn pair_views(&mut self, schema: &Schema) -> Vec<Part> {
+        // a pattern cannot have its wildcard in the middle
+        let without = |parts: &[&Entity]| -> Vec<String> {
+            let left_out = parts.iter().flat_map(|part| pairs::named(schema, part)).map(|line| format!("- {line}"));
+            std::iter::once(family(&PAIR_DISTANCE)).chain(left_out).collect()
+        };
+        let mut contents = without(&MEASURES.map(|(measure, ..)| measure));
+        contents.push(family(&MARKS_AT_Q));
+        let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
+        let title = "Pair distances q and their thresholds";
+        let distances = self.time_series(title, "/", &contents, Corner2D::RightBottom);
+        self.distances.push(distances.path.clone());
+        let contents = without(&[&PAIR_CONTACT]);
+        let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
+        let phases = self.view("StateTimeline", "Pair phases", PAIR_PHASE.family(), &contents, &[]);
+        self.phases.push(phases.path.clone());
+        let events = self.events();
+        vec![distances, phases, events]
+    }
+
+    /// The events of pairs and bodies. Steps beyond the tolerance, which may be all of them, are listed beside the error.
+    pub fn events(&mut self) -> Part {
+        let contents = [format!("+ {}/**", EVENTS.path), format!("- {}", ACCURACY.path)];
+        self.listed("Events", EVENTS.path, &contents.each_ref().map(String::as_str))
+    }
+
+    /// The cost of a step and of its recording, each as stacked stages, and the resulting speed.
+    pub fn timings_tab(&mut self, schema: &Schema) -> Part {
+        let recording = self.stacked("Recording on its own thread, ms per step", schema, true);
+        let parts = vec![self.timings(schema), recording, self.speed()];
+        self.container(ContainerKind::Vertical, "Timings", parts, &[1.6, 1.0, 1.0])
+    }
+
+    pub fn timings(&mut self, schema: &Schema) -> Part {
+        self.stacked("Timings, ms per step: each stage upon those below it", schema, false)
+    }
+
+    /// Without a legend, which would hide the lines of a small plot.
+    pub fn small_timings(&mut self, schema: &Schema) -> Part {
+        let plot = self.timings(schema);
+        self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
+        plot
+    }
+
+    /// The stages of a step, or of its recording.
+    pub fn stacked(&mut self, title: &str, schema: &Schema, is_recording: bool) -> Part {
+        let stages = numbers::timings(schema).filter(|stage| numbers::is_work(stage));
+        let stages: Vec<_> = stages.filter(|stage| numbers::RECORDING.contains(stage) == is_recording).collect();
+        let contents: Vec<String> = stages.iter().map(|stage| including(&numbers::stacked(schema, stage))).collect();
+        let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
+        let plot = self.plot(title, "/", &contents, Corner2D::LeftTop);
+        self.timings.push((Part { id: plot.id, path: plot.path.clone() }, stages, title.to_owned()));
+        plot
+    }
+
+    pub fn speed(&mut self) -> Part {
+        let contents = [&SPEED, &LAG].map(|line| including(line.path));
+        let contents = [contents[0].as_str(), contents[1].as_str()];
+        let plot = self.plot("Steps per second, and milliseconds behind real time", "/", &contents, Corner2D::LeftTop);
+        self.speeds = Some(plot.path.clone());
+        plot
+    }
+
+    /// Energies, what changed them, and the events that made them jump; the other scalars one at a time.
+    pub fn energy_tab(&mut self, schema: &Schema) -> Part {
+        let (energies, others): (Vec<_>, Vec<_>) =
+            self.diagnostics(schema, usize::MAX).into_iter().partition(|(name, _)| name.starts_with(ENERGY));
+        // a model without energies shows its other scalars there
+        let (large, small) = if energies.is_empty() { (others, energies) } else { (energies, others) };
+        let [large, small]: [Vec<Part>; 2] =
+            [large, small].map(|plots| plots.into_iter().map(|(_, plot)| plot).collect());
+        let shares = vec![1.0; large.len()];
+        let left = self.container(ContainerKind::Vertical, "Energies", large, &shares);
+        let mut right = vec![self.lines("Events, and steps beyond the tolerance", EVENTS.path)];
+        if !small.is_empty() {
+            right.insert(0, self.container(ContainerKind::Tabs, "Others", small, &[]));
+        }
+        let shares = vec![1.0; right.len()];
+        let right = self.container(ContainerKind::Vertical, "Beside them", right, &shares);
+        self.container(ContainerKind::Horizontal, "Energy", vec![left, right], &[1.2, 1.0])
+    }
+
+    /// Plots of the schema's scalars, with their names.
+    pub fn diagnostics(&mut self, schema: &Schema, most: usize) -> Vec<(&'static str, Part)> {
+        let mut plots: Vec<(&'static str, Vec<String>)> = Vec::new();
+        let lines = schema.scalars.iter().map(|scalar| (scalar.plot, including(&DIAGNOSTIC.of(&[scalar.name]))));
+        let owned = [(&BODY_SCALAR, &schema.body_scalars), (&PAIR_SCALAR, &schema.pair_scalars)];
+        let owned = owned.into_iter().flat_map(|(of, scalars)| {
+            scalars.iter().map(|scalar| (scalar.plot, format!("+ {}/{}/**", of.family(), scalar.name)))
+        });
+        for (name, line) in lines.chain(owned) {
+            match plots.iter_mut().find(|(plot, _)| *plot == name) {
+                Some((_, lines)) => lines.push(line),
+                None => plots.push((name, vec![line])),
+            }
+        }
+        let mut plot = |(name, lines): (&'static str, Vec<String>)| {
+            let contents: Vec<&str> = lines.iter().map(String::as_str).collect();
+            let plot = self.plot(name, "/", &contents, Corner2D::RightTop);
+            self.scalars.push((plot.path.clone(), name));
+            (name, plot)
+        };
+        plots.into_iter().take(most).map(&mut plot).collect()
+    }
+
+    /// The stages inside steps, on the timeline `stage`.
+    pub fn stages_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
+        let view = self.scene_view((framing, NARROW), schema, "Inside of a step (timeline: stage)", settings);
+        let lines = self.lines("Stages", STAGES.path);
+        self.container(ContainerKind::Horizontal, "Stages", vec![view, lines], &[1.3, 1.0])
+    }
+}
+
+/// The title of the view of everything.
+pub fn scene_title(schema: &Schema) -> &'static str {
+    match schema.bodies.iter().all(|body| body.reach == 0.0) && schema.points.is_empty() {
+        _ if recent::is_drawn_alone(schema) => "Bodies, and the pair of the last event",
+        true => "Bodies, forces",
+        false => "Bodies, influence spheres, forces",
+    }
+}
+
+/// A name as a title.
+pub fn capitalized(name: &str) -> String {
+    let mut letters = name.chars();
+    letters.next().into_iter().flat_map(char::to_uppercase).chain(letters).collect()
+}
+
+/// Whether springs are recorded.
+pub fn draws_springs(schema: &Schema, settings: &Settings) -> bool {
+    settings.detail != Detail::Surface && schema.bodies.iter().any(|body| body.has_springs)
+}
+
+/// The entities of deformable surfaces.
+pub fn surfaces(schema: &Schema, settings: &Settings) -> Vec<String> {
+    match settings.entities {
+        Entities::Body => schema.bodies.iter().map(|body| BODY_SURFACE.of(&[&body.name])).collect(),
+        Entities::Batch => vec![DEFORMING.path.to_owned()],
+    }
+}
