@@ -24,6 +24,13 @@ pub struct Mesh {
     facets: Option<Facets>,
 }
 
+/// Solid angle of a triangle seen from the origin [sr]; positive if it turns its back on it. Van Oosterom and Strackee:
+/// *The Solid Angle of a Plane Triangle* (1983).
+pub fn solid_angle([a, b, c]: [DVec3; 3]) -> f64 {
+    let (la, lb, lc) = (a.length(), b.length(), c.length());
+    2.0 * libm::atan2(a.dot(b.cross(c)), la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb)
+}
+
 /// The volume of a closed mesh, given the corners of its triangles, counter-clockwise seen from outside; of an open one that
 /// between it and the origin [cubed unit of the corners].
 pub fn signed_volume(corners: impl Iterator<Item = [DVec3; 3]>) -> f64 {
@@ -137,14 +144,10 @@ impl Mesh {
     }
 
     /// Whether the surface encloses the centre: whether the solid angles of its triangles, seen from there, add up to a
-    /// full turn. Van Oosterom and Strackee: *The Solid Angle of a Plane Triangle* (1983).
+    /// full turn.
     pub fn encloses_centre(&self) -> bool {
-        let solid_angle = |&[a, b, c]: &[u32; 3]| {
-            let [a, b, c] = [a, b, c].map(|i| self.positions.get(i as usize));
-            let (la, lb, lc) = (a.length(), b.length(), c.length());
-            2.0 * libm::atan2(a.dot(b.cross(c)), la * lb * lc + a.dot(b) * lc + b.dot(c) * la + c.dot(a) * lb)
-        };
-        self.is_round() || self.triangles.iter().map(solid_angle).sum::<f64>() > std::f64::consts::TAU
+        let angle = |corners: &[u32; 3]| solid_angle(corners.map(|i| self.positions.get(i as usize)));
+        self.is_round() || self.triangles.iter().map(angle).sum::<f64>() > std::f64::consts::TAU
     }
 
     /// The mesh at the scale of a body of the given radius [scene unit].

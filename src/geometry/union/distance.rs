@@ -10,6 +10,7 @@ use super::{
     body::{Aabb, Body, higher, lower},
     report::{Failure, Meter},
 };
+use crate::geometry::mesh::solid_angle;
 
 /// Number of steps from triangle to triangle before a search uses the hierarchy.
 const WALK: usize = 4;
@@ -189,9 +190,18 @@ impl<'t, 'a> Tree<'t, 'a> {
 
     /// Depth of a point inside the body [scene unit], if it is more than `least` ≥ 0. The side is that of the normal at
     /// the nearest point; a corner's normal is weighted by angles (Bærentzen and Aanæs, *Signed Distance Computation
-    /// Using the Angle Weighted Pseudonormal*, 2005).
+    /// Using the Angle Weighted Pseudonormal*, 2005). Of a body that may intersect itself, sheets of which may be turned
+    /// over, it is that of the winding number.
     pub fn depth_beyond(&self, point: DVec3, least: f64, search: &mut Search) -> Option<f64> {
+        let may_cross_itself = self.body.slack() <= 0.0;
+        if may_cross_itself && !Aabb::of([point]).meets(&self.body.bounds) {
+            return None;
+        }
         let nearest = self.nearest_beyond(point, least, search)?;
+        let depth = nearest.distance_squared.sqrt();
+        if may_cross_itself {
+            return (self.winding_number(point) > 0.5).then_some(depth);
+        }
         let topology = self.body.topology;
         let normal_of = |t: u32| {
             let [a, b, c] = self.corners(t);
@@ -215,7 +225,15 @@ impl<'t, 'a> Tree<'t, 'a> {
                 around.sum()
             }
         };
-        ((point - nearest.position).dot(normal) <= 0.0).then(|| nearest.distance_squared.sqrt())
+        ((point - nearest.position).dot(normal) <= 0.0).then_some(depth)
+    }
+
+    /// How often the surface winds around a point (Jacobson et al., *Robust Inside-Outside Segmentation using Generalized
+    /// Winding Numbers*, 2013).
+    fn winding_number(&self, point: DVec3) -> f64 {
+        let triangles = 0..self.body.topology.triangles.len() as u32;
+        let angle = |t: u32| solid_angle(self.corners(t).map(|corner| corner - point));
+        triangles.map(angle).sum::<f64>() / (2.0 * std::f64::consts::TAU)
     }
 
     /// The first result of `test` for triangles of this surface and of another whose blocks' boxes meet.
