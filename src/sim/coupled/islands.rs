@@ -130,17 +130,19 @@ pub(super) struct Conditions<'a> {
 pub(super) fn advance(jobs: &mut [Job], conditions: &Conditions<'_>) {
     let vertices = |job: &Job| {
         let of = |&body: &u32| conditions.members[body as usize].body.shape.rest().len();
-        if job.is_done { 0 } else { job.group.bodies.iter().map(of).sum::<usize>() }
+        job.group.bodies.iter().map(of).sum::<usize>()
     };
+    let in_fixed_steps = jobs.iter().filter(|job| job.is_fixed).map(vertices).sum::<usize>() as u64;
     let advance = |(turn, job): (usize, &mut Job)| {
         if !job.is_done {
             let pooled = conditions.scratches.lock().unwrap_or_else(PoisonError::into_inner).pop();
             let mut scratch = pooled.unwrap_or_else(|| Scratch::new(conditions.arch));
-            job.advance(turn, conditions, &mut scratch);
+            job.advance((turn, in_fixed_steps), conditions, &mut scratch);
             conditions.scratches.lock().unwrap_or_else(PoisonError::into_inner).push(scratch);
         }
     };
-    if jobs.len() > 1 && jobs.iter().map(vertices).sum::<usize>() >= PARALLEL_VERTICES {
+    let left = jobs.iter().filter(|job| !job.is_done).map(vertices).sum::<usize>();
+    if jobs.len() > 1 && left >= PARALLEL_VERTICES {
         jobs.par_iter_mut().enumerate().for_each(advance);
     } else {
         jobs.iter_mut().enumerate().for_each(advance);
@@ -195,7 +197,8 @@ impl Job {
         parts
     }
 
-    fn advance(&mut self, turn: usize, conditions: &Conditions<'_>, scratch: &mut Scratch) {
+    /// Advances the island, the one of this turn; `in_fixed_steps` is the number of vertices of all that take fixed steps.
+    fn advance(&mut self, (turn, in_fixed_steps): (usize, u64), conditions: &Conditions<'_>, scratch: &mut Scratch) {
         let Conditions { scene, members, near, span, work, .. } = *conditions;
         let Group { bodies, sources, pairs } = &self.group;
         self.dense = OnRequest::default();
@@ -258,7 +261,9 @@ impl Job {
         changes.clear();
         self.report = Report { changes, ..Report::default() };
         self.failure = match self.is_fixed {
-            true => island.advance_in_fixed_steps(scratch, span.end, &paths, &tally, &mut self.report),
+            true => {
+                island.advance_in_fixed_steps(scratch, (span.end, in_fixed_steps), &paths, &tally, &mut self.report)
+            }
             false => island.advance_with(scratch, span.end, &paths, &tally, &mut self.report),
         }
         .err();

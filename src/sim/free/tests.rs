@@ -333,7 +333,8 @@ fn fixed_steps_stay_within_their_reported_error() {
     for step in 1..=120 {
         let end = f64::from(step) / 60.0;
         exact.advance(end, &NoPaths, &mut Report::default()).unwrap();
-        let done = island.advance_in_fixed_steps(&mut scratch, end, &NoPaths, &Tally::unlimited(), &mut report);
+        let (until, work) = ((end, 0), Tally::unlimited());
+        let done = island.advance_in_fixed_steps(&mut scratch, until, &NoPaths, &work, &mut report);
         done.unwrap();
         let apart = |(a, b): (&Body, &Body)| {
             (0..a.x.len()).map(|i| a.position(i).distance(b.position(i)) / a.radius).fold(0.0, f64::max)
@@ -357,7 +358,7 @@ fn fixed_steps_do_not_depend_on_reused_buffers() {
         let work = Tally::unlimited();
         for step in 1..=40 {
             let end = f64::from(step) / 60.0;
-            island.advance_in_fixed_steps(scratch, end, &NoPaths, &work, &mut Report::default()).unwrap();
+            island.advance_in_fixed_steps(scratch, (end, 0), &NoPaths, &work, &mut Report::default()).unwrap();
         }
         let positions = |body: &Body| (0..body.x.len()).map(|i| body.position(i).to_array()).collect::<Vec<_>>();
         (island.bodies().iter().map(positions).collect::<Vec<_>>(), work.done())

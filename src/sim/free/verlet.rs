@@ -4,7 +4,7 @@
 //! 2005), which is found anew in every substep. A substep drifts for half its length, kicks, and drifts for the other
 //! half, so that it needs one evaluation of the forces. Its length follows from the stiffest of springs, planes and
 //! spheres, for which the scheme is stable; a very narrow rim of a core, over which the strength changes, is not counted.
-//! In small islands, where substeps cost little, they are shorter than that.
+//! Where there are few vertices, so that substeps cost little, they are shorter than that.
 //! Damping and friction act by their own exact or implicit solution, which is stable for any rate.
 //!
 //! Springs and reactions balance as in the equation of motion, so momentum and angular momentum are conserved to
@@ -34,9 +34,9 @@ use crate::{
 
 /// Least number of substeps.
 const MIN_SUBSTEPS: f64 = 2.0;
-/// Number of substeps, beyond what stability requires, where they take less than [`CHEAP_WORK`].
+/// Number of substeps, beyond what stability requires, where those of all islands take less than [`CHEAP_WORK`].
 const CHEAP_SUBSTEPS: f64 = 32.0;
-/// Work that such substeps may take [units]: a few milliseconds.
+/// Work that such substeps may take in a step [units]: a few milliseconds.
 const CHEAP_WORK: u64 = 200_000;
 /// Largest number of substeps: what needs more is too stiff or too fast for this scheme.
 const MAX_SUBSTEPS: f64 = 1000.0;
@@ -359,11 +359,11 @@ impl Substep<'_> {
 }
 
 impl Island {
-    /// Like [`Island::advance_with`], by this scheme.
+    /// Like [`Island::advance_with`], by this scheme; in this step, `vertices` of all islands are advanced by it.
     pub(in crate::sim) fn advance_in_fixed_steps(
         &mut self,
         scratch: &mut Scratch,
-        end: f64,
+        (end, vertices): (f64, u64),
         paths: &dyn Paths,
         work: &Tally<'_>,
         report: &mut Report,
@@ -371,7 +371,7 @@ impl Island {
         self.begin(scratch, end);
         while self.time < end {
             let stop = self.enter(scratch, end, paths, report)?;
-            self.coast(scratch, stop, paths, work, report)?;
+            self.coast(scratch, (stop, vertices), paths, work, report)?;
         }
         self.step_lengths.fill(self.step_length);
         self.finish(scratch, paths, report)
@@ -417,7 +417,7 @@ impl Island {
     fn coast(
         &mut self,
         scratch: &mut Scratch,
-        end: f64,
+        (end, of_all): (f64, u64),
         paths: &dyn Paths,
         work: &Tally<'_>,
         report: &mut Report,
@@ -438,7 +438,7 @@ impl Island {
         over(is_parallel, &mut scratch.verlet.all, |i, own| own.begin(&self.bodies[i], first[i]));
         let (count, stiffest) = self.count_substeps(scratch, end);
         let substep_work = (3 * vertices + 16 * stepped) as u64;
-        let cheap = f64::min(CHEAP_SUBSTEPS, (CHEAP_WORK / substep_work.max(1)) as f64);
+        let cheap = f64::min(CHEAP_SUBSTEPS, (CHEAP_WORK / (3 * of_all).max(substep_work).max(1)) as f64);
         let count = larger(count, cheap);
         let h = (end - start) / count;
         if !(count <= MAX_SUBSTEPS) {
