@@ -20,7 +20,7 @@ pub struct Approach {
     pub time: f64,
 }
 
-/// A pair whose q changes less does not approach [–].
+/// A pair whose q falls by less does not approach [–].
 const STILL: f64 = 1e-4;
 /// Number of places in a step at which the distance of a pair is looked at.
 const LOOKS: usize = 8;
@@ -77,8 +77,8 @@ pub struct Approaches {
 #[derive(Clone, Copy, Debug)]
 struct Watched {
     closest: Approach,
-    /// The largest q at the end of a step [–].
-    farthest: f64,
+    /// q at the start; infinite if the pair came within reach later [–].
+    first: f64,
     /// Whether the pair has left its first phase.
     has_changed: bool,
 }
@@ -88,6 +88,7 @@ impl Approaches {
     pub fn new(simulation: &dyn Simulation, schema: &Schema) -> Approaches {
         let mut approaches = Approaches::default();
         approaches.step(simulation, schema, &[]);
+        approaches.pairs.values_mut().for_each(|watched| watched.first = watched.closest.q);
         approaches
     }
 
@@ -113,13 +114,12 @@ impl Approaches {
             let watched = match self.pairs.get_mut(&key) {
                 Some(watched) => watched,
                 None if is_full => continue,
-                None => self.pairs.entry(key).or_insert(Watched { closest, farthest: closest.q, has_changed }),
+                None => self.pairs.entry(key).or_insert(Watched { closest, first: f64::INFINITY, has_changed }),
             };
             watched.has_changed |= has_changed;
             if watched.has_changed {
                 continue;
             }
-            watched.farthest = watched.farthest.max(closest.q);
             if closest.q < watched.closest.q {
                 watched.closest = closest;
             }
@@ -135,11 +135,12 @@ impl Approaches {
         (self.before, self.now, self.time) = (now, take(&mut self.before), time);
     }
 
-    /// The closest approaches, the nearest first; not of pairs that stay as far apart as they are, unless all do.
+    /// The closest approaches, the nearest first; not of pairs that stay as far apart as they begin or move apart, unless
+    /// all do.
     pub fn closest(&self) -> Vec<Approach> {
-        let moves = |pair: &&Watched| pair.farthest - pair.closest.q > STILL;
-        let is_moving = self.pairs.values().any(|pair| pair.has_changed || moves(&pair));
-        let unchanged = self.pairs.values().filter(|pair| !pair.has_changed && (moves(pair) || !is_moving));
+        let approaches = |pair: &&Watched| pair.first - pair.closest.q > STILL;
+        let do_any = self.pairs.values().any(|pair| pair.has_changed || approaches(&pair));
+        let unchanged = self.pairs.values().filter(|pair| !pair.has_changed && (approaches(pair) || !do_any));
         let mut closest: Vec<Approach> = unchanged.map(|pair| pair.closest).collect();
         closest.sort_by(|x, y| x.q.total_cmp(&y.q).then((x.a, x.b).cmp(&(y.a, y.b))));
         closest
