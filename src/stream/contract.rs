@@ -114,15 +114,15 @@ entities! {
     RECENT_NAMES = "/recent/names" ["Points3D"]
         "Their names.";
     NAMES = "/world/names" ["Points3D"]
-        "The names of up to 8 bodies.";
+        "The names of up to 16 bodies.";
     FORCES = "/world/forces" ["AnnotationContext"]
         "Names of the pairs of bodies between which forces act, as classes of arrows.";
     FORCE = "/world/forces/CAUSE" ["Arrows3D"]
         "Accelerations of vertices and of points of contact by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre.";
     BODY_FORCE = "/forces/NAME/CAUSE" ["Scalars"]
-        "Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, and of that by forces at points [scene unit/s²]; with at most 6 bodies, from the first frame in which it acts.";
-    POINTS = "/world/points" ["Ellipsoids3D"]
-        "The influence spheres of force points, while they act.";
+        "Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, and of that by forces at points [scene unit/s²]; with at most 16 bodies, from the first frame in which it acts.";
+    POINTS = "/world/points" ["Ellipsoids3D, Points3D"]
+        "The influence spheres of force points, while they act, and above them their names.";
     SPRINGS = "/world/springs/NAME" ["LineStrips3D"]
         "The springs of a body, blue where they are shorter than at rest, red where longer; with forces, and of at most 64 cells.";
     TRAILS = "/world/trails" ["LineStrips3D"]

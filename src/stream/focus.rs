@@ -35,7 +35,7 @@ impl Focus {
     fn on(view: FrameView<'_>, time: f64, pair: [usize; 2]) -> Focus {
         let FrameView { schema, frame, .. } = view;
         let bodies = || frame.bodies.iter().zip(&schema.bodies).enumerate();
-        let spheres = match recent::is_drawn_alone(schema) {
+        let mut spheres: Vec<(DVec3, f64)> = match recent::is_drawn_alone(schema) {
             true => in_box(view).to_vec(),
             false => bodies()
                 .map(|(index, (now, body))| {
@@ -44,6 +44,11 @@ impl Focus {
                 })
                 .collect(),
         };
+        let points = schema.points.iter().filter_map(|point| point.sphere.at(view.at.time));
+        let reached = |&(centre, reach): &(DVec3, f64)| {
+            bodies().any(|(_, (now, body))| now.centre.distance(centre) < reach + body.radius)
+        };
+        spheres.extend(points.filter(reached));
         let others = bodies().filter(|(index, _)| !pair.contains(index));
         Focus {
             time,

@@ -39,10 +39,13 @@ struct Line {
     outline: Outline,
 }
 
-/// Some points of a line, evenly spaced over the steps for which it has values.
-#[derive(Default)]
-struct Outline {
-    points: Vec<(u64, f64)>,
+/// What is known of a line without its values.
+#[derive(Clone, Debug, Default)]
+pub struct Outline {
+    /// Steps and values of some points, evenly spaced over the steps for which it has values.
+    pub points: Vec<(u64, f64)>,
+    /// Smallest and largest value, if there are any.
+    pub range: Option<[f64; 2]>,
     /// Number of steps from one point to the next, at least.
     spacing: u64,
 }
@@ -50,7 +53,10 @@ struct Outline {
 impl Outline {
     const MAX_POINTS: usize = 256;
 
-    fn add(&mut self, step: u64, value: f64) {
+    /// Adds a value to the line.
+    pub fn add(&mut self, step: u64, value: f64) {
+        let [low, high] = self.range.unwrap_or([value; 2]);
+        self.range = Some([low.min(value), high.max(value)]);
         if self.points.last().is_some_and(|(last, _)| step < last + self.spacing) {
             return;
         }
@@ -166,9 +172,9 @@ impl Series {
         }
     }
 
-    /// The entity of each line, and some of its points: steps and values.
-    pub fn outlines(&self) -> impl Iterator<Item = (&str, &[(u64, f64)])> {
-        self.lines.iter().map(|line| (line.entity.as_str(), line.outline.points.as_slice()))
+    /// The entity of each line, and its outline.
+    pub fn outlines(&self) -> impl Iterator<Item = (&str, &Outline)> {
+        self.lines.iter().map(|line| (line.entity.as_str(), &line.outline))
     }
 
     /// Extends all lines to where their values were last observed.

@@ -53,7 +53,26 @@ fn all_spheres(scene: &Scene) -> Vec<(DVec3, f64)> {
     let radius = |body: &Body| body.sphere_radius().min(2.0 * body.radius);
     let spheres =
         |centres: Vec<DVec3>| centres.into_iter().zip(&scene.bodies).map(|(centre, body)| (centre, radius(body)));
-    positions(scene).into_iter().flat_map(|centres| spheres(centres).collect::<Vec<_>>()).collect()
+    let spheres = positions(scene).into_iter().flat_map(|centres| spheres(centres).collect::<Vec<_>>());
+    spheres.chain(points(scene)).collect()
+}
+
+/// The spheres of force points where they act on a body.
+fn points(scene: &Scene) -> Vec<(DVec3, f64)> {
+    let mut spheres = Vec::new();
+    if scene.points.is_empty() {
+        return spheres;
+    }
+    for (time, centres) in instants(scene).zip(positions(scene)) {
+        for point in scene.points.iter().filter(|point| (point.start..point.end()).contains(&time)) {
+            let (centre, reach) = (point.path.position(time), scene.influence.sphere_radius(point.radius));
+            let is_reached = |(body, at): (&Body, &DVec3)| at.distance(centre) < reach + body.radius;
+            if scene.bodies.iter().zip(&centres).any(is_reached) {
+                spheres.push((centre, reach));
+            }
+        }
+    }
+    spheres
 }
 
 /// The bodies that something acts on, where they are then; all spheres if there are none.
@@ -95,5 +114,6 @@ fn affected_bodies(scene: &Scene) -> Vec<(DVec3, f64)> {
             }
         }
     }
+    acted_on.extend(points(scene));
     if acted_on.is_empty() { all_spheres(scene) } else { acted_on }
 }

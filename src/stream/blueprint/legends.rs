@@ -1,6 +1,9 @@
 //! Where legends of plots cover no data.
 
-use crate::sdk::blueprint::components::Corner2D;
+use crate::{
+    sdk::blueprint::components::Corner2D,
+    stream::{contract::MARKS_ON_AXIS, series::Outline},
+};
 
 /// The width of a legend, and the height of each of its lines, as fractions of its plot's. No legend is higher than its
 /// plot, in which it scrolls.
@@ -29,19 +32,23 @@ impl Plot {
         is_named("+ ") && !is_named("- ")
     }
 
-    /// The corner in which the legend covers the fewest points of the lines: entities, with steps and values. The present
-    /// one if no other is better.
-    pub fn emptiest_corner(&self, lines: &[(&str, &[(u64, f64)])]) -> Corner2D {
-        let shown = || lines.iter().filter(|(entity, points)| !points.is_empty() && self.shows(entity));
+    /// Smallest and largest value of the lines, entities with their outlines, and of the marks of events on the axis.
+    pub fn values(&self, lines: &[(&str, &Outline)]) -> Option<[f64; 2]> {
+        let ranges = lines.iter().filter(|(entity, _)| self.shows(entity)).filter_map(|(_, outline)| outline.range);
+        let [low, high] = ranges.reduce(|[low, high], of| [f64::min(low, of[0]), f64::max(high, of[1])])?;
+        let has_marks = self.shows(&MARKS_ON_AXIS.of(&["ends"]));
+        Some(if has_marks { [low.min(0.0), high.max(0.0)] } else { [low, high] })
+    }
+
+    /// The corner in which the legend covers the fewest points of the lines: entities with their outlines. The present one
+    /// if no other is better.
+    pub fn emptiest_corner(&self, lines: &[(&str, &Outline)]) -> Corner2D {
+        let shown = || lines.iter().filter(|(entity, of)| !of.points.is_empty() && self.shows(entity));
         let height = f64::min(HEIGHT * (shown().count() + 1) as f64, 0.95); // one more for events
         let points: Vec<(f64, f64)> =
-            shown().flat_map(|(_, points)| points.iter().map(|&(step, value)| (step as f64, value))).collect();
-        let end =
-            lines.iter().filter_map(|(_, points)| points.last()).map(|(step, _)| *step as f64).fold(0.0, f64::max);
-        let of_points = points
-            .iter()
-            .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], &(_, value)| [low.min(value), high.max(value)]);
-        let [low, high] = self.range.unwrap_or(of_points);
+            shown().flat_map(|(_, of)| of.points.iter().map(|&(step, value)| (step as f64, value))).collect();
+        let end = lines.iter().filter_map(|(_, of)| of.points.last()).map(|(step, _)| *step as f64).fold(0.0, f64::max);
+        let [low, high] = self.range.or_else(|| self.values(lines)).unwrap_or_default();
         let covered = |corner: &Corner2D| {
             let (is_left, is_top) = match corner {
                 Corner2D::LeftTop => (true, true),
@@ -72,9 +79,11 @@ mod tests {
             let contents = ["+ /pairs/**", "- /pairs/a~b/gap"].map(str::to_owned).to_vec();
             Plot { path: String::new(), contents, corner, range: None }
         };
-        let falling: Vec<(u64, f64)> = (0..=100).map(|step| (step, 100.0 - step as f64)).collect();
-        let rising: Vec<(u64, f64)> = (0..=100).map(|step| (step, step as f64)).collect();
-        let lines = [("/pairs/a~b/distance", falling.as_slice()), ("/pairs/a~b/gap", &rising), ("/energy", &rising)];
+        let (mut falling, mut rising) = (Outline::default(), Outline::default());
+        (0..=100).for_each(|step| falling.add(step, 100.0 - step as f64));
+        (0..=100).for_each(|step| rising.add(step, step as f64));
+        let lines = [("/pairs/a~b/distance", &falling), ("/pairs/a~b/gap", &rising), ("/energy", &rising)];
+        assert_eq!(plot(Corner2D::LeftTop).values(&lines), Some([0.0, 100.0]));
         // from the left top to the right bottom
         assert_eq!(plot(Corner2D::RightBottom).emptiest_corner(&lines), Corner2D::RightTop);
         assert_eq!(plot(Corner2D::LeftBottom).emptiest_corner(&lines), Corner2D::LeftBottom);

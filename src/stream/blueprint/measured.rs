@@ -18,6 +18,7 @@ use crate::{
             numbers,
             pairs::{self, Told},
         },
+        series::Outline,
     },
     text::{counted, significant},
 };
@@ -35,8 +36,8 @@ pub struct Measured<'a> {
     pub fastest: f64,
     /// Smallest and largest plotted q [–], if any.
     pub distances: Option<[f64; 2]>,
-    /// The entities of all lines of plots, with some of their points: steps and values.
-    pub lines: Vec<(&'a str, &'a [(u64, f64)])>,
+    /// The entities of all lines of plots, and their outlines.
+    pub lines: Vec<(&'a str, &'a Outline)>,
     /// Smallest and largest plotted value of each scalar of the schema.
     pub scalars: Vec<Option<[f64; 2]>>,
     /// The pairs that have plots.
@@ -166,6 +167,10 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             }
         }
     }
+    let ranges = layout.plots.iter().filter(|plot| plot.range.is_none() && measured.duration > 0.0);
+    let ranges = ranges.filter_map(|plot| Some((plot.path.clone(), readable(plot.values(&measured.lines)?))));
+    let ranges: Vec<(String, [f64; 2])> = ranges.filter(|(_, [low, high])| low < high).collect();
+    ranges.into_iter().for_each(|(plot, range)| layout.set_range(&plot, range));
     for plot in std::mem::take(&mut layout.plots) {
         let corner = plot.emptiest_corner(&measured.lines);
         if corner != plot.corner {

@@ -21,7 +21,7 @@ use crate::{
         contract::{
             ABOUT, ACCURACY, ARROWS, BODY, BODY_FORCE, BODY_SCALAR, BODY_SURFACE, DEFORMING, DIAGNOSTIC, EVENTS,
             Entity, FORCE, GROUP_LINE, INFLUENCE, LAG, LARGEST, LEGEND, MARKS_AT_Q, MERGED, MERGED_SURFACE, NAMES,
-            PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR, PLANE,
+            PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR, PLANE, POINTS,
             RECENT_NAMES, RECENT_PAIR, RECENT_SPHERES, RESTING, SIM_TIME, SPEED, STAGE, STAGES, STEP, TRAILS, VOLUME,
             WORLD,
         },
@@ -260,7 +260,7 @@ impl Layout {
         let plots = schema.bodies.iter().map(|body| {
             let title = match is_stacked {
                 true => format!("Net force on {} by cause, over its mass [unit/s²]", body.name),
-                false => format!("On {} [unit/s²]", body.name),
+                false => format!("{} [unit/s²]", body.name),
             };
             let contents = format!("+ {}/{}/**", BODY_FORCE.family(), body.name);
             let plot = self.plot(&title, "/", &[&contents], Corner2D::RightTop);
@@ -287,7 +287,7 @@ impl Layout {
         settings: &Settings,
     ) -> Part {
         const WHITE: palette::Rgb = [0xFF; 3];
-        let bodies = [&BODY, &DEFORMING, &PLANE, &NAMES].map(family);
+        let bodies = [&BODY, &DEFORMING, &PLANE, &NAMES, &POINTS].map(family);
         let contents: Vec<&str> = bodies.iter().chain(arrows).map(String::as_str).collect();
         let view = self.space((framing, WIDE), name, &contents);
         if schema.bodies.len() <= MAX_SHEER || settings.entities == Entities::Batch {
@@ -388,7 +388,8 @@ impl Layout {
     pub fn speed(&mut self) -> Part {
         let contents = [&SPEED, &LAG].map(|line| including(line.path));
         let contents = [contents[0].as_str(), contents[1].as_str()];
-        let plot = self.plot("Steps per second, and milliseconds behind real time", "/", &contents, Corner2D::LeftTop);
+        let plot =
+            self.plot("Steps per second; with --realtime, also the lag in ms", "/", &contents, Corner2D::LeftTop);
         self.speeds = Some(plot.path.clone());
         plot
     }

@@ -12,8 +12,8 @@ use crate::{
     },
 };
 
-/// Upper limit on the number of bodies with plots, which are shown one above the other.
-pub const MOST_BODIES: usize = 6;
+/// Upper limit on the number of bodies with plots: of more, one would not find a tab.
+pub const MOST_BODIES: usize = 16;
 
 /// The plots, each from the first frame in which its force acts.
 pub struct BodyForces {

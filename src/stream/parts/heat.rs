@@ -54,8 +54,8 @@ pub fn place(displacement: f32, end: f64) -> [f32; 2] {
 /// The numbers of the colour scale, and the mark at the largest displacement.
 pub struct Heat {
     ticks: TrackId,
-    /// What the numbers of the scale were last.
-    end: (f64, bool),
+    /// The numbers of the scale, as they were logged last.
+    last_ticks: Vec<String>,
     mark: TrackId,
     last: Option<([DVec3; 2], String)>,
 }
@@ -91,7 +91,7 @@ impl Heat {
         let mark = [Points3D::descriptor_positions(), Points3D::descriptor_labels(), LineStrips3D::descriptor_strips()];
         Heat {
             ticks: chunks.track(&LEGEND.of(&["ticks"]), [Points2D::descriptor_labels()]),
-            end: (0.0, false),
+            last_ticks: Vec::new(),
             mark: chunks.track(LARGEST.path, mark),
             last: None,
         }
@@ -101,14 +101,14 @@ impl Heat {
     /// body, at the end of a line from the vertex.
     pub fn log(&mut self, view: FrameView<'_>, displacements: &Displacements, chunks: &mut Chunks) {
         let Displacements { outside, of_all, end, .. } = displacements;
-        let is_exceeded = outside.is_some_and(|largest| largest.displacement > 1.001 * end);
-        if (*end, is_exceeded) != self.end {
-            self.end = (*end, is_exceeded);
-            let mut labels: Vec<String> = TICKS.map(|share| significant(share * end)).into();
-            if let (true, Some(last)) = (is_exceeded, labels.last_mut()) {
-                last.push_str(" and more");
-            }
-            chunks.push(self.ticks, view.at, &[&labels]);
+        let exceeding = outside.filter(|largest| largest.displacement > 1.001 * end);
+        let mut ticks: Vec<String> = TICKS.map(|share| significant(share * end)).into();
+        if let (Some(largest), Some(last)) = (exceeding, ticks.last_mut()) {
+            *last += &format!(" to {}", significant(largest.displacement));
+        }
+        if ticks != self.last_ticks {
+            chunks.push(self.ticks, view.at, &[&ticks]);
+            self.last_ticks = ticks;
         }
         let mark = outside.filter(|largest| largest.displacement > 0.0).map(|outside| {
             let hidden = of_all.filter(|of_all| of_all.displacement > outside.displacement);

@@ -19,8 +19,12 @@ use crate::{
 /// Upper limit on the number of labelled pairs: the highlighted one, then the closest. More labels would cover each
 /// other and the bodies.
 const MAX_LABELLED: usize = 3;
-/// Labels nearer to each other than this cover each other [diagonals of the box around the bodies].
+/// Upper limit on the number of bodies with names.
+const MAX_NAMED: usize = 16;
+/// Labels that are nearer to each other than this, both upward and across, cover each other [diagonals of the box around
+/// the bodies].
 const LABEL_HEIGHT: f64 = 0.08;
+const LABEL_WIDTH: f64 = 0.25;
 
 /// Pair lines, with the last logged values.
 pub struct Lines {
@@ -70,7 +74,7 @@ impl Lines {
             only: settings.only.clone(),
             last: None,
             next: LineRows::default(),
-            names: (has_labels && schema.bodies.len() > 1).then(|| Names::new(schema, chunks)),
+            names: (2..=MAX_NAMED).contains(&schema.bodies.len()).then(|| Names::new(schema, chunks)),
             recent: Recent::new(schema, chunks),
             closest: Vec::new(),
         }
@@ -99,7 +103,10 @@ impl Lines {
         let mut labelled = 0;
         for index in 0..self.closest.len() {
             let PairFrame { a, b, .. } = self.closest[index];
-            let is_clear = |other: &DVec3| other.distance(middle(a, b)) > LABEL_HEIGHT * low.distance(high);
+            let is_clear = |other: &DVec3| {
+                let apart = (*other - middle(a, b)) / low.distance(high);
+                apart.z.abs() > LABEL_HEIGHT || apart.truncate().length() > LABEL_WIDTH
+            };
             if recent != Some((a, b)) && taken.len() < MAX_LABELLED && taken.iter().all(is_clear) {
                 taken.push(middle(a, b));
                 self.closest[labelled..=index].rotate_right(1);

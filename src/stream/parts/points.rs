@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::FrameView;
 use crate::{
     observe::Schema,
-    sdk::{self, Ellipsoids3D, components::FillMode},
+    sdk::{self, Ellipsoids3D, Points3D, components::FillMode},
     stream::{chunks::Chunks, contract::POINTS, palette::color},
 };
 
@@ -27,8 +27,10 @@ impl Points {
         let style = Ellipsoids3D::update_fields()
             .with_fill_mode(FillMode::MajorWireframe)
             .with_line_radii([sdk::Radius::new_ui_points(LINE)])
-            .with_show_labels(true);
+            .with_show_labels(false);
         chunks.log_static(POINTS.path, &style);
+        let names = Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(LINE)]).with_show_labels(true);
+        chunks.log_static(POINTS.path, &names);
         Some(Points { last: None })
     }
 
@@ -44,12 +46,19 @@ impl Points {
             return;
         }
         let of = |index: usize| &view.schema.points[index];
+        let colors = || acting.iter().map(|&(index, ..)| color(of(index).color));
         let spheres = Ellipsoids3D::update_fields()
             .with_centers(acting.iter().map(|(_, centre, _)| centre.as_vec3().to_array()))
             .with_half_sizes(acting.iter().map(|&(_, _, reach)| [reach as f32; 3]))
-            .with_labels(acting.iter().map(|&(index, ..)| of(index).label.as_str()))
-            .with_colors(acting.iter().map(|&(index, ..)| color(of(index).color)));
+            .with_colors(colors());
         chunks.log(POINTS.path, view.at, &spheres);
+        // above the sphere: at its centre are the bodies that it acts on, and their labels
+        let top = |centre: DVec3, reach: f64| (centre + reach * DVec3::Z).as_vec3().to_array();
+        let names = Points3D::update_fields()
+            .with_positions(acting.iter().map(|&(_, centre, reach)| top(centre, reach)))
+            .with_labels(acting.iter().map(|&(index, ..)| of(index).label.as_str()))
+            .with_colors(colors());
+        chunks.log(POINTS.path, view.at, &names);
         self.last = Some(acting);
     }
 }
