@@ -33,6 +33,11 @@ window.fetch = (request, options) => {
   return isOwn ? fetchAnything(request, options) : Promise.reject(new TypeError(`${url.origin} is not on this machine`));
 };
 
+// Labels are too pale to read in the viewer's light theme. Its option `theme` has no effect, but it asks for the system's.
+const systemMedia = window.matchMedia.bind(window);
+const always = { "(prefers-color-scheme: dark)": "all", "(prefers-color-scheme: light)": "not all" };
+window.matchMedia = (query) => systemMedia(always[query] ?? query);
+
 // The answer, if there is one; a problem is shown.
 async function post(path, body) {
   try {
@@ -574,7 +579,6 @@ const viewer = {
       url: [],
       render_backend: query.get("renderer"),
       hide_welcome_screen: true,
-      theme: "dark", // the page's own
       enable_history: false,
       persist: false,
       panel_state_overrides: NARROW,

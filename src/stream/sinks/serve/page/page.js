@@ -1,5 +1,4 @@
-// Starts the Rerun viewer with the recording at the address `?url=`. `?renderer=webgl|webgpu` selects how it draws,
-// `?theme=light|dark` its colors: labels are hard to read in the light theme.
+// Starts the Rerun viewer with the recording at the address `?url=`. `?renderer=webgl|webgpu` selects how it draws.
 "use strict";
 
 const query = new URLSearchParams(location.search);
@@ -19,6 +18,11 @@ window.fetch = (request, options) => {
   return isOwn ? fetchAnything(request, options) : Promise.reject(new TypeError(`${url.origin} is not on this machine`));
 };
 
+// Labels are too pale to read in the viewer's light theme. Its option `theme` has no effect, but it asks for the system's.
+const systemMedia = window.matchMedia.bind(window);
+const always = { "(prefers-color-scheme: dark)": "all", "(prefers-color-scheme: light)": "not all" };
+window.matchMedia = (query) => systemMedia(always[query] ?? query);
+
 async function start() {
   const response = await fetch("re_viewer_bg.wasm");
   const size = Number(response.headers.get("content-length"));
@@ -35,7 +39,6 @@ async function start() {
     url: recordings,
     render_backend: query.get("renderer"),
     hide_welcome_screen: true, // it lists examples from the web
-    theme: query.get("theme") ?? "dark",
     persist: true,
   });
   setInterval(() => handle.has_panicked() && say(`The viewer has crashed.\n${handle.panic_message()}`), 1000);
