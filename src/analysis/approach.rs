@@ -218,6 +218,19 @@ mod tests {
         assert!((coarse[0].q - fine[0].q).abs() < 1e-4 && fine[0].q > 1.05, "{coarse:?} {fine:?}");
     }
 
+    /// b comes near a; c begins near both and moves away.
+    #[test]
+    fn a_pair_that_only_moves_apart_is_not_listed() {
+        let (found, _) = closest(
+            "duration = 2.0\n[[body]]\nname = 'a'\nradius = 1.0\nmotion = { fixed = [0, 0, 0] }\n\
+             [[body]]\nname = 'b'\nradius = 1.0\n\
+             motion = { sine = { center = [2.4, 0, 0], amplitude = [0.2, 0, 0], frequency = 0.5 } }\n\
+             [[body]]\nname = 'c'\nradius = 1.0\n\
+             motion = { line = { from = [0, 2.2, 0], velocity = [0, 0.5, 0] } }\n",
+        );
+        assert!(found.len() == 1 && (found[0].a, found[0].b) == (0, 1) && (found[0].q - 1.1).abs() < 1e-6, "{found:?}");
+    }
+
     #[test]
     fn a_pair_that_merges_is_not_listed() {
         assert_eq!(closest(Scene::builtin("two").unwrap().source.as_str()).0, []);

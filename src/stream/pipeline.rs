@@ -95,9 +95,13 @@ impl PipelineEnd {
         if is_recorded {
             failure = failure.or(send_to(Audience::Files, &mut self.sinks, self.recorder.take()));
         }
-        let audience = if self.started.elapsed() < UNTOUCHED { Audience::All } else { Audience::Files };
-        let layout = self.recorder.measured_layout(simulation, self.tab);
-        failure.or(send_to(audience, &mut self.sinks, layout))
+        let is_short = self.started.elapsed() < UNTOUCHED;
+        if is_recorded || is_short {
+            let audience = if is_short { Audience::All } else { Audience::Files };
+            let layout = self.recorder.measured_layout(simulation, self.tab);
+            failure = failure.or(send_to(audience, &mut self.sinks, layout));
+        }
+        failure
     }
 }
 

@@ -261,7 +261,6 @@ impl Recorder {
             fastest: parts.numbers.fastest(),
             distances: parts.pairs.plotted(),
             lines: parts.series.outlines().collect(),
-            scalars: parts.numbers.plotted().collect(),
             pairs: parts.pairs.told(&self.schema),
             focus: parts.focus.focus().filter(|_| self.flight.is_none()), // a flight recorder may have dropped it
             kept: self.kept.map(|kept| kept.map(|at| at.time)),

@@ -53,23 +53,22 @@ fn all_spheres(scene: &Scene) -> Vec<(DVec3, f64)> {
     let radius = |body: &Body| body.sphere_radius().min(2.0 * body.radius);
     let spheres =
         |centres: Vec<DVec3>| centres.into_iter().zip(&scene.bodies).map(|(centre, body)| (centre, radius(body)));
-    let spheres = positions(scene).into_iter().flat_map(|centres| spheres(centres).collect::<Vec<_>>());
-    spheres.chain(points(scene)).collect()
+    let positions = positions(scene);
+    let points = points(scene, &positions);
+    positions.into_iter().flat_map(|centres| spheres(centres).collect::<Vec<_>>()).chain(points).collect()
 }
 
-/// The spheres of force points where they act on a body.
-fn points(scene: &Scene) -> Vec<(DVec3, f64)> {
+/// The spheres of force points where they act on bodies, and these bodies.
+fn points(scene: &Scene, positions: &[Vec<DVec3>]) -> Vec<(DVec3, f64)> {
     let mut spheres = Vec::new();
-    if scene.points.is_empty() {
-        return spheres;
-    }
-    for (time, centres) in instants(scene).zip(positions(scene)) {
+    for (time, centres) in instants(scene).zip(positions) {
         for point in scene.points.iter().filter(|point| (point.start..point.end()).contains(&time)) {
             let (centre, reach) = (point.path.position(time), scene.influence.sphere_radius(point.radius));
-            let is_reached = |(body, at): (&Body, &DVec3)| at.distance(centre) < reach + body.radius;
-            if scene.bodies.iter().zip(&centres).any(is_reached) {
-                spheres.push((centre, reach));
-            }
+            let bodies = scene.bodies.iter().zip(centres).enumerate().filter(|(index, _)| point.acts_on(*index));
+            let bodies = bodies.map(|(_, (body, at))| (*at, body.radius));
+            let reached: Vec<_> = bodies.filter(|(at, radius)| at.distance(centre) < reach + radius).collect();
+            spheres.extend((!reached.is_empty()).then_some((centre, reach)));
+            spheres.extend(reached);
         }
     }
     spheres
@@ -85,7 +84,8 @@ fn affected_bodies(scene: &Scene) -> Vec<(DVec3, f64)> {
     const MAX_SHOWN: f64 = 3.0;
 
     let bodies = &scene.bodies;
-    let mut acted_on = Vec::new();
+    let positions = positions(scene);
+    let mut acted_on = points(scene, &positions);
     for push in &scene.pushes {
         let body = &bodies[push.body];
         let centre = match &body.motion {
@@ -97,7 +97,7 @@ fn affected_bodies(scene: &Scene) -> Vec<(DVec3, f64)> {
     let pairs_of = if bodies.len() > MAX_BODIES { 0 } else { bodies.len() };
     let movers: Vec<usize> = (0..pairs_of).filter(|&i| bodies[i].path().is_none_or(|path| !path.is_fixed())).collect();
     let all: Vec<usize> = (0..pairs_of).collect();
-    for (k, centres) in positions(scene).into_iter().enumerate() {
+    for (k, centres) in positions.into_iter().enumerate() {
         // pairs of fixed bodies are examined only at the first instant
         for &b in if k == 0 { &all } else { &movers } {
             for a in (0..pairs_of).filter(|&a| a != b) {
@@ -114,6 +114,5 @@ fn affected_bodies(scene: &Scene) -> Vec<(DVec3, f64)> {
             }
         }
     }
-    acted_on.extend(points(scene));
     if acted_on.is_empty() { all_spheres(scene) } else { acted_on }
 }

@@ -137,7 +137,7 @@ pub(super) fn advance(jobs: &mut [Job], conditions: &Conditions<'_>) {
         if !job.is_done {
             let pooled = conditions.scratches.lock().unwrap_or_else(PoisonError::into_inner).pop();
             let mut scratch = pooled.unwrap_or_else(|| Scratch::new(conditions.arch));
-            job.advance((turn, in_fixed_steps), conditions, &mut scratch);
+            job.advance(turn, in_fixed_steps, conditions, &mut scratch);
             conditions.scratches.lock().unwrap_or_else(PoisonError::into_inner).push(scratch);
         }
     };
@@ -198,7 +198,7 @@ impl Job {
     }
 
     /// Advances the island, the one of this turn; `in_fixed_steps` is the number of vertices of all that take fixed steps.
-    fn advance(&mut self, (turn, in_fixed_steps): (usize, u64), conditions: &Conditions<'_>, scratch: &mut Scratch) {
+    fn advance(&mut self, turn: usize, in_fixed_steps: u64, conditions: &Conditions<'_>, scratch: &mut Scratch) {
         let Conditions { scene, members, near, span, work, .. } = *conditions;
         let Group { bodies, sources, pairs } = &self.group;
         self.dense = OnRequest::default();
@@ -261,9 +261,7 @@ impl Job {
         changes.clear();
         self.report = Report { changes, ..Report::default() };
         self.failure = match self.is_fixed {
-            true => {
-                island.advance_in_fixed_steps(scratch, (span.end, in_fixed_steps), &paths, &tally, &mut self.report)
-            }
+            true => island.advance_in_fixed_steps(scratch, span.end, in_fixed_steps, &paths, &tally, &mut self.report),
             false => island.advance_with(scratch, span.end, &paths, &tally, &mut self.report),
         }
         .err();

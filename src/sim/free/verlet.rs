@@ -363,7 +363,8 @@ impl Island {
     pub(in crate::sim) fn advance_in_fixed_steps(
         &mut self,
         scratch: &mut Scratch,
-        (end, vertices): (f64, u64),
+        end: f64,
+        vertices: u64,
         paths: &dyn Paths,
         work: &Tally<'_>,
         report: &mut Report,
@@ -371,7 +372,7 @@ impl Island {
         self.begin(scratch, end);
         while self.time < end {
             let stop = self.enter(scratch, end, paths, report)?;
-            self.coast(scratch, (stop, vertices), paths, work, report)?;
+            self.coast(scratch, stop, vertices, paths, work, report)?;
         }
         self.step_lengths.fill(self.step_length);
         self.finish(scratch, paths, report)
@@ -413,11 +414,12 @@ impl Island {
         (larger(MIN_SUBSTEPS, larger(by_angle, by_way).ceil()), stiffest.1)
     }
 
-    /// Advances to `end` [s], before which nothing jumps.
+    /// Advances to `end` [s], before which nothing jumps; `of_all` vertices take such steps.
     fn coast(
         &mut self,
         scratch: &mut Scratch,
-        (end, of_all): (f64, u64),
+        end: f64,
+        of_all: u64,
         paths: &dyn Paths,
         work: &Tally<'_>,
         report: &mut Report,

@@ -4,7 +4,7 @@ use glam::DVec3;
 
 use super::{
     camera::{Framing, camera_past},
-    legends::Plot,
+    plots::Plot,
 };
 use crate::{
     observe::Schema,
@@ -58,11 +58,15 @@ pub struct Mapping {
     pub source: &'static str,
 }
 
+/// The vertices of a mesh as points.
+pub const VERTICES: Mapping = Mapping { target: "Points3D:positions", source: "Mesh3D:vertex_positions" };
+
+/// A layout that is being made.
 pub struct Layout {
     pub chunks: Chunks,
-    pub next_id: u64,
-    /// The plots of timings, with their stages.
-    pub timings: Vec<(Part, Vec<&'static str>, String)>,
+    next_id: u64,
+    /// The plots of timings: whether of a recording, and their titles.
+    pub timings: Vec<(String, bool, String)>,
     /// The plot of speed.
     pub speeds: Option<String>,
     /// All plots over time.
@@ -91,12 +95,13 @@ pub struct Layout {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Ground {
     /// Height [scene unit].
-    pub height: f64,
+    height: f64,
     /// Distance between its lines [scene unit].
-    pub spacing: f64,
+    spacing: f64,
 }
 
 impl Ground {
+    /// The grid below these spheres (centre and radius).
     pub fn under(spheres: &[(DVec3, f64)]) -> Option<Ground> {
         let height = spheres.iter().map(|&(centre, radius)| centre.z - radius).fold(f64::INFINITY, f64::min);
         let largest = spheres.iter().map(|&(_, radius)| radius).fold(0.0, f64::max);
@@ -158,6 +163,7 @@ impl Layout {
         self.activate(messages)
     }
 
+    /// Adds the command that makes the layout the active one.
     pub fn activate(&self, mut messages: Vec<LogMsg>) -> Vec<LogMsg> {
         let blueprint_id = self.chunks.store().clone();
         let activate = BlueprintActivationCommand { blueprint_id, make_active: true, make_default: true };
@@ -165,6 +171,7 @@ impl Layout {
         messages
     }
 
+    /// A container with these parts, which have these shares of its extent.
     pub fn container(&mut self, kind: ContainerKind, name: &str, parts: Vec<Part>, shares: &[f32]) -> Part {
         let (id, text) = self.id();
         let path = format!("container/{text}");
@@ -180,6 +187,7 @@ impl Layout {
         Part { id, path }
     }
 
+    /// A view of a class of Rerun, with its contents as rules and its properties.
     pub fn view(
         &mut self,
         class: &str,
@@ -199,7 +207,7 @@ impl Layout {
         Part { id, path }
     }
 
-    pub fn id(&mut self) -> (Uuid, String) {
+    fn id(&mut self) -> (Uuid, String) {
         self.next_id += 1;
         // A version 8 UUID of RFC 9562, whose bits are free to choose: here a counter.
         let value = 0x6d65_6c64_0000_8000_8000_0000_0000_0000_u128 | u128::from(self.next_id);
@@ -209,15 +217,18 @@ impl Layout {
         (Uuid { bytes: value.to_be_bytes() }, text)
     }
 
+    /// Logs components of an entity of the blueprint store.
     pub fn log(&mut self, entity: &str, components: &dyn AsComponents) {
         let time: TimePoint = blueprint_time();
         self.chunks.row(entity, time, components);
     }
 
+    /// A list of the lines of text of an entity and those below it.
     pub fn lines(&mut self, name: &str, entity: &str) -> Part {
         self.listed(name, entity, &[&format!("+ {entity}/**")])
     }
 
+    /// A list of lines of text.
     pub fn listed(&mut self, name: &str, entity: &str, contents: &[&str]) -> Part {
         let columns = TextLogColumns::new()
             .with_timeline_columns(Vec::<TimelineColumn>::new())

@@ -7,17 +7,15 @@ use super::{
     tabs::ENERGY,
 };
 use crate::{
+    observe::schema::ScalarSchema,
     sdk::{
         LogMsg, SeriesLines, StoreId,
         blueprint::archetypes::{PlotLegend, ViewBlueprint, ViewContents},
     },
     stream::{
-        contract::{Entity, MARKS_AT_Q, PAIR_CONTACT, PAIR_DISTANCE, PAIR_LEVEL, PAIR_PHASE},
+        contract::{DIAGNOSTIC, Entity, MARKS_AT_Q, PAIR_CONTACT, PAIR_DISTANCE, PAIR_LEVEL, PAIR_PHASE},
         focus::Focus,
-        parts::{
-            numbers,
-            pairs::{self, Told},
-        },
+        parts::pairs::{self, Told},
         series::Outline,
     },
     text::{counted, significant},
@@ -38,8 +36,6 @@ pub struct Measured<'a> {
     pub distances: Option<[f64; 2]>,
     /// The entities of all lines of plots, and their outlines.
     pub lines: Vec<(&'a str, &'a Outline)>,
-    /// Smallest and largest plotted value of each scalar of the schema.
-    pub scalars: Vec<Option<[f64; 2]>>,
     /// The pairs that have plots.
     pub pairs: Told,
     /// The initial focus of the viewer.
@@ -59,16 +55,15 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     let mut layout = Layout::of(recording);
     let root = layout.root(subject, tab);
     layout.finish(root); // already sent; the new ids continue after its own
-    for (plot, stages, title) in std::mem::take(&mut layout.timings) {
-        let is_recording = stages.iter().any(|stage| numbers::RECORDING.contains(stage));
+    for (plot, is_recording, title) in std::mem::take(&mut layout.timings) {
         let [typical, longest] = [measured.typical, measured.longest].map(|of| of[usize::from(is_recording)]);
         if typical > 0.0 {
             let [low, high] = readable([0.0, HEADROOM * typical]);
             if longest > high {
                 let title = format!("{title}; at most {}", significant(longest));
-                layout.log(&plot.path, &ViewBlueprint::update_fields().with_display_name(title));
+                layout.log(&plot, &ViewBlueprint::update_fields().with_display_name(title));
             }
-            layout.set_range(&plot.path, [low, high]);
+            layout.set_range(&plot, [low, high]);
         }
     }
     if let Some(speeds) = layout.speeds.take().filter(|_| measured.fastest > 0.0) {
@@ -82,13 +77,17 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         }
     }
     let owned = || subject.schema.body_scalars.iter().chain(&subject.schema.pair_scalars);
-    let ranges = || subject.schema.scalars.iter().zip(&measured.scalars);
+    let range_of = |scalar: &ScalarSchema| {
+        let entity = DIAGNOSTIC.of(&[scalar.name]);
+        measured.lines.iter().find(|(of, _)| *of == entity).and_then(|(_, outline)| outline.range)
+    };
+    let ranges = || subject.schema.scalars.iter().map(|scalar| (scalar, range_of(scalar)));
     let is_energy = |plot: &str| plot.starts_with(ENERGY);
-    let energies = ranges().filter(|(scalar, _)| is_energy(scalar.plot)).filter_map(|(_, range)| *range);
+    let energies = ranges().filter(|(scalar, _)| is_energy(scalar.plot)).filter_map(|(_, range)| range);
     let exchanged = energies.map(|[low, high]| high - low).fold(0.0, f64::max);
     for (plot, name) in std::mem::take(&mut layout.scalars) {
         if measured.duration == 0.0 || owned().any(|scalar| scalar.plot == name) {
-            continue; // their ranges are not known
+            continue; // as of other lines, below
         }
         let ([mut low, mut high], mut least, mut lines) = ([0.0_f64; 2], 0.0, 0); // events are marked at 0
         for (scalar, range) in ranges().filter(|(scalar, _)| scalar.plot == name) {

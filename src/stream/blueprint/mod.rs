@@ -9,21 +9,21 @@
 //! | what is known only at the end of a run | `measured` |
 //! | texts of panels | `panels` |
 //! | cameras | `camera` |
-//! | corners of legends | `legends` |
+//! | ranges and legends of plots | `plots` |
 
 mod camera;
 mod layout;
-mod legends;
 mod measured;
 mod panels;
+mod plots;
 mod tabs;
 
 use glam::DVec3;
 
 use self::{
     camera::WIDE,
-    layout::{Ground, Layout, Part, family, including},
-    tabs::{VERTICES, capitalized, scene_title},
+    layout::{Ground, Layout, Part, VERTICES, family, including},
+    tabs::{capitalized, scene_title},
 };
 pub use self::{
     layout::Mapping,

@@ -1,4 +1,4 @@
-//! The texts of panels: what colors, lines and arrows mean.
+//! The texts of panels: what colours, lines and arrows mean.
 
 use super::tabs::draws_springs;
 use crate::{

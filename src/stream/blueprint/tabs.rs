@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::{
     Subject, Tab,
     camera::{Framing, NARROW, WIDE},
-    layout::{Ground, Layout, Mapping, Part, family, including},
+    layout::{Ground, Layout, Part, VERTICES, family, including},
 };
 use crate::{
     observe::Schema,
@@ -35,16 +35,14 @@ use crate::{
     },
 };
 
-/// The vertices of a mesh as points.
-pub const VERTICES: Mapping = Mapping { target: "Points3D:positions", source: "Mesh3D:vertex_positions" };
-
 /// How the names of plots of energies begin: they are shown large, beside the others.
 pub const ENERGY: &str = "Energy";
 
 /// Upper limit on the number of bodies that are drawn transparent in views of forces.
-pub const MAX_SHEER: usize = 16;
+const MAX_SHEER: usize = 16;
 
 impl Layout {
+    /// All tabs, of which `front` is shown first.
     pub fn root(&mut self, subject: &Subject<'_>, front: Tab) -> Part {
         let Subject { simulation, schema, settings } = *subject;
         let framing = simulation.framing(false);
@@ -81,7 +79,7 @@ impl Layout {
     }
 
     /// An overview of everything.
-    pub fn scene_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
+    fn scene_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         let scene_view = self.scene_view((framing, WIDE), schema, scene_title(schema), settings);
         let about = self.view("TextDocument", "What is what", ABOUT.path, &[&including(ABOUT.path)], &[]);
         let left = self.container(ContainerKind::Vertical, "Space", vec![scene_view, about], &[2.6, 1.0]);
@@ -161,7 +159,7 @@ impl Layout {
     }
 
     /// The pair of the last event, cut out of everything that may hide it.
-    pub fn recent_pair(&mut self) -> Part {
+    fn recent_pair(&mut self) -> Part {
         let contents = [&RECENT_PAIR, &RECENT_SPHERES, &RECENT_NAMES].map(|of| including(of.path));
         let contents = contents.each_ref().map(String::as_str);
         let ground = self.ground.take();
@@ -174,7 +172,7 @@ impl Layout {
     }
 
     /// The surfaces of groups, and the gap and overlap of pairs above their phases.
-    pub fn surface_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
+    fn surface_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         let view = self.surface_view((framing, NARROW), schema, settings);
         let mut parts = Vec::new();
         if pairs::has_named_pairs(schema) {
@@ -278,7 +276,7 @@ impl Layout {
     }
 
     /// Arrows on translucent bodies.
-    pub fn forces_view(
+    fn forces_view(
         &mut self,
         framing: &[(DVec3, f64)],
         name: &str,
@@ -330,7 +328,7 @@ impl Layout {
     }
 
     /// Views of pair distances, phases and events.
-    pub fn pair_views(&mut self, schema: &Schema) -> Vec<Part> {
+    fn pair_views(&mut self, schema: &Schema) -> Vec<Part> {
         // a pattern cannot have its wildcard in the middle
         let without = |parts: &[&Entity]| -> Vec<String> {
             let left_out = parts.iter().flat_map(|part| pairs::named(schema, part)).map(|line| format!("- {line}"));
@@ -351,41 +349,41 @@ impl Layout {
     }
 
     /// The events of pairs and bodies. Steps beyond the tolerance, which may be all of them, are listed beside the error.
-    pub fn events(&mut self) -> Part {
+    fn events(&mut self) -> Part {
         let contents = [format!("+ {}/**", EVENTS.path), format!("- {}", ACCURACY.path)];
         self.listed("Events", EVENTS.path, &contents.each_ref().map(String::as_str))
     }
 
     /// The cost of a step and of its recording, each as stacked stages, and the resulting speed.
-    pub fn timings_tab(&mut self, schema: &Schema) -> Part {
+    fn timings_tab(&mut self, schema: &Schema) -> Part {
         let recording = self.stacked("Recording on its own thread, ms per step", schema, true);
         let parts = vec![self.timings(schema), recording, self.speed()];
         self.container(ContainerKind::Vertical, "Timings", parts, &[1.6, 1.0, 1.0])
     }
 
-    pub fn timings(&mut self, schema: &Schema) -> Part {
+    fn timings(&mut self, schema: &Schema) -> Part {
         self.stacked("Timings, ms per step: each stage upon those below it", schema, false)
     }
 
     /// Without a legend, which would hide the lines of a small plot.
-    pub fn small_timings(&mut self, schema: &Schema) -> Part {
+    fn small_timings(&mut self, schema: &Schema) -> Part {
         let plot = self.timings(schema);
         self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
         plot
     }
 
     /// The stages of a step, or of its recording.
-    pub fn stacked(&mut self, title: &str, schema: &Schema, is_recording: bool) -> Part {
+    fn stacked(&mut self, title: &str, schema: &Schema, is_recording: bool) -> Part {
         let stages = numbers::timings(schema).filter(|stage| numbers::is_work(stage));
-        let stages: Vec<_> = stages.filter(|stage| numbers::RECORDING.contains(stage) == is_recording).collect();
-        let contents: Vec<String> = stages.iter().map(|stage| including(&numbers::stacked(schema, stage))).collect();
+        let stages = stages.filter(|stage| numbers::RECORDING.contains(stage) == is_recording);
+        let contents: Vec<String> = stages.map(|stage| including(&numbers::stacked(schema, stage))).collect();
         let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
         let plot = self.plot(title, "/", &contents, Corner2D::LeftTop);
-        self.timings.push((Part { id: plot.id, path: plot.path.clone() }, stages, title.to_owned()));
+        self.timings.push((plot.path.clone(), is_recording, title.to_owned()));
         plot
     }
 
-    pub fn speed(&mut self) -> Part {
+    fn speed(&mut self) -> Part {
         let contents = [&SPEED, &LAG].map(|line| including(line.path));
         let contents = [contents[0].as_str(), contents[1].as_str()];
         let plot =
@@ -395,7 +393,7 @@ impl Layout {
     }
 
     /// Energies, what changed them, and the events that made them jump; the other scalars one at a time.
-    pub fn energy_tab(&mut self, schema: &Schema) -> Part {
+    fn energy_tab(&mut self, schema: &Schema) -> Part {
         let (energies, others): (Vec<_>, Vec<_>) =
             self.diagnostics(schema, usize::MAX).into_iter().partition(|(name, _)| name.starts_with(ENERGY));
         // a model without energies shows its other scalars there
@@ -414,7 +412,7 @@ impl Layout {
     }
 
     /// Plots of the schema's scalars, with their names.
-    pub fn diagnostics(&mut self, schema: &Schema, most: usize) -> Vec<(&'static str, Part)> {
+    fn diagnostics(&mut self, schema: &Schema, most: usize) -> Vec<(&'static str, Part)> {
         let mut plots: Vec<(&'static str, Vec<String>)> = Vec::new();
         let lines = schema.scalars.iter().map(|scalar| (scalar.plot, including(&DIAGNOSTIC.of(&[scalar.name]))));
         let owned = [(&BODY_SCALAR, &schema.body_scalars), (&PAIR_SCALAR, &schema.pair_scalars)];
@@ -437,7 +435,7 @@ impl Layout {
     }
 
     /// The stages inside steps, on the timeline `stage`.
-    pub fn stages_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
+    fn stages_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         let view = self.scene_view((framing, NARROW), schema, "Inside of a step (timeline: stage)", settings);
         let lines = self.lines("Stages", STAGES.path);
         self.container(ContainerKind::Horizontal, "Stages", vec![view, lines], &[1.3, 1.0])

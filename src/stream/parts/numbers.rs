@@ -74,8 +74,6 @@ struct ScalarLine {
     /// Whether it jumps when a pair changes its phase.
     jumps: bool,
     value: f64,
-    /// Smallest and largest plotted value.
-    plotted: Option<[f64; 2]>,
 }
 
 /// A stage, the time spent on it since the last frame, and the distribution of that time over previous frames.
@@ -111,13 +109,7 @@ impl FrameNumbers {
             let entity = DIAGNOSTIC.of(&[scalar.name]);
             let shape = if scalar.is_smooth { Interpolation::Linear } else { Interpolation::Step };
             Series::style(chunks, &entity, scalar.label, palette::line(i), 1.5, shape);
-            ScalarLine {
-                id: series.line(chunks, &entity, shape),
-                of: scalar.of,
-                jumps: scalar.jumps,
-                value: 0.0,
-                plotted: None,
-            }
+            ScalarLine { id: series.line(chunks, &entity, shape), of: scalar.of, jumps: scalar.jumps, value: 0.0 }
         });
         let scalars = scalars.collect();
         let of_bodies = schema.bodies.iter().take(MAX_BODY_ENTITIES).enumerate().flat_map(|(index, body)| {
@@ -194,17 +186,10 @@ impl FrameNumbers {
             }
             let value = if line.of == ScalarOf::State { of_state } else { std::mem::take(&mut line.value) };
             series.log(chunks, line.id, value, view.at);
-            let [low, high] = line.plotted.unwrap_or([value; 2]);
-            line.plotted = Some([low.min(value), high.max(value)]);
         }
         for (&line, &value) in self.of_bodies.iter().zip(&view.frame.body_scalars) {
             series.log_or_interrupt(chunks, line, value, view.at);
         }
-    }
-
-    /// Smallest and largest plotted value of each scalar.
-    pub fn plotted(&self) -> impl Iterator<Item = Option<[f64; 2]>> {
-        self.scalars.iter().map(|line| line.plotted)
     }
 
     /// Names the lines of stages after the medians of their durations over all frames, if there were any.

@@ -1,4 +1,4 @@
-//! Where legends of plots cover no data.
+//! Plots over time: the range of their values, and where their legends cover no data.
 
 use crate::{
     sdk::blueprint::components::Corner2D,
