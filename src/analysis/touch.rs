@@ -3,7 +3,8 @@
 //! Times are found by bisection over the states within a step ([`Simulation::within`]). With the exponential
 //! integrator, these states are its own solution: the step is repeated up to that time, so the error is within its
 //! tolerance. This holds for bodies on paths and for free bodies. The explicit schemes use cubic Hermite interpolation
-//! between steps, whose error is of fourth order in the step. This is also the order of `rk4`; with the other schemes,
+//! between steps, whose error is of fourth order in the step. So does the exponential integrator for a step of bodies
+//! on paths that took more work than a step is allowed. Fourth is also the order of `rk4`; with the other schemes,
 //! the times have the lower order of the scheme.
 
 use std::{

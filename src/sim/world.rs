@@ -48,7 +48,7 @@ pub struct World {
     /// Number of steps taken.
     pub(super) step: u64,
     pub(super) report: StepReport,
-    pub(super) work: Work,
+    pub(crate) work: Work,
     pub(super) solver: Solver,
     /// Number of the scene's edits that have been entered.
     edits: usize,

@@ -164,7 +164,13 @@ fn frame_of(
 /// Writes the state of some bodies at a time within the step that led from `before` to the current state of the world,
 /// on the solution of the step; false if that is too much work, or if the scene is coupled. Only for the exponential
 /// integrator: the others have no dense output.
+///
+/// A search for the time of a contact calls this many times a step, and its work is no part of the debt that ends a
+/// run. So a step that took more than its allowance is not repeated.
 pub fn within(before: &Frame, world: &World, time: f64, bodies: &[usize], frame: &mut Frame) -> bool {
+    if world.work.is_beyond_allowance() {
+        return false;
+    }
     let work = Work::limited(MAX_WORK_WITHIN, world.options().interrupt);
     let Some(recomputed) = Recomputed::new(world, before_step(before), &work) else { return false };
     let mut breaks = recomputed.breaks();
