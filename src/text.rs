@@ -69,6 +69,16 @@ pub fn significant(x: f64) -> String {
     format!("{x:.*}", digits as usize)
 }
 
+/// A measured number of any magnitude, with four significant digits.
+#[cfg(feature = "viewer")]
+pub fn short(x: f64) -> String {
+    match x.abs() {
+        0.0 => "0".to_owned(),
+        1e-3..1e5 => format!("{x:.*}", (3 - x.abs().log10().floor() as i32).max(0) as usize),
+        _ => format!("{x:.3e}"),
+    }
+}
+
 /// A number with at least three digits; large numbers have no fraction.
 #[cfg(feature = "cli")]
 pub fn number(x: f64) -> String {

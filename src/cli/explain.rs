@@ -15,7 +15,7 @@ use crate::{
     analysis::{Approaches, surface::Merger},
     observe::{BodyFrame, Frame, PairEvent, PairFrame, Run, Schema, Simulation, Want},
     recording::existing::Existing,
-    text::{counted, did_you_mean, thousands},
+    text::{counted, did_you_mean, short, thousands},
 };
 
 /// Bodies and pairs that are listed unless some are named.
@@ -381,22 +381,19 @@ fn resultant(count: usize, at: impl Fn(usize) -> DVec3) -> Option<(DVec3, f64, u
     (length > 0.0).then_some((sum / count as f64, length, largest))
 }
 
-/// A measured number, with four significant digits.
-fn short(x: f64) -> String {
-    match x.abs() {
-        0.0 => "0".to_owned(),
-        1e-3..1e5 => format!("{x:.*}", (3 - x.abs().log10().floor() as i32).max(0) as usize),
-        _ => format!("{x:.3e}"),
-    }
-}
-
 /// A number that a scene gives, without the rounding of its arithmetic.
 fn exact(x: f64) -> String {
     format!("{x:.9}").trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
-fn vector(DVec3 { x, y, z }: DVec3) -> String {
-    format!("({}, {}, {})", short(x), short(y), short(z))
+/// A vector; 0 where it is below the rounding of the arithmetic that made it.
+fn vector(of: DVec3) -> String {
+    /// The length below which a vector of a scene, in its units, is rounding, and the share below which a component is.
+    const ROUNDING: f64 = 1e-12;
+
+    let least = ROUNDING * of.length().max(1.0);
+    let [x, y, z] = of.to_array().map(|part| short(if part.abs() < least { 0.0 } else { part }));
+    format!("({x}, {y}, {z})")
 }
 
 /// An indented table: the first column to the left, numbers to the right.

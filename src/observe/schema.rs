@@ -284,8 +284,6 @@ pub struct ScalarSchema {
     pub of: ScalarOf,
     /// Whether it varies continuously: its line interpolates between values instead of holding each value.
     pub is_smooth: bool,
-    /// Whether it jumps when a pair changes its phase: its line is interrupted there.
-    pub jumps: bool,
     /// The smallest range of values that its plot shows, in its unit. Without one, a plot of a conserved quantity shows
     /// rounding errors as if they were changes.
     pub least_range: f64,
@@ -405,7 +403,7 @@ impl TermSchema {
 impl ScalarSchema {
     /// A scalar with a plot of its own.
     pub fn new(name: &'static str, label: &'static str, of: ScalarOf) -> ScalarSchema {
-        ScalarSchema { name, label, plot: label, of, is_smooth: of == ScalarOf::State, jumps: false, least_range: 0.0 }
+        ScalarSchema { name, label, plot: label, of, is_smooth: of == ScalarOf::State, least_range: 0.0 }
     }
 }
 

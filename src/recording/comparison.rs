@@ -25,18 +25,18 @@ use crate::{
         chunks::Chunks,
         contract::{
             ABOUT, COMPARED_DISTANCE, COMPARED_ERROR, COMPARED_EVENTS, COMPARED_SURFACE, COMPARED_WORST, DIFFERENCE,
-            EVENTS, LOG_DIFFERENCE, RECORDING_INFO, WORLD,
+            EVENTS, LOG_DIFFERENCE, NAMES, RECORDING_INFO, WORLD,
         },
         instant::Instant,
         light::Light,
         normals,
         palette::{self, Rgb, color},
-        parts::marks,
+        parts::{lines::MAX_NAMED, marks},
         series::{Interpolation, Series},
         settings::file_stem,
         sinks::{Destinations, Saved, SinkError, Sinks},
     },
-    text::{counted, significant},
+    text::{counted, short},
 };
 
 /// Upper limit on the number of bodies shown.
@@ -136,6 +136,12 @@ impl Comparison {
                 chunks.log_static(&COMPARED_SURFACE.of(&[side, name]), &mesh);
             }
         }
+        let names = Points3D::update_fields()
+            .with_radii([sdk::Radius::new_ui_points(0.5)])
+            .with_colors([color(LIMIT)])
+            .with_labels(shown.iter().map(|(_, name, _)| name.as_str()))
+            .with_show_labels(shown.len() <= MAX_NAMED);
+        chunks.log_static(NAMES.path, &names);
         let style = Arrows3D::update_fields().with_colors([color(ERROR)]).with_radii([sdk::Radius::new_ui_points(1.2)]);
         chunks.log_static(COMPARED_ERROR.path, &style);
         for (number, (_, name, _)) in shown.iter().enumerate() {
@@ -163,7 +169,7 @@ impl Comparison {
             .with_show_labels(true);
         chunks.log_static(COMPARED_WORST.path, &worst);
         for (Worst { step, time, body, vertex, difference, .. }, what) in &plan.listed {
-            let line = format!("{what}: {body}:{vertex}, {difference:.3e} R");
+            let line = format!("{what}: {body}:{vertex}, {} R", short(*difference));
             let at = Instant { step: *step, time: *time };
             chunks.log(EVENTS.path, at, &TextLog::new(line).with_color(color(ERROR)));
         }
@@ -222,13 +228,20 @@ impl Comparison {
                 self.chunks.log(&COMPARED_DISTANCE.of(&[side, pair]), at, &Scalars::single(q));
             }
         }
+        let above = |index: usize| {
+            let (now, radius) =
+                (centres[0].get(index).copied(), schema.bodies.get(index).map_or(1.0, |body| body.radius));
+            now.unwrap_or_default() + 1.3 * radius as f32 * glam::Vec3::Z
+        };
+        let names = Points3D::update_fields().with_positions(self.shown.iter().map(|&(index, ..)| above(index)));
+        self.chunks.log(NAMES.path, at, &names);
         let longest = apart.iter().map(|apart| apart.length()).fold(0.0, f64::max);
         let times = LONGEST * self.radius / longest;
         let vectors = apart.iter().map(|apart| (times * *apart).as_vec3());
         let arrows = Arrows3D::update_fields().with_origins(origins).with_vectors(vectors);
         self.chunks.log(COMPARED_ERROR.path, at, &arrows);
         let worst = worst.map(|(difference, position, name, vertex)| {
-            let label = format!("{name}:{vertex} {difference:.3e} R, arrows {} times as long", significant(times));
+            let label = format!("{name}:{vertex}: {} R\narrows {} times as long", short(difference), short(times));
             (position.as_vec3(), label)
         });
         let (position, label): (Vec<_>, Vec<_>) = worst.into_iter().unzip();

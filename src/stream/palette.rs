@@ -3,7 +3,7 @@
 pub use crate::colors::Rgb;
 use crate::sdk::{Color, Rgba32};
 use crate::{
-    colors::{BLUE, GREEN, GREY, ORANGE, PURPLE, SILVER, SKY_BLUE, VERMILION},
+    colors::{BLUE, BROWN, GREEN, GREY, LIME, MAGENTA, ORANGE, PURPLE, SILVER, SKY_BLUE, VERMILION},
     observe::{Schema, surface::VertexOrigin},
 };
 
@@ -35,13 +35,16 @@ pub const GROUND: Rgb = [0x24, 0x29, 0x31];
 /// Colour of selectable vertices.
 pub const DOT: Rgb = [0x8A, 0x92, 0x9C];
 
-/// Colours of q lines, in order: hues a golden angle apart, all distinct, without those of phases. Legible on dark and light
-/// backgrounds.
+/// Colours of q lines, in order: hues a golden angle apart, without those of phases, in three lightnesses of five hues each.
+/// Legible on dark and light backgrounds.
 pub fn distance(index: usize) -> Rgb {
     const GOLDEN: f64 = 0.618_033_988_749_894_8;
     /// Hues beside orange, light blue and purple [sixths of a turn], and their sum.
     const FREE: [[f64; 2]; 3] = [[1.0, 3.1], [3.7, 4.1], [4.8, 6.4]];
     const SUM: f64 = 4.1;
+    /// The darkest and the brightest channel of the colours of a lightness.
+    const LIGHTNESSES: [[f64; 2]; 3] = [[96.0, 208.0], [168.0, 232.0], [48.0, 144.0]];
+    let [dark, bright] = LIGHTNESSES[index / 5 % LIGHTNESSES.len()];
     let mut hue = SUM * (0.25 + index as f64 * GOLDEN).fract() + FREE[0][0];
     for [before, after] in [[FREE[0][1], FREE[1][0]], [FREE[1][1], FREE[2][0]]] {
         hue += if hue >= before { after - before } else { 0.0 };
@@ -49,7 +52,7 @@ pub fn distance(index: usize) -> Rgb {
     std::array::from_fn(|channel| {
         let wave = (hue + [0.0, 4.0, 2.0][channel]) % 6.0;
         let pure = ((wave - 3.0).abs() - 1.0).clamp(0.0, 1.0);
-        (96.0 + 112.0 * pure) as u8
+        (dark + (bright - dark) * pure) as u8
     })
 }
 
@@ -85,7 +88,7 @@ pub fn of_body(schema: &Schema, index: usize) -> Rgb {
 
 /// Colours of plot lines without other meaning, in order, all distinct.
 pub fn line(index: usize) -> Rgb {
-    const LINES: [Rgb; 7] = [SKY_BLUE, ORANGE, GREEN, VERMILION, PURPLE, SILVER, BLUE];
+    const LINES: [Rgb; 10] = [SKY_BLUE, ORANGE, GREEN, VERMILION, PURPLE, SILVER, MAGENTA, LIME, BROWN, BLUE];
     LINES.get(index).copied().unwrap_or_else(|| distance(index - LINES.len()))
 }
 

@@ -103,8 +103,6 @@ struct FrameParts {
     body_forces: Option<BodyForces>,
     /// Colours of displacements, with forces.
     heat: Option<Heat>,
-    /// The last change of a phase since the last frame.
-    changed: Option<Instant>,
 }
 
 /// The parts that show the state.
@@ -337,7 +335,6 @@ impl Recorder {
         parts.numbers.add(step);
         for event in &step.summary.events {
             parts.pairs.log_event(&self.schema, event, &mut parts.series, &mut self.chunks);
-            parts.changed = Some(Instant { step: event.step, time: event.time });
             parts.focus.event(&self.schema, event);
         }
         parts.state.lines.events(&self.schema, &step.summary.events, &step.pairs, &mut self.chunks);
@@ -533,14 +530,13 @@ impl FrameParts {
             body_forces: (settings.detail != Detail::Surface).then(|| BodyForces::new(schema)),
             heat: (settings.detail != Detail::Surface)
                 .then(|| Heat::new(&blueprint::surfaces(schema, settings), chunks)),
-            changed: None,
         }
     }
 
     /// Logs changed values; `number` is the number of the frame.
     fn log(&mut self, view: FrameView<'_>, number: u64, chunks: &mut Chunks) {
         let start = Clock::now();
-        let FrameParts { state, pairs, groups, numbers, trails, series, focus, body_forces, heat, changed } = self;
+        let FrameParts { state, pairs, groups, numbers, trails, series, focus, body_forces, heat } = self;
         focus.frame(view);
         let [extracting, ahead] = state.log(view, pairs.choose(view, series, chunks), chunks);
         if let Some(trails) = trails {
@@ -555,7 +551,7 @@ impl FrameParts {
         let merged = state.merged.merged();
         pairs.log(view, &merged.pairs, number, series, chunks);
         groups.log(view, merged, series, chunks);
-        numbers.log_scalars(view, changed.take(), series, chunks);
+        numbers.log_scalars(view, series, chunks);
         numbers.add_recording(extracting + ahead, start.elapsed().saturating_sub(extracting));
         numbers.log_timings(view.at, chunks);
     }

@@ -376,8 +376,7 @@ pub fn schema(scene: &Scene) -> Schema {
                     ScalarValue::MaxOfSteps(_) => ScalarOf::MaxOfSteps,
                 };
                 // energies jump with the phase: each phase has its own potential
-                let (jumps, least_range) = (name.starts_with("energy"), least_range(scene, plot));
-                ScalarSchema { name, label, plot, of, is_smooth, jumps, least_range }
+                ScalarSchema { name, label, plot, of, is_smooth, least_range: least_range(scene, plot) }
             })
             .collect(),
         stages: Stage::ALL.map(Stage::name).into(),

@@ -35,7 +35,7 @@ fn number(phase: Phase) -> usize {
     phase as usize
 }
 
-const ENERGY: &str = "Energy [mass·unit²/s²] by kind";
+const ENERGY: &str = "Energy [mass·unit²/s²] by kind; what spheres, planes and damping bring is not counted";
 
 /// A scalar and its value, of the state or of a step.
 struct Scalar {
@@ -48,7 +48,6 @@ fn scalars(scene: &Scene) -> Vec<Scalar> {
     let of = |name, label, plot, of, value| Scalar {
         schema: ScalarSchema {
             plot,
-            jumps: false,
             is_smooth: of == ScalarOf::State,
             least_range: least_range(scene, plot),
             ..ScalarSchema::new(name, label, of)

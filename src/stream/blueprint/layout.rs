@@ -253,6 +253,14 @@ impl Layout {
         view
     }
 
+    /// Replaces the contents of a view.
+    pub fn set_contents(&mut self, view: &str, contents: Vec<String>) {
+        self.log(&format!("{view}/ViewContents"), &ViewContents::new(contents.iter().map(String::as_str)));
+        if let Some(plot) = self.plots.iter_mut().find(|known| known.path == view) {
+            plot.contents = contents;
+        }
+    }
+
     /// Sets the ends of the axis of values of a plot.
     pub fn set_range(&mut self, plot: &str, [low, high]: [f64; 2]) {
         self.log(&format!("{plot}/ScalarAxis"), &ScalarAxis::new().with_range(Range1D::new(low, high)));

@@ -10,7 +10,7 @@ use crate::{
     observe::schema::ScalarSchema,
     sdk::{
         LogMsg, SeriesLines, StoreId,
-        blueprint::archetypes::{PlotLegend, ViewBlueprint, ViewContents},
+        blueprint::archetypes::{PlotLegend, ViewBlueprint},
     },
     stream::{
         contract::{DIAGNOSTIC, Entity, MARKS_AT_Q, PAIR_CONTACT, PAIR_DISTANCE, PAIR_LEVEL, PAIR_PHASE},
@@ -90,10 +90,22 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             continue; // as of other lines, below
         }
         let ([mut low, mut high], mut least, mut lines) = ([0.0_f64; 2], 0.0, 0); // events are marked at 0
+        let mut zero: Vec<&ScalarSchema> = Vec::new();
         for (scalar, range) in ranges().filter(|(scalar, _)| scalar.plot == name) {
             let of = range.unwrap_or_default();
             (low, high) = (low.min(of[0]), high.max(of[1]));
             (least, lines) = (scalar.least_range.max(least), lines + 1);
+            zero.extend((of == [0.0; 2]).then_some(scalar));
+        }
+        if !zero.is_empty() && zero.len() < lines {
+            let left_out: Vec<String> = zero.iter().map(|scalar| including(&DIAGNOSTIC.of(&[scalar.name]))).collect();
+            let mut contents =
+                layout.plots.iter().find(|of| of.path == plot).map(|of| of.contents.clone()).unwrap_or_default();
+            contents.retain(|line| !left_out.contains(line));
+            layout.set_contents(&plot, contents);
+            let labels: Vec<&str> = zero.iter().map(|scalar| scalar.label).collect();
+            let title = format!("{name}; 0 throughout: {}", labels.join(", "));
+            layout.log(&plot, &ViewBlueprint::update_fields().with_display_name(title));
         }
         let range = if high - low < least { [-0.5 * least, 0.5 * least] } else { readable([low, high]) };
         if range[0] < range[1] {
@@ -158,12 +170,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             (std::mem::take(&mut layout.contacts), lanes(&PAIR_CONTACT, met)),
         ];
         for (paths, lines) in views {
-            for path in paths {
-                if let Some(plot) = layout.plots.iter_mut().find(|plot| plot.path == path) {
-                    plot.contents.clone_from(&lines);
-                }
-                layout.log(&format!("{path}/ViewContents"), &ViewContents::new(lines.iter().map(String::as_str)));
-            }
+            paths.iter().for_each(|path| layout.set_contents(path, lines.clone()));
         }
     }
     let ranges = layout.plots.iter().filter(|plot| plot.range.is_none() && measured.duration > 0.0);

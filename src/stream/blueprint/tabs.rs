@@ -262,8 +262,8 @@ impl Layout {
             };
             let contents = format!("+ {}/{}/**", BODY_FORCE.family(), body.name);
             let plot = self.plot(&title, "/", &[&contents], Corner2D::RightTop);
-            if is_stacked {
-                // the lines have the colours of the arrows; a legend would cover half of a small plot
+            if is_stacked && body.name != schema.bodies[0].name {
+                // the lines have the same colours in all plots; a legend covers half of a small one
                 self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
             }
             plot

@@ -20,7 +20,7 @@ use crate::{
 /// other and the bodies.
 const MAX_LABELLED: usize = 3;
 /// Upper limit on the number of bodies with names.
-const MAX_NAMED: usize = 16;
+pub const MAX_NAMED: usize = 16;
 /// Labels that are nearer to each other than this, both upward and across, cover each other [diagonals of the box around
 /// the bodies].
 const LABEL_HEIGHT: f64 = 0.08;

@@ -20,7 +20,7 @@ pub struct Marks {
 }
 
 /// The name of all marks on the axis.
-const ON_AXIS: &str = "events";
+const ON_AXIS: &str = "phase changes";
 
 impl Marks {
     /// Logs the markers of an event; `is_plotted`: whether its pair has a plot of q.

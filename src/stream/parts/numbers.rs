@@ -45,8 +45,6 @@ pub struct FrameNumbers {
     scalars: Vec<ScalarLine>,
     /// Lines of the scalars of bodies, body by body.
     of_bodies: Vec<LineId>,
-    /// Whether a pair changed its phase between the last two frames.
-    has_changed: bool,
     timings: Vec<Timing>,
     /// Steps since messages were last sent.
     steps_since_sent: u32,
@@ -71,8 +69,6 @@ pub struct FrameNumbers {
 struct ScalarLine {
     id: LineId,
     of: ScalarOf,
-    /// Whether it jumps when a pair changes its phase.
-    jumps: bool,
     value: f64,
 }
 
@@ -108,8 +104,9 @@ impl FrameNumbers {
         let scalars = schema.scalars.iter().enumerate().map(|(i, scalar)| {
             let entity = DIAGNOSTIC.of(&[scalar.name]);
             let shape = if scalar.is_smooth { Interpolation::Linear } else { Interpolation::Step };
-            Series::style(chunks, &entity, scalar.label, palette::line(i), 1.5, shape);
-            ScalarLine { id: series.line(chunks, &entity, shape), of: scalar.of, jumps: scalar.jumps, value: 0.0 }
+            let place = schema.scalars[..i].iter().filter(|before| before.plot == scalar.plot).count();
+            Series::style(chunks, &entity, scalar.label, palette::line(place), 1.5, shape);
+            ScalarLine { id: series.line(chunks, &entity, shape), of: scalar.of, value: 0.0 }
         });
         let scalars = scalars.collect();
         let of_bodies = schema.bodies.iter().take(MAX_BODY_ENTITIES).enumerate().flat_map(|(index, body)| {
@@ -123,7 +120,6 @@ impl FrameNumbers {
         FrameNumbers {
             scalars,
             of_bodies,
-            has_changed: false,
             timings,
             steps_since_sent: 0,
             sending: Duration::ZERO,
@@ -169,21 +165,9 @@ impl FrameNumbers {
         }
     }
 
-    /// Logs the schema's scalars. `changed` is the instant of the last phase change since the last frame; lines that
-    /// jump there are interrupted: a steep line would look like a change over the course of a frame. Not where phases
-    /// change from frame to frame: only points would be left.
-    pub fn log_scalars(
-        &mut self,
-        view: FrameView<'_>,
-        changed: Option<Instant>,
-        series: &mut Series,
-        chunks: &mut Chunks,
-    ) {
-        let has_changed = std::mem::replace(&mut self.has_changed, changed.is_some());
+    /// Logs the schema's scalars.
+    pub fn log_scalars(&mut self, view: FrameView<'_>, series: &mut Series, chunks: &mut Chunks) {
         for (line, &of_state) in self.scalars.iter_mut().zip(&view.frame.scalars) {
-            if let Some(at) = changed.filter(|_| line.jumps && !has_changed) {
-                series.interrupt(chunks, line.id, at);
-            }
             let value = if line.of == ScalarOf::State { of_state } else { std::mem::take(&mut line.value) };
             series.log(chunks, line.id, value, view.at);
         }
