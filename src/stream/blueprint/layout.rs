@@ -243,7 +243,7 @@ impl Layout {
         self.time_series(name, origin, &contents, corner)
     }
 
-    /// A plot over time. All plots share one time range.
+    /// A plot over time. All plots and lanes share one time range.
     pub fn time_series(&mut self, name: &str, origin: &str, contents: &[&str], corner: Corner2D) -> Part {
         let legend = PlotLegend::new().with_corner(corner);
         let axis = TimeAxis::new().with_link(LinkAxis::LinkToGlobal);
@@ -251,6 +251,12 @@ impl Layout {
         let contents = contents.iter().map(|rule| (*rule).to_owned()).collect();
         self.plots.push(Plot { path: view.path.clone(), contents, corner, range: None });
         view
+    }
+
+    /// Lanes of states over time, on the time range of all plots.
+    pub fn lanes(&mut self, name: &str, origin: &str, contents: &[&str]) -> Part {
+        let axis = TimeAxis::new().with_link(LinkAxis::LinkToGlobal);
+        self.view("StateTimeline", name, origin, contents, &[("TimeAxis", &axis)])
     }
 
     /// Replaces the contents of a view.

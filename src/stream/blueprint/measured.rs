@@ -97,7 +97,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             (least, lines) = (scalar.least_range.max(least), lines + 1);
             zero.extend((of == [0.0; 2]).then_some(scalar));
         }
-        if !zero.is_empty() && zero.len() < lines {
+        if is_energy(name) && !zero.is_empty() && zero.len() < lines {
             let left_out: Vec<String> = zero.iter().map(|scalar| including(&DIAGNOSTIC.of(&[scalar.name]))).collect();
             let mut contents =
                 layout.plots.iter().find(|of| of.path == plot).map(|of| of.contents.clone()).unwrap_or_default();

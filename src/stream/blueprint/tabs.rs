@@ -192,7 +192,7 @@ impl Layout {
         let mut contents: Vec<String> = pairs::named(schema, &PAIR_PHASE).map(|lane| format!("- {lane}")).collect();
         contents.push(family(&PAIR_PHASE));
         let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
-        let contacts = self.view("StateTimeline", title, PAIR_PHASE.family(), &contents, &[]);
+        let contacts = self.lanes(title, PAIR_PHASE.family(), &contents);
         self.contacts.push(contacts.path.clone());
         parts.push(contacts);
         if pairs::has_named_pairs(schema) {
@@ -342,7 +342,7 @@ impl Layout {
         self.distances.push(distances.path.clone());
         let contents = without(&[&PAIR_CONTACT]);
         let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
-        let phases = self.view("StateTimeline", "Pair phases", PAIR_PHASE.family(), &contents, &[]);
+        let phases = self.lanes("Pair phases", PAIR_PHASE.family(), &contents);
         self.phases.push(phases.path.clone());
         let events = self.events();
         vec![distances, phases, events]
@@ -356,18 +356,19 @@ impl Layout {
 
     /// The cost of a step and of its recording, each as stacked stages, and the resulting speed.
     fn timings_tab(&mut self, schema: &Schema) -> Part {
-        let recording = self.stacked("Recording on its own thread, ms per step", schema, true);
-        let parts = vec![self.timings(schema), recording, self.speed()];
+        let recording = self.stacked(
+            "Recording on its own thread, ms per step: extract makes surfaces and arrows, log encodes them",
+            schema,
+            true,
+        );
+        let title = "Timings, ms per step: each stage upon those below it; observe reads the state for the recording";
+        let parts = vec![self.stacked(title, schema, false), recording, self.speed()];
         self.container(ContainerKind::Vertical, "Timings", parts, &[1.6, 1.0, 1.0])
-    }
-
-    fn timings(&mut self, schema: &Schema) -> Part {
-        self.stacked("Timings, ms per step: each stage upon those below it", schema, false)
     }
 
     /// Without a legend, which would hide the lines of a small plot.
     fn small_timings(&mut self, schema: &Schema) -> Part {
-        let plot = self.timings(schema);
+        let plot = self.stacked("Timings, ms per step: each stage upon those below it", schema, false);
         self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
         plot
     }
