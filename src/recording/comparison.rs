@@ -114,7 +114,7 @@ impl Comparison {
         chunks.log_static(RECORDING_INFO.path, &sdk::RecordingInfo::new().with_name(name));
         let about = format!(
             "**{}**: the blue surface is {}, orange dots are the vertices of {}. Red arrows lead from the one to the other; the \
-             longest of an instant has a length of {LONGEST} radii. {}  \nThe plot has the largest distance of each body; \
+             longest of an instant has a length of at least {LONGEST} radii. {}  \nThe plot has the largest distance of each body; \
              grey: the tolerance, {:e}.{}",
             schema.name,
             plan.labels[0],
@@ -236,12 +236,16 @@ impl Comparison {
         let names = Points3D::update_fields().with_positions(self.shown.iter().map(|&(index, ..)| above(index)));
         self.chunks.log(NAMES.path, at, &names);
         let longest = apart.iter().map(|apart| apart.length()).fold(0.0, f64::max);
-        let times = LONGEST * self.radius / longest;
+        // arrows that are shorter than the difference would end beside the dots
+        let times = f64::max(LONGEST * self.radius / longest, 1.0);
         let vectors = apart.iter().map(|apart| (times * *apart).as_vec3());
         let arrows = Arrows3D::update_fields().with_origins(origins).with_vectors(vectors);
         self.chunks.log(COMPARED_ERROR.path, at, &arrows);
         let worst = worst.map(|(difference, position, name, vertex)| {
-            let label = format!("{name}:{vertex}: {} R\narrows {} times as long", short(difference), short(times));
+            let mut label = format!("{name}:{vertex}: {} R", short(difference));
+            if times > 1.0 {
+                label += &format!("\narrows {} times as long", short(times));
+            }
             (position.as_vec3(), label)
         });
         let (position, label): (Vec<_>, Vec<_>) = worst.into_iter().unzip();

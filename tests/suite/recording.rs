@@ -1674,3 +1674,65 @@ fn a_file_ends_with_the_ranges_of_its_plots_and_opens_at_its_first_event() {
     let thin = Settings { frames: Frames::Thin, ..settings };
     assert!(Recorder::new(&world, thin).expect("its text describes it").measured_layout(&world, Tab::Scene).is_empty());
 }
+
+/// Components of the messages of a layout: each with its entity and its text.
+fn texts_of_layout(messages: &[LogMsg], component: &str) -> Vec<(String, String)> {
+    let chunks = messages.iter().filter_map(|message| match message {
+        LogMsg::ArrowMsg(_, message) => Some(Chunk::from_arrow_msg(message).expect("a chunk")),
+        _ => None,
+    });
+    let texts = chunks.flat_map(|chunk| {
+        let found = chunk.components().values().find(|of| of.descriptor.component.as_str() == component).cloned();
+        let entity = chunk.entity_path().to_string();
+        let values = found.map(|of| of.list_array.values().clone());
+        let strings = values.and_then(|values| {
+            let texts = values.as_string_opt::<i32>()?;
+            Some(texts.iter().flatten().map(str::to_owned).collect::<Vec<_>>())
+        });
+        strings.unwrap_or_default().into_iter().map(move |text| (entity.clone(), text))
+    });
+    texts.collect()
+}
+
+#[test]
+fn plots_and_lanes_share_one_time_range_and_leave_out_what_stays_0() {
+    let scene = builtin("orbit");
+    let mut world = World::new(scene.clone()).expect("enough memory");
+    let mut recorder = Recorder::new(&world, Settings::of(&scene)).expect("its text describes it");
+    let layout = recorder.blueprint(&world, Tab::Energy);
+    let classes = texts_of_layout(&layout, "ViewBlueprint:class_identifier");
+    let linked = |view: &str| {
+        layout.iter().any(|message| match message {
+            LogMsg::ArrowMsg(_, message) => {
+                let chunk = Chunk::from_arrow_msg(message).expect("a chunk");
+                let has_link = chunk.components().keys().any(|of| of.as_str() == "TimeAxis:link");
+                has_link && chunk.entity_path().to_string() == format!("{view}/TimeAxis")
+            }
+            _ => false,
+        })
+    };
+    for class in ["TimeSeries", "StateTimeline"] {
+        let views: Vec<_> = classes.iter().filter(|(_, of)| of == class).collect();
+        assert!(views.len() >= 3, "{class}: {views:?}");
+        views.iter().for_each(|(view, _)| assert!(linked(view), "{class}: {view}"));
+    }
+
+    for _ in 0..50 {
+        let mut summary = StepSummary::default();
+        Simulation::step(&mut world, &mut summary);
+        recorder.observe(&world, &summary).expect("a valid step");
+    }
+    let measured = recorder.measured_layout(&world, Tab::Energy);
+    let title = "Energy [mass·unit²/s²] by kind; 0 throughout: gravity, planes";
+    let (plot, _) = texts_of_layout(&measured, "ViewBlueprint:display_name")
+        .into_iter()
+        .find(|(_, name)| name == title)
+        .expect("a title");
+    let rules: Vec<String> = texts_of_layout(&measured, "ViewContents:query")
+        .into_iter()
+        .filter(|(view, _)| *view == format!("{plot}/ViewContents"))
+        .map(|(_, rule)| rule)
+        .collect();
+    let shows = |line: &str| rules.iter().any(|rule| rule == &format!("+ /diagnostics/{line}"));
+    assert!(shows("energy") && shows("energy_spin") && !shows("energy_gravity") && !shows("energy_plane"), "{rules:?}");
+}

@@ -113,7 +113,8 @@ pub fn of_comparison(
     let about = layout.view("TextDocument", "What is what", ABOUT.path, &[&including(ABOUT.path)], &[]);
     let left = layout.container(ContainerKind::Vertical, "Surfaces", vec![surfaces, about], &[3.4, 1.0]);
     let title = "Largest difference [radii], as its decimal logarithm";
-    let plot = layout.time_series(title, "/", &[&family(&LOG_DIFFERENCE)], Corner2D::RightBottom);
+    // runs that differ do so more and more: lines rise from the left
+    let plot = layout.time_series(title, "/", &[&family(&LOG_DIFFERENCE)], Corner2D::LeftTop);
     let events = layout.lines("Events", EVENTS.path);
     let (mut parts, mut shares) = (vec![plot, events], vec![1.5, 1.0]);
     if has_pairs {
