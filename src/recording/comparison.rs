@@ -16,8 +16,8 @@ use crate::{
     geometry::Mesh,
     observe::Schema,
     sdk::{
-        self, ApplicationId, Arrows3D, LogMsg, Mesh3D, Points3D, Scalars, StoreId, StoreKind, TextDocument, TextLog,
-        ViewCoordinates,
+        self, ApplicationId, Arrows3D, LineStrips3D, LogMsg, Mesh3D, Points3D, Scalars, StoreId, StoreKind,
+        TextDocument, TextLog, ViewCoordinates,
         components::{MarkerShape, MediaType},
     },
     stream::{
@@ -46,8 +46,11 @@ const ERROR: Rgb = [235, 60, 60];
 const LIMIT: Rgb = [150, 150, 150];
 /// Name of the line of the tolerance.
 const TOLERANCE: &str = "tolerance";
-/// Length of the longest arrow of an instant [radii of the largest body].
+/// Least length of the longest arrow of an instant [radii of the largest body].
 const LONGEST: f64 = 0.3;
+/// How far above the centre of a body its name stands, and the label of the worst vertex at least [radii].
+const NAME_HEIGHT: f32 = 1.3;
+const LABEL_HEIGHT: f32 = 1.8;
 
 /// Upper limit on the number of pairs whose distances are plotted.
 pub const MAX_PAIRS: usize = 4;
@@ -164,10 +167,15 @@ impl Comparison {
             }
         }
         let worst = Points3D::update_fields()
-            .with_radii([sdk::Radius::new_ui_points(5.0)])
+            .with_radii([5.0, 0.0].map(sdk::Radius::new_ui_points))
             .with_colors([color(ERROR)])
             .with_show_labels(true);
         chunks.log_static(COMPARED_WORST.path, &worst);
+        let leader = LineStrips3D::update_fields()
+            .with_radii([sdk::Radius::new_ui_points(1.5)])
+            .with_colors([color(ERROR)])
+            .with_show_labels(false);
+        chunks.log_static(COMPARED_WORST.path, &leader);
         for (Worst { step, time, body, vertex, difference, .. }, what) in &plan.listed {
             let line = format!("{what}: {body}:{vertex}, {} R", short(*difference));
             let at = Instant { step: *step, time: *time };
@@ -228,13 +236,13 @@ impl Comparison {
                 self.chunks.log(&COMPARED_DISTANCE.of(&[side, pair]), at, &Scalars::single(q));
             }
         }
-        let above = |index: usize| {
+        let above = |index: usize, radii: f32| {
             let (now, radius) =
                 (centres[0].get(index).copied(), schema.bodies.get(index).map_or(1.0, |body| body.radius));
-            now.unwrap_or_default() + 1.3 * radius as f32 * glam::Vec3::Z
+            now.unwrap_or_default() + radii * radius as f32 * glam::Vec3::Z
         };
-        let names = Points3D::update_fields().with_positions(self.shown.iter().map(|&(index, ..)| above(index)));
-        self.chunks.log(NAMES.path, at, &names);
+        let names = self.shown.iter().map(|&(index, ..)| above(index, NAME_HEIGHT));
+        self.chunks.log(NAMES.path, at, &Points3D::update_fields().with_positions(names));
         let longest = apart.iter().map(|apart| apart.length()).fold(0.0, f64::max);
         // arrows that are shorter than the difference would end beside the dots
         let times = f64::max(LONGEST * self.radius / longest, 1.0);
@@ -246,10 +254,16 @@ impl Comparison {
             if times > 1.0 {
                 label += &format!("\narrows {} times as long", short(times));
             }
-            (position.as_vec3(), label)
+            // above all bodies: beside the vertex the label would hide what differs
+            let heights = self.shown.iter().map(|&(index, ..)| above(index, LABEL_HEIGHT).z);
+            let (position, height) = (position.as_vec3(), heights.fold(f32::NEG_INFINITY, f32::max));
+            ([position, position.with_z(height)], ["".to_owned(), label])
         });
-        let (position, label): (Vec<_>, Vec<_>) = worst.into_iter().unzip();
-        let worst = Points3D::update_fields().with_positions(position).with_labels(label);
+        let leader = LineStrips3D::update_fields().with_strips(worst.iter().map(|(ends, _)| *ends));
+        self.chunks.log(COMPARED_WORST.path, at, &leader);
+        let (ends, labels): (Vec<_>, Vec<_>) =
+            worst.into_iter().flat_map(|(ends, labels)| ends.into_iter().zip(labels)).unzip();
+        let worst = Points3D::update_fields().with_positions(ends).with_labels(labels);
         self.chunks.log(COMPARED_WORST.path, at, &worst);
         log_difference(&mut self.chunks, TOLERANCE, tolerance, at);
         self.frames += 1;

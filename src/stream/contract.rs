@@ -206,9 +206,9 @@ entities! {
     COMPARED_SURFACE = "/world/SIDE/NAME" ["Mesh3D"]
         "In a comparison: the surface of a body in the first or the second run.";
     COMPARED_ERROR = "/world/error" ["Arrows3D"]
-        "In a comparison: arrows from the vertices of the first run towards those of the second; the longest of an instant has a length of 0.3 radii.";
-    COMPARED_WORST = "/world/worst" ["Points3D"]
-        "In a comparison: the vertex that differs most, labelled.";
+        "In a comparison: arrows from the vertices of the first run towards those of the second; the longest of an instant has a length of at least 0.3 radii.";
+    COMPARED_WORST = "/world/worst" ["Points3D, LineStrips3D"]
+        "In a comparison: the vertex that differs most, and a line to its label.";
     COMPARED_DISTANCE = "/q/SIDE/A~B" ["Scalars"]
         "In a comparison: q in the first or the second run, of the first 4 pairs whose events differ.";
     COMPARED_EVENTS = "/q/events/SIDE" ["Scalars, SeriesPoints"]

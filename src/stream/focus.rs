@@ -36,7 +36,7 @@ impl Focus {
         let FrameView { schema, frame, .. } = view;
         let bodies = || frame.bodies.iter().zip(&schema.bodies).enumerate();
         let mut spheres: Vec<(DVec3, f64)> = match recent::is_drawn_alone(schema) {
-            true => in_box(view).to_vec(),
+            true => corners(bounds(view)).to_vec(),
             false => bodies()
                 .map(|(index, (now, body))| {
                     let radius = if pair.contains(&index) { f64::max(body.reach, body.radius) } else { body.radius };
@@ -59,13 +59,17 @@ impl Focus {
     }
 }
 
-/// The corners of the box around all bodies and the label above them: of many bodies, what a camera must have in view.
-fn in_box(view: FrameView<'_>) -> [(DVec3, f64); 8] {
-    let ([low, high], top) = (view.bounds(), recent::label_height(view));
+/// The box around all bodies and the label above them.
+fn bounds(view: FrameView<'_>) -> [DVec3; 2] {
+    let [low, high] = view.bounds();
+    [low, high.with_z(recent::label_height(view))]
+}
+
+/// The corners of a box, to keep in view.
+fn corners([low, high]: [DVec3; 2]) -> [(DVec3, f64); 8] {
     std::array::from_fn(|corner| {
-        let is_high = |axis: usize| corner >> axis & 1 == 1;
-        let at = |axis: usize, [low, high]: [f64; 2]| if is_high(axis) { high } else { low };
-        (DVec3::new(at(0, [low.x, high.x]), at(1, [low.y, high.y]), at(2, [low.z, top])), 0.0)
+        let at = |axis: usize| if corner >> axis & 1 == 1 { high[axis] } else { low[axis] };
+        (DVec3::new(at(0), at(1), at(2)), 0.0)
     })
 }
 
@@ -81,6 +85,8 @@ pub struct FocusFinder {
     /// The smallest q so far, if there was no event yet.
     nearest: Option<f64>,
     focus: Option<Focus>,
+    /// The box around all bodies in the whole run so far.
+    whole: Option<[DVec3; 2]>,
 }
 
 impl FocusFinder {
@@ -107,11 +113,17 @@ impl FocusFinder {
     /// Adds a frame.
     pub fn frame(&mut self, view: FrameView<'_>) {
         let FrameView { schema, frame, at } = view;
+        let now @ [low, high] = bounds(view);
+        if !(low.is_finite() && high.is_finite()) {
+            return; // no body is there
+        }
+        let whole = self.whole.get_or_insert(now);
+        *whole = [whole[0].min(low), whole[1].max(high)];
         match self.event {
             Some((time, _)) if let Some(focus) = &mut self.focus => {
-                // what becomes of many bodies while the instant is shown
-                if recent::is_drawn_alone(schema) && at.time <= time + AFTER {
-                    focus.spheres.extend(in_box(view));
+                // what becomes of the bodies while the instant is shown
+                if at.time <= time + AFTER {
+                    focus.spheres.extend(corners(now));
                 }
             }
             Some((time, pair)) => self.focus = Some(Focus::on(view, time, pair)),
@@ -127,9 +139,21 @@ impl FocusFinder {
         }
     }
 
-    /// The focus of the run so far, if any bodies came within reach.
-    pub fn focus(&self) -> Option<&Focus> {
-        self.focus.as_ref()
+    /// The focus of the run so far, if any bodies came within reach. The whole run is kept in view unless bodies would be
+    /// much smaller then.
+    pub fn focus(&self) -> Option<Focus> {
+        /// How much wider the box around the whole run may be than that around the instant.
+        const WIDER: f64 = 1.5;
+
+        let (mut focus, whole @ [low, high]) = (self.focus.clone()?, self.whole?);
+        let [least, most] =
+            focus.spheres.iter().fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[least, most], sphere| {
+                [least.min(sphere.0 - sphere.1), most.max(sphere.0 + sphere.1)]
+            });
+        if low.distance(high) <= WIDER * least.distance(most) {
+            focus.spheres.extend(corners(whole));
+        }
+        Some(focus)
     }
 
     /// The requested event, if it has not happened so far, and the number of matching events.

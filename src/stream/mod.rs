@@ -92,8 +92,8 @@
 //! | `/golden/states` | bodies, displacements, frames | In a golden recording: displacements of these bodies every 20 steps, and the centres and rotations of the free ones. |
 //! | `/golden/surfaces` | names, values | In a golden recording: the quantities of pairs and groups every 20 steps, by the entity that plots them. |
 //! | `/world/SIDE/NAME` | Mesh3D | In a comparison: the surface of a body in the first or the second run. |
-//! | `/world/error` | Arrows3D | In a comparison: arrows from the vertices of the first run towards those of the second; the longest of an instant has a length of 0.3 radii. |
-//! | `/world/worst` | Points3D | In a comparison: the vertex that differs most, labelled. |
+//! | `/world/error` | Arrows3D | In a comparison: arrows from the vertices of the first run towards those of the second; the longest of an instant has a length of at least 0.3 radii. |
+//! | `/world/worst` | Points3D, LineStrips3D | In a comparison: the vertex that differs most, and a line to its label. |
 //! | `/q/SIDE/A~B` | Scalars | In a comparison: q in the first or the second run, of the first 4 pairs whose events differ. |
 //! | `/q/events/SIDE` | Scalars, SeriesPoints | In a comparison: the events of these pairs that differ, as markers at q. |
 //! | `/difference/NAME` | Scalars | In a comparison: the largest difference of a body [radii], and the tolerance. |

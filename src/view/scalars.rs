@@ -45,15 +45,15 @@ pub struct StateNumbers<'a> {
 pub fn scalars(scene: &Scene) -> impl Iterator<Item = &'static Scalar> {
     let is_coupled = scene.is_coupled();
     let is_accounted_for = is_coupled && scene.integrator == Integrator::Exponential;
-    let (total, parts) = if is_coupled { (TOTAL_OF_FREE, CONSERVED) } else { (TOTAL_ON_PATHS, PARTS) };
+    let (first, last) = if is_coupled { (TOTAL_OF_FREE, CONSERVED) } else { (DEFORMATION, TOTAL_ON_PATHS) };
     let has_points = !scene.points.is_empty();
     let occurs = move |scalar: &&Scalar| is_accounted_for && (has_points || scalar.name != BY_POINTS);
-    [total].into_iter().chain(SCALARS).chain(parts).chain(LEDGER.iter().filter(occurs))
+    first.iter().chain(SCALARS).chain(last).chain(LEDGER.iter().filter(occurs))
 }
 
 /// The scalars of all scenes.
 pub fn all() -> impl Iterator<Item = &'static Scalar> {
-    [TOTAL_ON_PATHS, TOTAL_OF_FREE].into_iter().chain([SCALARS, PARTS, CONSERVED, LEDGER].into_iter().flatten())
+    [TOTAL_OF_FREE, DEFORMATION, TOTAL_ON_PATHS, SCALARS, CONSERVED, LEDGER].into_iter().flatten()
 }
 
 /// A smooth scalar of the state.
@@ -66,21 +66,23 @@ const fn smooth(
     Scalar { name, label, plot, value: ScalarValue::State(value), is_smooth: true }
 }
 
-/// The energy of bodies on paths, which have no masses. What the paths do to it is not counted.
-static TOTAL_ON_PATHS: &Scalar = &smooth("energy", "energy [unit²/s²]", ON_PATHS, |state| state.energy.total());
 /// The energy of free bodies, and of those on paths by their masses.
-static TOTAL_OF_FREE: &Scalar = &smooth("energy", "energy [mass·unit²/s²]", OF_FREE, |state| state.energy.total());
-
-const ON_PATHS: &str = "Energy [unit²/s²]: no balance, paths bring and take some uncounted";
+const TOTAL_OF_FREE: &[Scalar] =
+    &[smooth("energy", "energy [mass·unit²/s²]", OF_FREE, |state| state.energy.total())];
 const OF_FREE: &str = "Energy [mass·unit²/s²] by kind";
 
-/// The parts of the energy of bodies on paths, in units of scene unit²/s².
-const PARTS: &[Scalar] = &[
+/// The energy of the deformation of bodies on paths, which have no masses [scene unit²/s²].
+const DEFORMATION: &[Scalar] = &[
     smooth("energy_vibration", "kinetic [unit²/s²]", DEFORMED, |state| state.energy.kinetic),
     smooth("energy_elastic", "elastic", DEFORMED, |state| state.energy.elastic),
-    // in its own plot: it is thousands of times as large, mostly from vertices that no sphere reaches
+];
+/// Their energy with that of the influence, which is thousands of times as large, mostly from vertices that no sphere
+/// reaches. What the paths do to it is not counted.
+const TOTAL_ON_PATHS: &[Scalar] = &[
+    smooth("energy", "energy [unit²/s²]", ON_PATHS, |state| state.energy.total()),
     smooth("energy_influence", "influence", ON_PATHS, |state| state.energy.influence),
 ];
+const ON_PATHS: &str = "Total [unit²/s²]: no balance, paths bring and take some uncounted";
 
 const DEFORMED: &str = "Energy of deformation [unit²/s²]";
 /// The plots of what free bodies conserve.

@@ -1251,8 +1251,7 @@ impl Run {
         });
         for (name, values) in DIAGNOSTICS.into_iter().zip(lines) {
             let line = match name {
-                "max_displacement" => Line::Straight,
-                name if name.starts_with("energy") => Line::Jumping,
+                name if name == "max_displacement" || name.starts_with("energy") => Line::Straight,
                 _ => Line::Level,
             };
             self.verify_line(&format!("/diagnostics/{name}"), line, &values);
@@ -1284,16 +1283,13 @@ impl Run {
     fn verify_line(&self, entity: &str, line: Line, values: &BTreeMap<u64, f64>) {
         let track = self.track(entity);
         let (frames, mut rows) = (self.frames(), track.changes.len());
-        // a gap where a pair changes its phase
-        let is_gap = |row: &Row| line == Line::Jumping && row.scalar().is_none();
-        rows -= track.changes.values().filter(|row| is_gap(row)).count();
         for (frame, step) in frames.iter().enumerate() {
             assert_eq!(track.held[frame].scalar(), values.get(step).copied(), "{entity} at step {step}");
         }
         for spell in frames.chunk_by(|a, b| values.contains_key(a) == values.contains_key(b)) {
             let (first, last) = (spell[0], spell[spell.len() - 1]);
             let logged: Vec<(u64, Option<f64>)> = {
-                let rows = track.changes.range(first..=last).filter(|(_, row)| !is_gap(row));
+                let rows = track.changes.range(first..=last);
                 rows.map(|(&step, row)| (step, row.scalar())).collect()
             };
             rows -= logged.len();
@@ -1314,7 +1310,6 @@ impl Run {
                 let next = values.range((Excluded(to), Included(last))).next().map(|(_, value)| *value);
                 let is_needed = match line {
                     Line::Straight => next != after,
-                    Line::Jumping => true,
                     Line::Level => next.is_none(),
                     Line::Threshold => next.is_none() || (to / self.settings.every).is_multiple_of(64),
                 };
@@ -1359,8 +1354,6 @@ const NORMALS: &str = "Mesh3D:vertex_normals";
 enum Line {
     /// Linear.
     Straight,
-    /// Linear, with gaps where it jumps.
-    Jumping,
     /// Constant until the next value.
     Level,
     /// Constant throughout; repeated at intervals, so that it keeps up with a live plot.

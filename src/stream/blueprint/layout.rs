@@ -67,6 +67,8 @@ pub struct Layout {
     next_id: u64,
     /// The plots of timings: whether of a recording, and their titles.
     pub timings: Vec<(String, bool, String)>,
+    /// The plot of the groups of many bodies.
+    pub groups: Option<String>,
     /// The plot of speed.
     pub speeds: Option<String>,
     /// All plots over time.
@@ -121,6 +123,7 @@ impl Layout {
             chunks: Chunks::new(store),
             next_id: 0,
             timings: Vec::new(),
+            groups: None,
             speeds: None,
             plots: Vec::new(),
             distances: Vec::new(),

@@ -13,7 +13,7 @@ use crate::{
         blueprint::archetypes::{PlotLegend, ViewBlueprint},
     },
     stream::{
-        contract::{DIAGNOSTIC, Entity, MARKS_AT_Q, PAIR_CONTACT, PAIR_DISTANCE, PAIR_LEVEL, PAIR_PHASE},
+        contract::{DIAGNOSTIC, Entity, GROUP_LINE, MARKS_AT_Q, PAIR_CONTACT, PAIR_DISTANCE, PAIR_LEVEL, PAIR_PHASE},
         focus::Focus,
         parts::pairs::{self, Told},
         series::Outline,
@@ -39,18 +39,20 @@ pub struct Measured<'a> {
     /// The pairs that have plots.
     pub pairs: Told,
     /// The initial focus of the viewer.
-    pub focus: Option<&'a Focus>,
+    pub focus: Option<Focus>,
     /// The times between which a flight recorder has frames [s], if there is one and it has some.
     pub kept: Option<[f64; 2]>,
     /// Whether each force term has acted on any body; empty if forces were not recorded.
     pub have_acted: &'a [bool],
 }
 
-/// The changes to [`messages`] at the end of a run. The axes of timing plots exclude rare outliers. The viewer opens
+/// The changes to [`messages`] at the end of a run. The axes of timing plots exclude outliers. The viewer opens
 /// at the first event: playing it in a loop is the only way in which a layout can move the time cursor.
 pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: &Measured<'_>) -> Vec<LogMsg> {
     /// Ratio of a plot's upper end to the typical value.
     const HEADROOM: f64 = 1.3;
+    /// Ratio of the longest duration to the typical one up to which nothing is cut off.
+    const WHOLE: f64 = 8.0;
 
     let mut layout = Layout::of(recording);
     let root = layout.root(subject, tab);
@@ -58,7 +60,8 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     for (plot, is_recording, title) in std::mem::take(&mut layout.timings) {
         let [typical, longest] = [measured.typical, measured.longest].map(|of| of[usize::from(is_recording)]);
         if typical > 0.0 {
-            let [low, high] = readable([0.0, HEADROOM * typical]);
+            let end = if longest <= WHOLE * typical { longest } else { HEADROOM * typical };
+            let [low, high] = readable([0.0, end]);
             if longest > high {
                 let title = format!("{title}; at most {}", significant(longest));
                 layout.log(&plot, &ViewBlueprint::update_fields().with_display_name(title));
@@ -68,6 +71,16 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     }
     if let Some(speeds) = layout.speeds.take().filter(|_| measured.fastest > 0.0) {
         layout.set_range(&speeds, readable([0.0, measured.fastest]));
+    }
+    if let Some(groups) = layout.groups.take() {
+        // their entities are known only now
+        let is_size = |entity: &str| entity.starts_with(GROUP_LINE.family()) && entity.ends_with("/bodies");
+        let sizes: Vec<String> =
+            measured.lines.iter().filter(|(of, _)| is_size(of)).map(|(of, _)| including(of)).collect();
+        if !sizes.is_empty() {
+            layout.set_contents(&groups, sizes);
+            layout.log(&groups, &ViewBlueprint::update_fields().with_display_name("Bodies in each group"));
+        }
     }
     if let Some([low, high]) = measured.distances {
         // an automatic axis would begin at 0
@@ -133,7 +146,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     if let Some(kept) = measured.kept {
         layout.open_at(kept);
     }
-    if let Some(focus) = measured.focus {
+    if let Some(focus) = &measured.focus {
         if tab != Tab::Stages {
             layout.open_at(focus.interval(measured.duration));
         }
@@ -188,15 +201,20 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
 }
 
 /// The range of an axis that has numbers: the viewer labels the multiples of a power of ten, unless they are dense. Some
-/// more is shown where that lets it label the next power.
-fn readable([low, high]: [f64; 2]) -> [f64; 2] {
+/// more is shown where that lets it label two of them.
+fn readable([mut low, mut high]: [f64; 2]) -> [f64; 2] {
     /// Multiples that have labels in a plot of usual height.
     const LABELLED: f64 = 6.0;
     const MARGIN: f64 = 0.04;
 
-    let decade = 10f64.powf(high.max(-low).log10().floor());
-    let ten = if high - low > LABELLED * decade { 10.0 * decade } else { 0.0 };
-    let [low, high] = if high >= -low { [low, high.max(ten)] } else { [low.min(-ten), high] };
+    let spacing = 10f64.powf(((high - low) / LABELLED).log10().ceil());
+    for _ in 0..2 {
+        let [first, last] = [(low / spacing).ceil(), (high / spacing).floor()];
+        if last - first < 1.0 {
+            let [below, above] = [(first - 1.0) * spacing, (last + 1.0) * spacing];
+            if low - below < above - high { low = below } else { high = above }
+        }
+    }
     let margin = MARGIN * (high - low);
     [low - margin, high + margin]
 }
@@ -213,6 +231,9 @@ mod tests {
             ([-4.4e4, 8.6e4], [-4.4e4, 1e5]),
             ([-7.0, 1.0], [-10.0, 1.0]),
             ([0.0, 4.8e-7], [0.0, 4.8e-7]),
+            ([8.5, 9.4], [8.0, 9.4]),
+            ([100.3, 100.7], [100.3, 100.7]),
+            ([1000.05, 1000.85], [1000.0, 1001.0]),
         ] {
             let [low, high] = readable(range);
             let margin = 0.04 * (expected[1] - expected[0]);

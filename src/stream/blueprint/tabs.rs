@@ -200,7 +200,9 @@ impl Layout {
             let title = "Volume [unit³]: what merging loses lies between the lines";
             parts.push(self.time_series(title, "/", &[&family(&VOLUME)], Corner2D::LeftBottom));
         } else {
-            parts.push(self.plot("Groups: volume, bodies, genus", "/", &[&family(&GROUP_LINE)], Corner2D::RightTop));
+            let plot = self.plot("Groups: volume, bodies, genus", "/", &[&family(&GROUP_LINE)], Corner2D::RightTop);
+            self.groups = Some(plot.path.clone());
+            parts.push(plot);
         }
         parts.push(self.events());
         let shares = vec![1.0; parts.len()];

@@ -104,7 +104,7 @@ impl Heat {
         let exceeding = outside.filter(|largest| largest.displacement > 1.001 * end);
         let mut ticks: Vec<String> = TICKS.map(|share| significant(share * end)).into();
         if let (Some(largest), Some(last)) = (exceeding, ticks.last_mut()) {
-            *last += &format!(" to {}", significant(largest.displacement));
+            *last += &format!(" to {}, at {}", significant(largest.displacement), largest.place(view));
         }
         if ticks != self.last_ticks {
             chunks.push(self.ticks, view.at, &[&ticks]);
@@ -147,7 +147,11 @@ struct Largest {
 
 impl Largest {
     fn text(&self, view: FrameView<'_>) -> String {
-        format!("{}:{}, {:.3} R", view.schema.bodies[self.body].name, self.vertex, self.displacement)
+        format!("{}, {:.3} R", self.place(view), self.displacement)
+    }
+
+    fn place(&self, view: FrameView<'_>) -> String {
+        format!("{}:{}", view.schema.bodies[self.body].name, self.vertex)
     }
 }
 

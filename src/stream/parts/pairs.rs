@@ -37,6 +37,8 @@ use crate::{
 
 /// A q that changes less is not worth a line in a plot [–].
 const STILL: f64 = 1e-4;
+/// Colour of the lines about steps beyond the tolerance.
+const SHORTFALL: palette::Rgb = colors::VERMILION;
 /// Maximum interval between points of threshold lines [frames], so that they keep up with a live plot.
 const THRESHOLD_FRAMES: u64 = 64;
 
@@ -392,7 +394,7 @@ impl PairPlots {
     pub fn log_shortfall(&mut self, schema: &Schema, of: Option<&Shortfall>, at: Instant, chunks: &mut Chunks) {
         let Some(shortfall) = of else { return self.shortfall = None };
         if self.shortfall.is_none_or(|before| shortfall.ratio() >= 2.0 * before) {
-            let line = TextLog::new(shortfall.describe(schema, at)).with_level("warning");
+            let line = TextLog::new(shortfall.describe(schema, at)).with_level("warning").with_color(color(SHORTFALL));
             chunks.log(ACCURACY.path, at, &line);
             self.shortfall = Some(shortfall.ratio());
         }
