@@ -18,8 +18,6 @@ pub struct Mesh {
     triangles: Vec<[u32; 3]>,
     /// Fraction of the body's mass at each vertex [–], `[vertex_count]`; the sum is 1.
     shares: Vec<f64>,
-    /// The rings of vertices, if the mesh has this structure.
-    rings: Option<Rings>,
     /// How it is drawn, if its faces are flat.
     facets: Option<Facets>,
 }
@@ -37,15 +35,6 @@ pub fn signed_volume(corners: impl Iterator<Item = [DVec3; 3]>) -> f64 {
     corners.map(|[a, b, c]| a.dot(b.cross(c)) / 6.0).sum()
 }
 
-/// Structure of a mesh that consists of a pole, rings of vertices, and a pole, with triangles as in [`super::Sphere`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Rings {
-    /// Number of bands from pole to pole; there is one ring fewer.
-    pub bands: usize,
-    /// Number of vertices per ring.
-    pub vertices: usize,
-}
-
 impl Mesh {
     /// A general mesh, shifted to its centre of mass and scaled so that its farthest vertex is at distance 1.
     ///
@@ -58,8 +47,8 @@ impl Mesh {
         let scale = if farthest > 0.0 { 1.0 / farthest } else { 1.0 };
         let positions: Vectors = positions.iter().map(|position| (position - centre) * scale).collect();
         let directions = positions.iter().map(DVec3::normalize_or_zero).collect();
-        let normals = Some(normals(&positions, &triangles));
-        Mesh { positions, directions: Some(directions), normals, triangles, shares, rings: None, facets: None }
+        let normals = Some(normals(&positions, &triangles, &mut Vec::new()).collect());
+        Mesh { positions, directions: Some(directions), normals, triangles, shares, facets: None }
     }
 
     /// The mesh of a body after it has torn, in the axes and unit of its first mesh [radii]: vertices are not moved or
@@ -67,15 +56,15 @@ impl Mesh {
     pub fn version(positions: Vectors, triangles: Vec<[u32; 3]>) -> Mesh {
         let shares = shares(&positions, &triangles);
         let directions = positions.iter().map(DVec3::normalize_or_zero).collect();
-        let normals = Some(normals(&positions, &triangles));
-        Mesh { positions, directions: Some(directions), normals, triangles, shares, rings: None, facets: None }
+        let normals = Some(normals(&positions, &triangles, &mut Vec::new()).collect());
+        Mesh { positions, directions: Some(directions), normals, triangles, shares, facets: None }
     }
 
     /// A mesh whose vertices are all at distance 1 from its centre of mass and have their direction as normal, to
     /// rounding.
-    pub fn round(directions: Vectors, triangles: Vec<[u32; 3]>, rings: Option<Rings>) -> Mesh {
+    pub fn round(directions: Vectors, triangles: Vec<[u32; 3]>) -> Mesh {
         let shares = shares(&directions, &triangles);
-        Mesh { positions: directions, directions: None, normals: None, triangles, shares, rings, facets: None }
+        Mesh { positions: directions, directions: None, normals: None, triangles, shares, facets: None }
     }
 
     /// The mesh with flat faces and sharp edges, instead of the smooth surface as which it is drawn otherwise. Nothing else
@@ -135,12 +124,6 @@ impl Mesh {
     /// positions over the radius, and need no lengths.
     pub fn is_round(&self) -> bool {
         self.directions.is_none()
-    }
-
-    /// The rings of vertices, if the mesh has this structure: quantities that are constant around a ring can be
-    /// computed as arrays.
-    pub fn rings(&self) -> Option<Rings> {
-        self.rings
     }
 
     /// Whether the surface encloses the centre: whether the solid angles of its triangles, seen from there, add up to a
@@ -227,15 +210,32 @@ fn shares(positions: &Vectors, triangles: &[[u32; 3]]) -> Vec<f64> {
 }
 
 /// For each vertex, the normalised, area-weighted sum of its triangles' normals; where these cancel, the direction from
-/// the centre.
-fn normals(positions: &Vectors, triangles: &[[u32; 3]]) -> Vectors {
-    let mut sums = Vectors::zeros(positions.len());
+/// the centre. `sums` is scratch storage.
+fn normals(positions: &Vectors, triangles: &[[u32; 3]], sums: &mut Vec<DVec3>) -> impl ExactSizeIterator<Item = DVec3> {
+    sums.clear();
+    sums.resize(positions.len(), DVec3::ZERO);
     for corners in within(triangles, positions.len()) {
-        let area = doubled_area(corners.map(|i| positions.get(i as usize)));
-        corners.iter().for_each(|&i| sums.set(i as usize, sums.get(i as usize) + area));
+        // Loops over the three, which the compiler keeps in memory, would take three times as long.
+        let [a, b, c] = corners.map(|i| i as usize);
+        let area = doubled_area([positions.get(a), positions.get(b), positions.get(c)]);
+        sums[a] += area;
+        sums[b] += area;
+        sums[c] += area;
     }
-    let unit = |(sum, position): (DVec3, DVec3)| sum.try_normalize().unwrap_or_else(|| position.normalize_or(DVec3::Z));
-    sums.iter().zip(positions.iter()).map(unit).collect()
+    let unit =
+        |(sum, position): (&DVec3, DVec3)| sum.try_normalize().unwrap_or_else(|| position.normalize_or(DVec3::Z));
+    sums.iter().zip(positions.iter()).map(unit)
+}
+
+/// Appends the smooth unit normals of a deformed mesh in single precision: for each vertex, the normalised, area-weighted
+/// sum of its triangles' normals; where these cancel, the direction from the origin. `sums` is scratch storage.
+pub fn append_normals(
+    positions: &Vectors,
+    triangles: &[[u32; 3]],
+    sums: &mut Vec<DVec3>,
+    appended: &mut Vec<[f32; 3]>,
+) {
+    appended.extend(normals(positions, triangles, sums).map(|normal| normal.as_vec3().to_array()));
 }
 
 #[cfg(test)]
@@ -291,6 +291,21 @@ mod tests {
     fn a_shape_is_built_once() {
         let [a, b] = [Shape::default(), Shape::default()].map(|shape| shape.mesh());
         assert!(std::sync::Arc::ptr_eq(&a, &b));
+    }
+
+    #[test]
+    fn degenerate_triangles_have_unit_normals() {
+        let mesh = crate::geometry::Sphere { stacks: 4, slices: 6 }.mesh();
+        for size in [0.0, 1e-200, 1e-30, 1e200] {
+            let positions: Vectors = mesh.positions().iter().map(|v| v * size).collect();
+            let mut normals = Vec::new();
+            append_normals(&positions, mesh.triangles(), &mut Vec::new(), &mut normals);
+            assert_eq!(normals.len(), positions.len());
+            for normal in normals {
+                let length = DVec3::from_array(normal.map(f64::from)).length();
+                assert!((length - 1.0).abs() < 1e-6, "{size}: {normal:?}");
+            }
+        }
     }
 
     /// A sphere built as a general mesh has the same normals and masses, up to the coarseness of its triangles.

@@ -24,7 +24,7 @@ pub mod vectors;
 
 pub use facets::Facets;
 pub use files::MeshFile;
-pub use mesh::{Mesh, Rest, Rings};
+pub use mesh::{Mesh, Rest};
 pub use vectors::Vectors;
 
 shape::shapes! {

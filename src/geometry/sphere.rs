@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use super::{
-    mesh::{Mesh, Rings},
+    mesh::Mesh,
     shape::{Parameter, Solid},
 };
 
@@ -54,8 +54,7 @@ impl Solid for Sphere {
     }
 
     fn mesh(&self) -> Mesh {
-        let rings = Rings { bands: self.stacks as usize, vertices: self.slices as usize };
-        Mesh::round(self.unit_vertices().into_iter().collect(), self.triangles(), Some(rings))
+        Mesh::round(self.unit_vertices().into_iter().collect(), self.triangles())
     }
 }
 

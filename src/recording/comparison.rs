@@ -4,7 +4,6 @@
 use std::{path::Path, sync::Arc};
 
 use glam::DVec3;
-use pulp::Arch;
 
 use super::{
     events::Change,
@@ -27,9 +26,9 @@ use crate::{
             ABOUT, COMPARED_DISTANCE, COMPARED_ERROR, COMPARED_EVENTS, COMPARED_SURFACE, COMPARED_WORST, DIFFERENCE,
             EVENTS, LOG_DIFFERENCE, NAMES, RECORDING_INFO, WORLD,
         },
+        extract::Extractor,
         instant::Instant,
         light::Light,
-        normals,
         palette::{self, Rgb, color},
         parts::{lines::MAX_NAMED, marks},
         series::{Interpolation, Series},
@@ -200,14 +199,14 @@ impl Comparison {
         mut positions: impl FnMut(usize) -> [Option<Vec<DVec3>>; 2],
     ) -> Result<(), SinkError> {
         let (mut origins, mut apart, light) = (Vec::new(), Vec::new(), Light::in_world());
+        let mut extractor = Extractor::default();
         let mut worst: Option<(f64, DVec3, &str, usize)> = None;
         for (index, name, mesh) in &self.shown {
             let both = positions(*index);
             for (side, positions) in SIDES.into_iter().zip(&both) {
                 let Some(positions) = positions else { continue };
                 let vectors = positions.iter().copied().collect();
-                let (mut normals, mut scratch) = (Vec::new(), normals::NormalScratch::default());
-                normals::append(Arch::new(), mesh, &vectors, &mut scratch, &mut normals);
+                let normals = extractor.normals(mesh, &vectors);
                 let mut positions: Vec<_> = positions.iter().map(|position| position.as_vec3()).collect();
                 mesh.facets().into_iter().for_each(|facets| facets.extend(&mut positions, 0));
                 let mesh = Mesh3D::update_fields()

@@ -4,8 +4,8 @@ use std::{any::Any, sync::Arc};
 
 use super::{
     contract::{SIM_TIME, STAGE, STEP},
+    extract::Float3,
     instant::Instant,
-    normals::Float3,
 };
 use crate::sdk::{
     ChunkComponents, ComponentDescriptor, EntityPath, RowId, TimeColumn,

@@ -1,20 +1,20 @@
 //! Converts states to meshes and arrows, in the single precision of the viewer.
 
 use glam::{DQuat, DVec3};
-use pulp::Arch;
 
-use super::normals::{self, Float3};
 use crate::{
-    geometry::{Mesh, Vectors},
+    geometry::{Mesh, Vectors, mesh},
     observe::{BodyFrame, schema::BodySchema},
 };
+
+/// Single-precision coordinates, as in the viewer.
+pub type Float3 = [f32; 3];
 
 /// Scratch storage, reused from body to body.
 #[derive(Debug, Default)]
 pub struct Extractor {
-    arch: Arch,
     rest: Vectors,
-    normals: normals::NormalScratch,
+    sums: Vec<DVec3>,
 }
 
 impl Extractor {
@@ -36,7 +36,7 @@ impl Extractor {
     /// Vertex normals of a mesh, smooth unless it is faceted; `positions` are relative to its centre.
     pub fn normals(&mut self, mesh: &Mesh, positions: &Vectors) -> Vec<Float3> {
         let mut normals = Vec::new();
-        normals::append(self.arch, mesh, positions, &mut self.normals, &mut normals);
+        append_normals(mesh, positions, &mut self.sums, &mut normals);
         normals
     }
 }
@@ -57,14 +57,14 @@ impl Surface {
         append_moved(extractor.local(body, now), now.centre, &mut self.positions);
         self.copy(now.mesh_of(body), first);
         // Normals are computed relative to the centre: its position would cost precision.
-        let Extractor { arch, rest, normals } = extractor;
+        let Extractor { rest, sums } = extractor;
         let local = if now.is_at_rest { rest } else { &now.positions };
-        normals::append(*arch, now.mesh_of(body), local, normals, &mut self.normals);
+        append_normals(now.mesh_of(body), local, sums, &mut self.normals);
     }
 
     /// Appends the surface of a body relative to its centre, in body axes.
     pub fn append_in_body(&mut self, body: &BodySchema, now: &BodyFrame, extractor: &mut Extractor) {
-        let Extractor { arch, rest, normals } = extractor;
+        let Extractor { rest, sums } = extractor;
         let positions = if now.is_at_rest || now.rotation != DQuat::IDENTITY {
             now.body_positions(now.rest_of(body), rest);
             rest
@@ -74,7 +74,7 @@ impl Surface {
         let first = self.positions.len();
         append_moved(positions, DVec3::ZERO, &mut self.positions);
         self.copy(now.mesh_of(body), first);
-        normals::append(*arch, now.mesh_of(body), positions, normals, &mut self.normals);
+        append_normals(now.mesh_of(body), positions, sums, &mut self.normals);
     }
 
     /// Appends the copies of a mesh whose vertices begin at `first`.
@@ -88,6 +88,16 @@ impl Surface {
     pub fn clear(&mut self) {
         self.positions.clear();
         self.normals.clear();
+    }
+}
+
+/// Appends the unit normals of a deformed mesh: smooth ones, or those of its faces and copies if it is faceted; `positions`
+/// are its vertices relative to its centre.
+fn append_normals(mesh: &Mesh, positions: &Vectors, sums: &mut Vec<DVec3>, normals: &mut Vec<Float3>) {
+    // Positions of another number do not belong to this mesh, and its faces would be missing some.
+    match mesh.facets().filter(|_| positions.len() == mesh.vertex_count()) {
+        Some(facets) => facets.append_normals(|i| positions.get(i), positions.len(), normals),
+        None => mesh::append_normals(positions, mesh.triangles(), sums, normals),
     }
 }
 

@@ -11,7 +11,7 @@ use glam::{DQuat, DVec3};
 use super::{
     blueprint::Mapping,
     contract::{LIT, UNLIT},
-    normals::Float3,
+    extract::Float3,
     palette::Rgb,
 };
 use crate::sdk::{

@@ -8,8 +8,7 @@
 //! | the entities of a frame, and what is logged to each | [`parts`] |
 //! | the data of a step to be recorded | [`step`] |
 //! | states as meshes and arrows, in the precision of the viewer | [`extract`] |
-//! | smooth normals of deformed surfaces | [`normals`] |
-//! | the settings that determine a recording | [`settings`] |
+//! //! | the settings that determine a recording | [`settings`] |
 //! | prediction of the size of a recording | [`size`] |
 //! | every entity, component and property | [`contract`] |
 //! | plot lines | [`series`] |
@@ -112,7 +111,6 @@ mod focus;
 pub mod instant;
 pub mod light;
 pub mod machine;
-pub mod normals;
 pub mod palette;
 pub mod parts;
 pub mod pipeline;

@@ -4,7 +4,7 @@ use glam::DVec3;
 
 use crate::{
     analysis::surface::Merged,
-    geometry::{Facets, Vectors},
+    geometry::{Facets, Vectors, mesh::append_normals},
     observe::{Frame, Schema},
     stream::palette,
 };
@@ -41,8 +41,7 @@ pub fn parts(schema: &Schema, frame: &Frame, merged: &Merged) -> Vec<Part> {
             None => {
                 let mut normals = Vec::new();
                 group.append_normals(&mut sums, &mut normals);
-                let positions = group.positions.iter().map(|position| position.as_vec3().to_array()).collect();
-                Part { name, positions, normals, colors, triangles: group.triangles.clone() }
+                Part::smooth(name, &group.positions, normals, colors, &group.triangles)
             }
         };
         parts.push(part);
@@ -59,7 +58,11 @@ pub fn parts(schema: &Schema, frame: &Frame, merged: &Merged) -> Vec<Part> {
         let name = body.name.clone();
         parts.push(match mesh.facets() {
             Some(facets) => Part::faceted(name, facets, &positions, colors),
-            None => Part::of_body(name, &positions, colors, mesh.triangles().to_vec()),
+            None => {
+                let mut normals = Vec::new();
+                append_normals(&local, mesh.triangles(), &mut sums, &mut normals);
+                Part::smooth(name, &positions, normals, colors, mesh.triangles())
+            }
         });
     }
     parts
@@ -76,15 +79,15 @@ impl Part {
         Part { name, positions, normals, colors, triangles: facets.triangles().to_vec() }
     }
 
-    fn of_body(name: String, positions: &[DVec3], colors: Vec<[u8; 3]>, triangles: Vec<[u32; 3]>) -> Part {
-        let mut areas = vec![DVec3::ZERO; positions.len()];
-        for corners in &triangles {
-            let [a, b, c] = corners.map(|v| positions[v as usize]);
-            let area = (b - a).cross(c - a);
-            corners.iter().for_each(|&v| areas[v as usize] += area);
-        }
-        let normals = areas.iter().map(|area| area.normalize_or(DVec3::Z).as_vec3().to_array()).collect();
+    /// A surface with these normals.
+    fn smooth(
+        name: String,
+        positions: &[DVec3],
+        normals: Vec<[f32; 3]>,
+        colors: Vec<[u8; 3]>,
+        triangles: &[[u32; 3]],
+    ) -> Part {
         let positions = positions.iter().map(|position| position.as_vec3().to_array()).collect();
-        Part { name, positions, normals, colors, triangles }
+        Part { name, positions, normals, colors, triangles: triangles.to_vec() }
     }
 }

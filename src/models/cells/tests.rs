@@ -54,7 +54,7 @@ fn the_covered_volume_converges() {
 fn a_box_along_the_grid_is_covered_exactly() {
     let high = DVec3::new(2.0, 2.0, 1.0) / 3.0; // at distance 1
     let (corners, triangles) = cuboid(-high, high);
-    let mesh = Mesh::round(corners, triangles, None);
+    let mesh = Mesh::round(corners, triangles);
     let cells = Cells::cover(&mesh, 6, None).unwrap();
     assert_eq!(cells.cell_count(), 4 * 4 * 2);
 }

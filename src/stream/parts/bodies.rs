@@ -16,9 +16,8 @@ use crate::{
     stream::{
         chunks::{Chunks, TrackId},
         contract::{BODY, BODY_SURFACE, LIT},
-        extract::{Extractor, Surface},
+        extract::{Extractor, Float3, Surface},
         light::{self, Light},
-        normals::Float3,
         palette,
         settings::Detail,
     },

@@ -15,8 +15,8 @@ use crate::stream::{
     blueprint::Mapping,
     chunks::{Chunks, TrackId},
     contract::{HEAT_FORMAT, HEAT_PLACES, HEAT_TEXTURE, LARGEST, LEGEND},
+    extract::Float3,
     light,
-    normals::Float3,
     palette::{self, color},
 };
 use crate::text::significant;

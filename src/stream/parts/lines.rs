@@ -10,7 +10,7 @@ use crate::{
         chunks::{Chunks, TrackId},
         columns::Cell,
         contract::{NAMES, PAIR_LINES},
-        normals::Float3,
+        extract::Float3,
         palette::{self, color},
         settings::Settings,
     },

@@ -23,8 +23,8 @@ use crate::{
         chunks::{Chunks, TrackId},
         columns::Cell,
         contract::{DRAWN, LIT, MERGED, MERGED_SEAMS, MERGED_SURFACE, VERTEX},
+        extract::Float3,
         light::{self, Light},
-        normals::Float3,
         palette::{self, color},
     },
 };

@@ -10,7 +10,7 @@ use crate::{
     stream::{
         chunks::{Chunks, TrackId},
         contract::FORCE,
-        normals::Float3,
+        extract::Float3,
         palette::{Rgb, color},
     },
 };

@@ -10,10 +10,9 @@ use crate::{
     stream::{
         chunks::{Chunks, TrackId},
         contract::{LIT, RECENT, RECENT_NAMES, RECENT_PAIR, RECENT_SPHERES},
-        extract::{Extractor, Surface},
+        extract::{Extractor, Float3, Surface},
         instant::Instant,
         light::{self, Light},
-        normals::Float3,
         palette::{self, Rgb, color},
     },
 };

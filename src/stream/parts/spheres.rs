@@ -7,7 +7,7 @@ use crate::{
     stream::{
         chunks::{Chunks, TrackId},
         contract::{INFLUENCE, PAIR_LINES},
-        normals::Float3,
+        extract::Float3,
         palette::{self, Rgb, color},
         settings::Entities,
     },

@@ -7,7 +7,7 @@ use crate::{
     stream::{
         chunks::{Chunks, TrackId},
         contract::SPRINGS,
-        normals::Float3,
+        extract::Float3,
         palette::{self, color},
     },
 };

@@ -8,7 +8,7 @@ use crate::{
     stream::{
         chunks::{Chunks, TrackId},
         contract::TRAILS,
-        normals::Float3,
+        extract::Float3,
         palette::{self, color},
     },
 };
