@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::observe::{self, Variation};
+use crate::observe::{Branch, Poke, Variation};
 
 /// What a page asks for: a variation of the experiment, and the step that it shows.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
@@ -22,45 +22,10 @@ pub struct Change {
     pub page: String,
 }
 
-/// See [`observe::Branch`].
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub struct Branch {
-    /// The instant [s].
-    pub time: f64,
-    /// Values by key.
-    pub values: BTreeMap<String, f64>,
-}
-
-/// See [`observe::Poke`].
-#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields)]
-pub struct Poke {
-    /// Name of the body.
-    pub body: String,
-    /// Where it is [scene unit].
-    pub at: [f64; 3],
-    /// Its radius [scene unit].
-    pub radius: f64,
-    /// Strength of its attraction [1/s²].
-    pub strength: f64,
-}
-
 impl Change {
     /// What it varies.
     pub fn variation(&self) -> Variation {
-        let branch = |Branch { time, values }: &Branch| observe::Branch { time: *time, values: values.clone() };
-        let poke = |Poke { body, at, radius, strength }: &Poke| observe::Poke {
-            body: body.clone(),
-            at: (*at).into(),
-            radius: *radius,
-            strength: *strength,
-        };
-        Variation {
-            values: self.values.clone(),
-            branches: self.branches.iter().map(branch).collect(),
-            poke: self.poke.as_ref().map(poke),
-        }
+        Variation { values: self.values.clone(), branches: self.branches.clone(), poke: self.poke.clone() }
     }
 }
 

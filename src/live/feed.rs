@@ -7,7 +7,7 @@ use std::{
 };
 
 use hyper::body::Bytes;
-use serde::Serialize;
+use serde_json::{Value, json};
 use tokio::sync::watch;
 use tokio_stream::{Stream, wrappers::WatchStream};
 
@@ -34,11 +34,10 @@ impl Default for Feed {
 }
 
 impl Feed {
-    /// Sends a message to every page, in place of the last one of its kind.
-    pub fn send(&self, kind: &'static str, message: &impl Serialize) {
-        let Ok(serde_json::Value::Object(mut object)) = serde_json::to_value(message) else { return };
-        object.insert("kind".to_owned(), kind.into());
-        let text = Bytes::from(format!("data: {}\n\n", serde_json::Value::Object(object)));
+    /// Sends a message, an object, to every page, in place of the last one of its kind.
+    pub fn send(&self, kind: &'static str, mut message: Value) {
+        message["kind"] = kind.into();
+        let text = Bytes::from(format!("data: {message}\n\n"));
         let mut messages = lock(&self.messages);
         messages.count += 1;
         let number = messages.count;
@@ -50,7 +49,7 @@ impl Feed {
 
     /// Shows a problem on every page.
     pub fn problem(&self, problem: &Problem) {
-        self.send("problem", problem);
+        self.send("problem", json!(problem));
     }
 
     /// The messages for a page that is opened now, as server-sent events.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use serde::Serialize;
+use serde_json::{Value, json};
 
 use super::change::Problem;
 use crate::{
@@ -17,52 +17,6 @@ const CURVES: usize = 16;
 const CANDIDATES: usize = 4096;
 /// Largest number of values in a curve.
 const POINTS: u64 = 2000;
-
-/// What a page knows of a run before its frames.
-#[derive(Serialize)]
-pub struct Answer {
-    number: u64,
-    outcome: String,
-    simulated_ms: f64,
-    /// Whether the events include those of surfaces, which take longer to find.
-    is_measured: bool,
-    events: Vec<Event>,
-    levels: Vec<Level>,
-    plots: Vec<Plot>,
-    problem: Option<Problem>,
-}
-
-#[derive(Serialize)]
-struct Event {
-    /// Kind and pair, as in `merge a~b`.
-    event: String,
-    pair: Option<String>,
-    time: f64,
-    step: u64,
-    q: Option<f64>,
-    /// Whether surfaces touch or part.
-    is_contact: bool,
-    color: String,
-    text: String,
-}
-
-/// A threshold of q.
-#[derive(Clone, PartialEq, Serialize)]
-struct Level {
-    label: String,
-    q: f64,
-    color: String,
-}
-
-/// The curve of a pair.
-#[derive(Serialize)]
-struct Plot {
-    pair: String,
-    /// Steps from one value to the next.
-    every: u64,
-    /// q, or nothing while the pair is out of reach.
-    q: Vec<Option<f64>>,
-}
 
 /// The events and curves of a run, as it goes.
 pub struct Outline {
@@ -128,7 +82,7 @@ impl Outline {
     }
 
     /// What is sent to pages; `contacts` are known once the run is recorded.
-    pub fn answer(&self, number: u64, contacts: Option<&[SurfaceEvent]>) -> Answer {
+    pub fn answer(&self, number: u64, contacts: Option<&[SurfaceEvent]>) -> Value {
         let schema = &self.schema;
         let events = rows(&self.events, contacts.unwrap_or_default(), &self.bodies).into_iter().map(|row| {
             let (name, pair, q, color) = match &row {
@@ -146,40 +100,48 @@ impl Outline {
                 (None, _) => String::new(),
             };
             let (time, step, text) = (row.time(), row.step(), row.describe(schema));
-            let is_contact = matches!(row, EventRow::Contact(_));
-            Event { event: format!("{name} {whom}"), pair, time, step, q, is_contact, color: hex(color), text }
+            json!({
+                "event": format!("{name} {whom}"),
+                "pair": pair,
+                "time": time,
+                "step": step,
+                "q": q,
+                "is_contact": matches!(row, EventRow::Contact(_)),
+                "color": hex(color),
+                "text": text,
+            })
         });
-        let events = events.collect();
+        let events: Vec<Value> = events.collect();
         let least = |curve: &[Option<f64>]| curve.iter().flatten().copied().fold(f64::INFINITY, f64::min);
         let mut pairs: Vec<(&[usize; 2], &Vec<Option<f64>>)> = self.curves.iter().collect();
         pairs.sort_by(|x, y| least(x.1).total_cmp(&least(y.1)));
         pairs.truncate(CURVES);
         pairs.sort_by_key(|pair| pair.0);
-        let mut levels: Vec<Level> = Vec::new();
+        let mut levels: Vec<Value> = Vec::new();
         for &(&[a, b], _) in &pairs {
             for (index, threshold) in schema.thresholds.iter().enumerate() {
                 let Some(q) = schema.level(index, [a, b], 0.0).filter(|&q| q > 0.0) else { continue };
-                let level = Level { label: threshold.label.to_owned(), q, color: hex(threshold.color) };
+                let level = json!({ "label": threshold.label, "q": q, "color": hex(threshold.color) });
                 if !levels.contains(&level) {
                     levels.push(level);
                 }
             }
         }
-        let plot = |(&[a, b], q): (&[usize; 2], &Vec<Option<f64>>)| Plot {
-            pair: schema.pair_name(a, b),
-            every: self.every,
-            q: q.clone(),
+        let plot = |(&[a, b], q): (&[usize; 2], &Vec<Option<f64>>)| {
+            // q is null while the pair is out of reach
+            json!({ "pair": schema.pair_name(a, b), "every": self.every, "q": q })
         };
-        Answer {
-            number,
-            outcome: outcome_of(self.events.iter().map(|event| event.name)),
-            simulated_ms: self.simulated_ms,
-            is_measured: contacts.is_some(),
-            events,
-            levels,
-            plots: pairs.into_iter().map(plot).collect(),
-            problem: self.failure.clone().map(Problem::new),
-        }
+        json!({
+            "number": number,
+            "outcome": outcome_of(self.events.iter().map(|event| event.name)),
+            "simulated_ms": self.simulated_ms,
+            // whether the events include those of surfaces, which take longer to find
+            "is_measured": contacts.is_some(),
+            "events": events,
+            "levels": levels,
+            "plots": pairs.into_iter().map(plot).collect::<Vec<Value>>(),
+            "problem": self.failure.clone().map(Problem::new),
+        })
     }
 }
 

@@ -1,7 +1,7 @@
 //! Runs of the changed experiment: the newest change first, and what it replaces is interrupted.
 
 use std::{
-    collections::{BTreeMap, VecDeque},
+    collections::VecDeque,
     path::{Path, PathBuf},
     sync::{
         Arc, Condvar, Mutex, PoisonError,
@@ -11,19 +11,20 @@ use std::{
 };
 
 use serde::Serialize;
+use serde_json::{Value, json};
 
 use super::{
-    change::{Branch, Change, Poke, Problem},
+    change::{Change, Problem},
     feed::Feed,
     lock,
     outline::Outline,
     recording::{Parts, Recording, Writer},
-    thresholds::{self, Mark},
+    thresholds,
 };
 use crate::{
     atomic,
     colors::hex,
-    observe::{BodyFrame, Experiment, Frame, Schema, StepSummary, Want, schema::BodySchema},
+    observe::{BodyFrame, Experiment, Frame, Parameter, StepSummary, Want, schema::BodySchema},
     sdk::LogMsg,
     stream::{
         self, Recorder, Settings,
@@ -91,29 +92,7 @@ enum Job {
     Thresholds(String),
 }
 
-/// What a page knows of the experiment.
-#[derive(Serialize)]
-struct Scene {
-    name: String,
-    dt: f64,
-    steps: u64,
-    parameters: Vec<Parameter>,
-    legend: Vec<Entry>,
-    /// The bodies that a force point can act on.
-    bodies: Vec<Body>,
-}
-
-/// The change that the newest run has, for the pages that did not ask for it.
-#[derive(Serialize)]
-struct Changes<'a> {
-    /// The page that asked for it, if it was one.
-    page: &'a str,
-    values: &'a BTreeMap<String, f64>,
-    branches: &'a [Branch],
-    poke: &'a Option<Poke>,
-}
-
-/// A body at the start.
+/// A body that a force point can act on, at the start.
 #[derive(Serialize)]
 struct Body {
     name: String,
@@ -121,63 +100,12 @@ struct Body {
     at: [f64; 3],
 }
 
-#[derive(Serialize)]
-struct Parameter {
-    key: String,
-    label: String,
-    group: String,
-    unit: String,
-    about: String,
-    value: f64,
-    min: f64,
-    max: f64,
-    can_branch: bool,
-}
-
-/// A colour, and what has it.
-#[derive(Serialize)]
-struct Entry {
-    label: &'static str,
-    color: String,
-    is_arrow: bool,
-}
-
-#[derive(Serialize)]
-struct Progress {
-    number: u64,
-    doing: &'static str,
-    step: u64,
-    steps: u64,
-}
-
-#[derive(Serialize)]
-struct Recorded {
-    number: u64,
-    frames: u64,
-    ms: f64,
-    /// Steps from one frame to the next, at the end.
-    every: u64,
-}
-
-#[derive(Serialize)]
-struct Marks {
-    /// Number of the newest run; the values beside this parameter are those of its change.
-    number: u64,
-    key: String,
-    marks: Vec<Mark>,
-}
-
-#[derive(Serialize)]
-struct Saved {
-    text: String,
-}
-
 impl Runs {
     /// The runs of an experiment; the first is that of the experiment itself. What is saved goes to `save`, or beside
     /// it.
     pub fn new(experiment: Arc<dyn Experiment>, save: PathBuf, interrupt: &'static AtomicBool) -> Runs {
         let feed = Feed::default();
-        feed.send("scene", &scene_of(&*experiment));
+        feed.send("scene", scene_of(&*experiment, &bodies_to_poke(&*experiment)));
         let wanted = Wanted {
             experiment,
             change: Change::default(),
@@ -201,7 +129,16 @@ impl Runs {
             self.interrupt.store(true, Ordering::Relaxed);
         }
         let Change { page, values, branches, poke, .. } = &wanted.change;
-        self.feed.send("changes", &Changes { page, values, branches, poke });
+        self.feed.send(
+            "changes",
+            json!({
+                // the page that asked for it, if it was one
+                "page": page,
+                "values": values,
+                "branches": branches,
+                "poke": poke,
+            }),
+        );
         let number = wanted.number;
         drop(wanted);
         self.wake.notify_all();
@@ -215,9 +152,10 @@ impl Runs {
 
     /// Continues with another experiment and the same changes, as far as its parameters have them.
     pub fn replace(&self, experiment: Arc<dyn Experiment>) {
-        let scene = scene_of(&*experiment);
+        let (parameters, bodies) = (experiment.parameters(), bodies_to_poke(&*experiment));
+        let scene = scene_of(&*experiment, &bodies);
         self.want(|wanted| {
-            let known = |key: &String| scene.parameters.iter().find(|parameter| parameter.key == *key);
+            let known = |key: &String| parameters.iter().find(|parameter| parameter.key == *key);
             let Change { page, values, branches, poke, .. } = &mut wanted.change;
             page.clear();
             values.retain(|key, _| known(key).is_some());
@@ -225,9 +163,9 @@ impl Runs {
                 branch.values.retain(|key, _| known(key).is_some_and(|parameter| parameter.can_branch));
             }
             branches.retain(|branch| !branch.values.is_empty());
-            *poke = poke.take().filter(|poke| scene.bodies.iter().any(|body| body.name == poke.body));
+            *poke = poke.take().filter(|poke| bodies.iter().any(|body| body.name == poke.body));
             wanted.experiment = experiment;
-            self.feed.send("scene", &scene);
+            self.feed.send("scene", scene);
         });
     }
 
@@ -312,7 +250,7 @@ impl Runs {
             wanted.number == number && wanted.save.is_none() && wanted.thresholds.is_none()
         };
         match thresholds::find(experiment, &change.variation(), &key, &is_waited_for) {
-            Some(marks) => self.feed.send("marks", &Marks { number, key, marks }),
+            Some(marks) => self.feed.send("marks", json!({ "number": number, "key": key, "marks": marks })),
             None => {
                 lock(&self.wanted).thresholds.get_or_insert(key);
             }
@@ -327,7 +265,7 @@ impl Runs {
         let mut report = |doing, step, steps| {
             if reported.elapsed() > PATIENCE {
                 reported = Clock::now();
-                self.feed.send("progress", &Progress { number, doing, step, steps });
+                self.feed.send("progress", json!({ "number": number, "doing": doing, "step": step, "steps": steps }));
             }
         };
         let mut simulation = experiment.start().map_err(Problem::new)?;
@@ -357,13 +295,13 @@ impl Runs {
             simulation.observe(settings.want(), &mut at_cursor);
         }
         outline.simulated_ms = 1e3 * start.elapsed().as_secs_f64();
-        self.feed.send("run", &outline.answer(number, None));
+        self.feed.send("run", outline.answer(number, None));
 
         let start = Clock::now();
         let mut simulation = experiment.start().map_err(Problem::new)?;
         let mut recorder = Recorder::numbered(&*simulation, settings.clone(), number).map_err(Problem::new)?;
         let mut writer = self.open(number, &recorder.layout_beside_controls(&*simulation))?;
-        self.feed.send("open", &Recorded { number, frames: 0, ms: 0.0, every: 1 });
+        self.feed.send("open", recorded(number, 0, 0.0, 1));
         writer.write(&recorder.preview(&at_cursor))?;
         let mut watch = StepWatch::new(&*simulation, &settings);
         let (mut records, mut frames, mut contacts) = (Vec::new(), Vec::new(), Vec::new());
@@ -401,9 +339,9 @@ impl Runs {
         writer.write(&recorder.take())?;
         drop(writer);
         if self.is_current(number) {
-            self.feed.send("run", &outline.answer(number, Some(&contacts)));
+            self.feed.send("run", outline.answer(number, Some(&contacts)));
             let ms = 1e3 * start.elapsed().as_secs_f64();
-            self.feed.send("frames", &Recorded { number, frames: recorder.written(), ms, every });
+            self.feed.send("frames", recorded(number, recorder.written(), ms, every));
         }
         Ok(())
     }
@@ -443,7 +381,7 @@ impl Runs {
                 format!("saved {}", path.display())
             }
         };
-        self.feed.send("saved", &Saved { text });
+        self.feed.send("saved", json!({ "text": text }));
         Ok(())
     }
 }
@@ -463,35 +401,45 @@ fn interval(bytes: u64, frames: u64, steps_left: u64) -> u64 {
     steps_left.div_ceil(affordable.max(1)).max(1)
 }
 
-fn scene_of(experiment: &dyn Experiment) -> Scene {
+/// What pages know of the recording of a run: its frames, how long it took [ms], and the steps from one frame to the next at
+/// the end.
+fn recorded(number: u64, frames: u64, ms: f64, every: u64) -> Value {
+    json!({ "number": number, "frames": frames, "ms": ms, "every": every })
+}
+
+/// What pages know of an experiment.
+fn scene_of(experiment: &dyn Experiment, bodies: &[Body]) -> Value {
     let schema = experiment.schema();
-    let parameters = experiment.parameters().into_iter().map(|parameter| Parameter {
-        key: parameter.key,
-        label: parameter.label,
-        group: parameter.group,
-        unit: parameter.unit,
-        about: parameter.about,
-        value: parameter.value,
-        min: parameter.range[0],
-        max: parameter.range[1],
-        can_branch: parameter.can_branch,
-    });
+    let parameter = |parameter: Parameter| {
+        json!({
+            "key": parameter.key,
+            "label": parameter.label,
+            "group": parameter.group,
+            "unit": parameter.unit,
+            "about": parameter.about,
+            "value": parameter.value,
+            "min": parameter.range[0],
+            "max": parameter.range[1],
+            "can_branch": parameter.can_branch,
+        })
+    };
     let phases = schema.phases.iter().map(|phase| (phase.name, phase.color, false));
     let terms = schema.terms.iter().filter(|term| term.is_shown && term.can_act);
     let terms = terms.map(|term| (term.label, term.color, true));
-    let entry = |(label, color, is_arrow)| Entry { label, color: hex(color), is_arrow };
-    Scene {
-        name: schema.name.clone(),
-        dt: schema.dt,
-        steps: schema.steps,
-        parameters: parameters.collect(),
-        legend: phases.chain(terms).map(entry).collect(),
-        bodies: bodies_to_poke(experiment, &schema),
-    }
+    let entry = |(label, color, is_arrow)| json!({ "label": label, "color": hex(color), "is_arrow": is_arrow });
+    json!({
+        "name": schema.name,
+        "dt": schema.dt,
+        "steps": schema.steps,
+        "parameters": experiment.parameters().into_iter().map(parameter).collect::<Vec<Value>>(),
+        "legend": phases.chain(terms).map(entry).collect::<Vec<Value>>(),
+        "bodies": bodies,
+    })
 }
 
 /// The first bodies of an experiment, where they are at the start.
-fn bodies_to_poke(experiment: &dyn Experiment, schema: &Schema) -> Vec<Body> {
+fn bodies_to_poke(experiment: &dyn Experiment) -> Vec<Body> {
+    let schema = experiment.schema();
     if !experiment.can_poke() || schema.bodies.len() > MAX_POKED {
         return Vec::new();
     }

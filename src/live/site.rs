@@ -9,6 +9,7 @@ use hyper::{
 };
 use re_web_viewer_server::WebViewerData;
 use serde::de::DeserializeOwned;
+use serde_json::json;
 
 use super::{
     change::{Change, Problem},
@@ -27,13 +28,6 @@ const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; 
 pub struct Page {
     token: String,
     runs: Arc<Runs>,
-}
-
-/// The answer to a change.
-#[derive(serde::Serialize)]
-struct Asked {
-    /// Number of the run.
-    number: u64,
 }
 
 #[derive(serde::Deserialize)]
@@ -64,7 +58,7 @@ impl Page {
             return text(StatusCode::PAYLOAD_TOO_LARGE, "the request is too large");
         };
         let done = match path {
-            "change" => read(&body).map(|change: Change| Some(Asked { number: self.runs.ask(change) })),
+            "change" => read(&body).map(|change: Change| Some(json!({ "number": self.runs.ask(change) }))),
             "thresholds" => read(&body).map(|Thresholds { key }| {
                 self.runs.find_thresholds(key);
                 None

@@ -38,6 +38,7 @@ pub struct Variation {
 
 /// Values that parameters take from an instant on.
 #[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "viewer", derive(serde::Deserialize, serde::Serialize), serde(deny_unknown_fields))]
 pub struct Branch {
     /// The instant [s].
     pub time: f64,
@@ -47,6 +48,7 @@ pub struct Branch {
 
 /// A force point that acts on one body.
 #[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "viewer", derive(serde::Deserialize, serde::Serialize), serde(deny_unknown_fields))]
 pub struct Poke {
     /// Name of the body.
     pub body: String,
