@@ -26,9 +26,8 @@ use super::{
     machine, palette,
     parts::{
         FrameView, batch::BatchedBodies, bodies::SeparateBodies, body_forces::BodyForces, forces::Forces,
-        groups::GroupPlots, heat::Heat, lines::Lines, marks, merged::MergedEntities, net_forces::NetForces,
-        numbers::FrameNumbers, pairs, pairs::PairPlots, planes, points::Points, spheres::SphereEntities,
-        springs::Springs, trails::Trails,
+        groups::GroupPlots, heat::Heat, lines::Lines, marks, merged::MergedEntities, numbers::FrameNumbers, pairs,
+        pairs::PairPlots, planes, points::Points, spheres::SphereEntities, springs::Springs, trails::Trails,
     },
     series::Series,
     settings::{FORMAT, Frames, Trigger, application, recording_id},
@@ -113,7 +112,6 @@ struct StateParts {
     spheres: SphereEntities,
     points: Option<Points>,
     forces: Option<Forces>,
-    net_forces: Option<NetForces>,
     springs: Option<Springs>,
     lines: Lines,
 }
@@ -573,18 +571,17 @@ impl StateParts {
             Entities::Batch => Surfaces::Batch(BatchedBodies::new(schema, detail, &mut extractor, chunks)),
         };
         let forces = (detail != Detail::Surface).then(|| Forces::new(schema, settings.entities, chunks));
-        let net_forces = if detail != Detail::Surface { NetForces::new(schema, chunks) } else { None };
         let springs = if detail != Detail::Surface { Springs::new(schema, chunks) } else { None };
         let lines = Lines::new(schema, settings, chunks);
         let merged = MergedEntities::new(schema, interrupt, chunks);
         let points = Points::new(schema, chunks);
-        StateParts { extractor, merged, surfaces, spheres, points, forces, net_forces, springs, lines }
+        StateParts { extractor, merged, surfaces, spheres, points, forces, springs, lines }
     }
 
     /// Logs changed values, and measures `pairs`; returns the time spent on extraction, now and ahead.
     fn log(&mut self, view: FrameView<'_>, pairs: &[[usize; 2]], chunks: &mut Chunks) -> [Duration; 2] {
         let start = Clock::now();
-        let StateParts { extractor, merged, surfaces, spheres, points, forces, net_forces, springs, lines } = self;
+        let StateParts { extractor, merged, surfaces, spheres, points, forces, springs, lines } = self;
         if let Some(forces) = forces {
             forces.extract(view, extractor);
         }
@@ -598,9 +595,6 @@ impl StateParts {
         let extracting = start.elapsed();
         if let Some(forces) = forces {
             forces.log(view, chunks);
-        }
-        if let Some(net_forces) = net_forces {
-            net_forces.log(view, chunks);
         }
         if let Some(springs) = springs {
             springs.log(view, chunks);

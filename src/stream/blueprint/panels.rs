@@ -6,7 +6,7 @@ use crate::{
     observe::{Frame, Schema, schema::TermSchema},
     stream::{
         palette,
-        parts::{body_forces, net_forces, recent, trails},
+        parts::{body_forces, forces, recent, trails},
         settings::{Detail, Entities, Frames, Settings},
     },
     text::{self, counted, significant},
@@ -42,12 +42,12 @@ fn short(x: f64) -> String {
 /// The text about the arrows at the centres of free bodies.
 fn at_centres(schema: &Schema) -> String {
     let radius = schema.largest_radius();
-    let of = net_forces::KINDS.map(|(name, rgb, _)| format!("{} {}", colors::name(rgb), name.replace('_', " ")));
+    let of = forces::NET_KINDS.map(|(name, rgb, _)| format!("{} {}", colors::name(rgb), name.replace('_', " ")));
     format!(
         "- **At the centres** of free bodies: {} (over M, and over M R), 1 R long if {} unit/s², at most {} R\n",
         of.join(", "),
         short(radius / schema.net_force_scale),
-        net_forces::LONGEST,
+        forces::LONGEST_NET,
     )
 }
 

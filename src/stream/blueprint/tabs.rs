@@ -27,7 +27,7 @@ use crate::{
         },
         palette,
         parts::{
-            body_forces, heat, net_forces, numbers,
+            body_forces, forces, heat, numbers,
             pairs::{self, MEASURES},
             recent, trails,
         },
@@ -133,7 +133,7 @@ impl Layout {
         if is_crowd {
             hide(INFLUENCE.path);
             hide(TRAILS.path);
-            net_forces::KINDS.iter().for_each(|(name, ..)| hide(&FORCE.of(&[name])));
+            forces::NET_KINDS.iter().for_each(|(name, ..)| hide(&FORCE.of(&[name])));
         }
         if settings.detail != Detail::Surface {
             for term in schema.terms.iter().filter(|term| is_crowd || !term.is_shown) {
@@ -235,7 +235,7 @@ impl Layout {
         const MOST_STACKED: usize = 3;
 
         let sums = schema.terms.iter().filter(|term| term.is_sum).map(|sum| sum.name);
-        let sums = sums.chain(net_forces::KINDS.map(|(name, ..)| name));
+        let sums = sums.chain(forces::NET_KINDS.map(|(name, ..)| name));
         let mut arrows: Vec<String> = sums.map(|name| format!("- {}", FORCE.of(&[name]))).collect();
         arrows.push(family(&FORCE));
         let mut views = vec![self.forces_view(framing, "All", &arrows, schema, settings)];

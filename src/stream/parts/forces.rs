@@ -1,17 +1,21 @@
-//! Forces as arrows: one batch per force term, only at vertices on which it acts.
+//! Forces as arrows: one batch per force term, only at vertices on which it acts; and net force and torque on free bodies, an
+//! arrow for each at the centre.
 
 use std::collections::{BTreeMap, btree_map::Entry};
 
+use glam::DVec3;
+
 use super::{FrameView, heat::Displacements, vertices};
 use crate::{
-    observe::Schema,
+    colors,
+    observe::{NetForce, Schema, schema::BodySchema},
     sdk::{self, AnnotationContext, Arrows3D},
     stream::{
         chunks::{Chunks, TrackId},
         columns::Cell,
         contract::{FORCE, FORCES},
         extract::{Arrows, Extractor, Float3},
-        palette::color,
+        palette::{Rgb, color},
         settings::Entities,
     },
 };
@@ -19,9 +23,23 @@ use crate::{
 /// Upper limit on the number of named pairs.
 const MAX_SOURCES: usize = 256;
 
+/// Acceleration of a body by a net force [scene unit/s²].
+type NetAcceleration = fn(&NetForce, &BodySchema) -> DVec3;
+
+/// The two kinds of arrows of net forces: name of the entity, colour, and value in a frame.
+pub const NET_KINDS: [(&str, Rgb, NetAcceleration); 2] = [
+    ("net_force", colors::WHITE, |net, body| net.force / body.mass),
+    ("torque", colors::YELLOW, |net, body| net.torque / (body.mass * body.radius)),
+];
+/// Length of the longest arrow of a net force [radii]: in an impact, net forces are ten times as strong as before and after
+/// it.
+pub const LONGEST_NET: f64 = 2.0;
+
 /// Force arrows, with the last logged values.
 pub struct Forces {
-    terms: Vec<TermArrows>,
+    terms: Vec<KindArrows>,
+    /// Of each of [`NET_KINDS`]; none if no body is free.
+    net: Vec<KindArrows>,
     /// Scratch storage, reused.
     origins: Vec<Float3>,
     /// Values of each body's vertices; for bodies at rest only if each body has its own entity.
@@ -33,8 +51,9 @@ pub struct Forces {
     sources: Sources,
 }
 
-struct TermArrows {
+struct KindArrows {
     track: TrackId,
+    has_source: bool,
     last: Arrows,
     next: Arrows,
 }
@@ -43,22 +62,26 @@ impl Forces {
     /// Logs static data.
     pub fn new(schema: &Schema, entities: Entities, chunks: &mut Chunks) -> Forces {
         chunks.log_static(FORCES.path, &AnnotationContext::new([OTHERS]));
-        let terms = schema.terms.iter().map(|term| {
-            let entity = FORCE.of(&[term.name]);
+        let mut kind = |name, rgb, is_at_centre, has_source: bool| {
+            let entity = FORCE.of(&[name]);
             let style = Arrows3D::update_fields()
-                .with_colors([color(term.color)])
-                .with_radii([sdk::Radius::new_ui_points(if term.is_uniform { 2.5 } else { 1.2 })])
+                .with_colors([color(rgb)])
+                .with_radii([sdk::Radius::new_ui_points(if is_at_centre { 2.5 } else { 1.2 })])
                 .with_show_labels(false);
             chunks.log_static(&entity, &style);
             let mut components = vec![Arrows3D::descriptor_origins(), Arrows3D::descriptor_vectors()];
-            components.extend(term.has_source.then(Arrows3D::descriptor_class_ids));
+            components.extend(has_source.then(Arrows3D::descriptor_class_ids));
             let track = chunks.track(&entity, components);
-            TermArrows { track, last: Arrows::default(), next: Arrows::default() }
-        });
-        let terms = terms.collect();
+            KindArrows { track, has_source, last: Arrows::default(), next: Arrows::default() }
+        };
+        let terms =
+            schema.terms.iter().map(|term| kind(term.name, term.color, term.is_uniform, term.has_source)).collect();
+        let is_free = schema.bodies.iter().any(|body| body.is_free);
+        let net = NET_KINDS.iter().filter(|_| is_free).map(|&(name, rgb, _)| kind(name, rgb, true, false)).collect();
         let count = schema.bodies.len();
         Forces {
             terms,
+            net,
             origins: Vec::new(),
             vertices: vec![vertices::VertexNumbers::default(); count],
             displacements: Displacements::default(),
@@ -73,8 +96,13 @@ impl Forces {
         let FrameView { schema, .. } = view;
         self.displacements.find(view);
         let end = self.displacements.end();
-        self.terms.iter_mut().for_each(|term| term.next.clear());
+        self.terms.iter_mut().chain(&mut self.net).for_each(|kind| kind.next.clear());
         for (index, (body, now)) in view.bodies().enumerate() {
+            for (arrows, (.., acceleration)) in self.net.iter_mut().zip(NET_KINDS) {
+                let Some(net) = &now.net_force else { continue };
+                let vector = schema.net_force_scale * acceleration(net, body);
+                arrows.next.append_one(now.centre, vector.clamp_length_max(LONGEST_NET * body.radius), None, 1.0);
+            }
             let numbers = &mut self.vertices[index];
             if now.is_at_rest && !now.has_forces {
                 if !std::mem::replace(&mut self.at_rest[index], true) {
@@ -113,11 +141,11 @@ impl Forces {
     /// Logs changed values.
     pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
         self.sources.log(view.schema, chunks);
-        for (of_schema, TermArrows { track, last, next }) in view.schema.terms.iter().zip(&mut self.terms) {
+        for KindArrows { track, has_source, last, next } in self.terms.iter_mut().chain(&mut self.net) {
             if next != last {
                 std::mem::swap(next, last);
                 let cells: [&dyn Cell; _] = [&last.origins, &last.vectors, &last.classes];
-                chunks.push(*track, view.at, if of_schema.has_source { &cells } else { &cells[..2] });
+                chunks.push(*track, view.at, if *has_source { &cells } else { &cells[..2] });
             }
         }
     }

@@ -6,9 +6,8 @@
 //! | `/world/bodies/NAME`, `…/surface` | [`bodies`] |
 //! | `/world/resting/SHAPE`, `/world/deforming/surface` | [`batch`] |
 //! | `/world/influence` | [`spheres`] |
-//! | `/world/forces/TERM` | [`forces`] |
+//! | `/world/forces/TERM`, `…/net_force`, `…/torque` | [`forces`] |
 //! | `/forces/NAME/CAUSE` | [`body_forces`] |
-//! | `/world/forces/net_force`, `…/torque` | [`net_forces`] |
 //! | `/world/merged/surface`, `/world/merged/seams` | [`merged`] |
 //! | `/groups/A/…`, `/volume/…` | [`groups`] |
 //! | `/world/trails` | [`trails`] |
@@ -32,7 +31,6 @@ pub mod heat;
 pub mod lines;
 pub mod marks;
 pub mod merged;
-pub mod net_forces;
 pub mod numbers;
 pub mod pairs;
 pub mod planes;
