@@ -42,7 +42,6 @@ use file::{Claim, Writer};
 use live::Live;
 use note::seconds;
 use queue::Parcel;
-use serve::Server;
 
 /// The requested destinations.
 #[derive(Clone, Debug)]
@@ -139,7 +138,7 @@ impl FromStr for Serve {
 pub struct Sinks {
     writers: Vec<Writer>,
     viewers: Vec<Live>,
-    server: Option<Server>,
+    server: Option<Serving>,
     notes: Vec<String>,
     /// Whether a file or pipe has the messages that a viewer misses.
     is_recorded: bool,
@@ -197,7 +196,7 @@ impl Sinks {
         }
         let is_connected = !sinks.viewers.is_empty();
         if let Some(serve) = serve {
-            let mut server = Server::start(serve)?;
+            let mut server = Serving::start(serve)?;
             sinks.notes.append(&mut server.notes);
             sinks.server = Some(server);
         }
@@ -355,11 +354,7 @@ impl Sinks {
         if let Some(failure) = failure {
             return (Err(failure), file);
         }
-        let finished = Finished {
-            save,
-            notes: std::mem::take(&mut self.notes),
-            serving: self.server.take().map(|server| Serving { server }),
-        };
+        let finished = Finished { save, notes: std::mem::take(&mut self.notes), serving: self.server.take() };
         (Ok(finished), file)
     }
 
@@ -400,7 +395,7 @@ impl Sinks {
                 ));
             }
         }
-        self.notes.extend(self.server.as_mut().and_then(Server::forgetting));
+        self.notes.extend(self.server.as_mut().and_then(Serving::forgetting));
     }
 
     /// The end of a note about a lost destination: the destinations that are left.

@@ -49,11 +49,11 @@ const SEND: usize = 256 << 10;
 /// Connections that may wait to be accepted.
 const BACKLOG: i32 = 1024;
 
-/// Both ports, served by one thread.
-pub(super) struct Server {
-    pub live: Live,
-    pub notes: Vec<String>,
-    pub data_port: u16,
+/// The servers of a run: both ports, served by one thread. Viewers can connect to them as long as this value lives.
+pub struct Serving {
+    pub(super) live: Live,
+    pub(super) notes: Vec<String>,
+    pub(super) data_port: u16,
     log: Arc<Log>,
     guard: Arc<Guard>,
     /// The thread, and a sender that stops it when dropped.
@@ -61,45 +61,33 @@ pub(super) struct Server {
     reported_forgetting: bool,
 }
 
-impl Server {
+impl Serving {
     /// Starts both servers; they accept connections when this returns.
-    pub fn start(serve: &Serve) -> Result<Server, SinkError> {
+    pub(super) fn start(serve: &Serve) -> Result<Serving, SinkError> {
         let Serve { bind, web_port, grpc_port, ref allow } = *serve;
         if web_port == grpc_port && web_port != 0 {
             return Err(SinkError::SamePort { port: web_port });
         }
-        let start = |err: io::Error| SinkError::Thread { target: NAME.to_owned(), reason: err.to_string() };
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(start)?;
-        let entered = runtime.enter();
-        let (web_listener, web_address) = listen(WEB, bind, web_port)?;
-        let (data_listener, data_address) = listen(NAME, bind, grpc_port)?;
-        drop(entered);
-
         let guard = Arc::new(Guard::new(allow.clone()));
         let (feed, history) = history::history(HISTORY);
         let log = history.log();
-        let web = Port::new(OfRun::Viewer(files(web_address)?, data_address.port()), Arc::clone(&guard));
-        let data = Port::new(OfRun::Data(history), Arc::clone(&guard));
-        let (stop, stopping) = oneshot::channel::<()>();
-        let serving = async move {
-            let tasks = [
-                tokio::spawn(Arc::clone(&web).listen(web_listener)),
-                tokio::spawn(Arc::clone(&data).listen(data_listener)),
-                tokio::spawn(Arc::clone(&web).sweep()),
-                tokio::spawn(Arc::clone(&data).sweep()),
-            ];
-            stopping.await.ok();
-            tasks.iter().for_each(tokio::task::JoinHandle::abort);
-            let started = Instant::now();
-            while data.is_busy() && started.elapsed() < DRAIN {
-                tokio::time::sleep(DRAIN / 20).await;
-            }
+        let open = |stopping| {
+            let (web_listener, web_address) = listen(WEB, bind, web_port)?;
+            let (data_listener, data_address) = listen(NAME, bind, grpc_port)?;
+            let files =
+                viewer_files().map_err(|reason| SinkError::Serve { what: WEB, address: web_address, reason })?;
+            let web = Port::new(OfRun::Viewer(files, data_address.port()), Arc::clone(&guard));
+            let data = Port::new(OfRun::Data(history), Arc::clone(&guard));
+            let serving = async move {
+                serve_ports([(web, web_listener), (Arc::clone(&data), data_listener)], stopping).await;
+                let started = Instant::now();
+                while data.is_busy() && started.elapsed() < DRAIN {
+                    tokio::time::sleep(DRAIN / 20).await;
+                }
+            };
+            Ok(([web_address, data_address], serving))
         };
-        let thread = std::thread::Builder::new().name("server".to_owned()).spawn(move || {
-            runtime.block_on(serving);
-            runtime.shutdown_background();
-        });
-        let thread = Some((stop, thread.map_err(start)?));
+        let ([web_address, data_address], stop, thread) = in_thread(NAME, open)?;
         let live = Live::start(NAME.to_owned(), LIMIT, WHEN_FULL, true, move || Ok(Box::new(feed)))?;
 
         let reachable = reachable(bind);
@@ -117,16 +105,24 @@ impl Server {
             ),
         ];
         notes.extend(exposure(bind, &addresses("HOST").0));
-        Ok(Server { live, notes, data_port: data_address.port(), log, guard, thread, reported_forgetting: false })
+        Ok(Serving {
+            live,
+            notes,
+            data_port: data_address.port(),
+            log,
+            guard,
+            thread: Some((stop, thread)),
+            reported_forgetting: false,
+        })
     }
 
     /// Queues a message, waiting briefly if the queue is full. `Err` tells why the server accepts no more.
-    pub fn send(&self, parcel: Parcel) -> Result<(), SinkError> {
+    pub(super) fn send(&self, parcel: Parcel) -> Result<(), SinkError> {
         self.live.send(parcel)
     }
 
     /// Returns a note, once, when the server has begun to discard history.
-    pub fn forgetting(&mut self) -> Option<String> {
+    pub(super) fn forgetting(&mut self) -> Option<String> {
         if self.reported_forgetting || !self.log.is_forgetting() {
             return None;
         }
@@ -138,8 +134,25 @@ impl Server {
         )
     }
 
+    /// Why the data server has stopped; `None` if it has not.
+    pub fn failure(&self) -> Option<SinkError> {
+        self.live.failure()
+    }
+
+    /// Summary of the requests rejected so far, as a sentence.
+    pub fn refused(&self) -> Option<String> {
+        self.guard.summary()
+    }
+
+    /// Stops both servers within a few seconds; dropping does the same.
+    pub fn close(self) {
+        drop(self);
+    }
+}
+
+impl Drop for Serving {
     /// Stops both servers with a short timeout: a viewer that does not read could block them forever.
-    fn stop(&mut self) {
+    fn drop(&mut self) {
         self.live.queue().release();
         self.live.queue().wait_ended(STOP);
         if let Some((stop, thread)) = self.thread.take() {
@@ -149,10 +162,34 @@ impl Server {
     }
 }
 
-impl Drop for Server {
-    fn drop(&mut self) {
-        self.stop();
-    }
+/// Runs a server on a thread of its own. `open` listens, within a runtime, and returns what the caller wants to know and
+/// the server, which is to end when the channel that it gets is closed: when the returned sender is dropped.
+fn in_thread<T, F: Future<Output = ()> + Send + 'static>(
+    target: &str,
+    open: impl FnOnce(oneshot::Receiver<()>) -> Result<(T, F), SinkError>,
+) -> Result<(T, oneshot::Sender<()>, JoinHandle<()>), SinkError> {
+    let start = |err: io::Error| SinkError::Thread { target: target.to_owned(), reason: err.to_string() };
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(start)?;
+    let (stop, stopping) = oneshot::channel();
+    let entered = runtime.enter();
+    let (opened, server) = open(stopping)?;
+    drop(entered);
+    let thread = std::thread::Builder::new().name("server".to_owned()).spawn(move || {
+        runtime.block_on(server);
+        runtime.shutdown_background();
+    });
+    Ok((opened, stop, thread.map_err(start)?))
+}
+
+/// Accepts connections on ports until the channel is closed.
+async fn serve_ports<S: Site, const N: usize>(
+    ports: [(Arc<Port<S>>, TcpListener); N],
+    stopping: oneshot::Receiver<()>,
+) {
+    let tasks =
+        ports.map(|(port, listener)| [tokio::spawn(Arc::clone(&port).listen(listener)), tokio::spawn(port.sweep())]);
+    stopping.await.ok();
+    tasks.as_flattened().iter().for_each(tokio::task::JoinHandle::abort);
 }
 
 /// Serves a page of its own on the web port; returns its address, a sender that stops it when dropped, and its thread.
@@ -160,22 +197,12 @@ pub(crate) fn page(
     serve: &Serve,
     site: impl Site,
 ) -> Result<(SocketAddr, oneshot::Sender<()>, JoinHandle<()>), SinkError> {
-    let start = |err: io::Error| SinkError::Thread { target: WEB.to_owned(), reason: err.to_string() };
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(start)?;
-    let entered = runtime.enter();
-    let (listener, address) = listen(WEB, serve.bind, serve.web_port)?;
-    drop(entered);
     let port = Port::new(site, Arc::new(Guard::new(serve.allow.clone())));
-    let (stop, stopping) = oneshot::channel::<()>();
-    let thread = std::thread::Builder::new().name("server".to_owned()).spawn(move || {
-        runtime.block_on(async move {
-            let tasks = [tokio::spawn(Arc::clone(&port).listen(listener)), tokio::spawn(Arc::clone(&port).sweep())];
-            stopping.await.ok();
-            tasks.iter().for_each(tokio::task::JoinHandle::abort);
-        });
-        runtime.shutdown_background();
-    });
-    Ok((SocketAddr::new(reachable(address.ip()), address.port()), stop, thread.map_err(start)?))
+    let (address, stop, thread) = in_thread(WEB, |stopping| {
+        let (listener, address) = listen(WEB, serve.bind, serve.web_port)?;
+        Ok((address, serve_ports([(port, listener)], stopping)))
+    })?;
+    Ok((SocketAddr::new(reachable(address.ip()), address.port()), stop, thread))
 }
 
 /// A word that nobody can guess.
@@ -189,34 +216,17 @@ pub(crate) fn token() -> Result<String, SinkError> {
     Ok(random.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-/// The files of the web viewer.
+/// The files of the web viewer, embedded in this program.
 ///
 /// # Errors
 /// They cannot be unpacked, for the returned reason.
 pub(crate) fn viewer_files() -> Result<&'static WebViewerData, String> {
-    files(SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 0)).map_err(|error| error.to_string())
-}
-
-/// The servers after the run. Viewers can connect to them as long as this value lives.
-pub struct Serving {
-    pub(super) server: Server,
-}
-
-impl Serving {
-    /// Stops both servers within a few seconds; dropping does the same.
-    pub fn close(mut self) {
-        self.server.stop();
+    static FILES: OnceLock<WebViewerData> = OnceLock::new();
+    if let Some(files) = FILES.get() {
+        return Ok(files);
     }
-
-    /// Why the data server has stopped; `None` if it has not.
-    pub fn failure(&self) -> Option<SinkError> {
-        self.server.live.failure()
-    }
-
-    /// Summary of the requests rejected so far, as a sentence.
-    pub fn refused(&self) -> Option<String> {
-        self.server.guard.summary()
-    }
+    let files = WebViewerData::load(None).map_err(|error| error.to_string())?;
+    Ok(FILES.get_or_init(|| files))
 }
 
 /// Name of the server in messages to users.
@@ -260,17 +270,6 @@ fn bound(address: SocketAddr) -> io::Result<Socket> {
     socket.bind(&address.into())?;
     socket.listen(BACKLOG)?;
     Ok(socket)
-}
-
-/// The files of the web viewer, embedded in this program.
-fn files(address: SocketAddr) -> Result<&'static WebViewerData, SinkError> {
-    static FILES: OnceLock<WebViewerData> = OnceLock::new();
-    if let Some(files) = FILES.get() {
-        return Ok(files);
-    }
-    let serve_error = |reason: String| SinkError::Serve { what: WEB, address, reason };
-    let files = WebViewerData::load(None).map_err(|err| serve_error(err.to_string()))?;
-    Ok(FILES.get_or_init(|| files))
 }
 
 /// A note about who else can read the run, if the server can be reached from outside; `page` is the URL that they would
