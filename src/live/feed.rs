@@ -1,17 +1,16 @@
 //! What every open page knows: messages that replace one another by kind, and are sent to each page as they come.
 
 use std::{
-    pin::Pin,
     sync::{Arc, Mutex},
-    task::{Context, Poll, ready},
+    task::Poll,
 };
 
 use hyper::body::Bytes;
 use serde_json::{Value, json};
 use tokio::sync::watch;
-use tokio_stream::{Stream, wrappers::WatchStream};
 
 use super::{change::Problem, lock};
+use crate::stream::sinks::serve::{Parts, follow};
 
 /// The last message of each kind.
 pub struct Feed {
@@ -52,33 +51,16 @@ impl Feed {
         self.send("problem", json!(problem));
     }
 
-    /// The messages for a page that is opened now, as server-sent events.
-    pub fn read(&self) -> Reader {
-        Reader { messages: Arc::clone(&self.messages), seen: 0, news: WatchStream::from_changes(self.news.subscribe()) }
-    }
-}
-
-/// The messages for one page. One that reads slowly misses messages that were replaced.
-pub struct Reader {
-    messages: Arc<Mutex<Messages>>,
-    /// Number of the last message that it has read.
-    seen: u64,
-    news: WatchStream<()>,
-}
-
-impl Stream for Reader {
-    type Item = Bytes;
-
-    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Bytes>> {
-        loop {
-            let next = lock(&self.messages).last.iter().find(|(number, ..)| *number > self.seen).cloned();
-            if let Some((number, _, text)) = next {
-                self.seen = number;
-                return Poll::Ready(Some(text));
+    /// The messages for a page that is opened now, as server-sent events. One that reads slowly misses messages that were
+    /// replaced.
+    pub fn read(&self) -> Parts {
+        let (messages, mut seen) = (Arc::clone(&self.messages), 0);
+        follow(self.news.subscribe(), move || match lock(&messages).last.iter().find(|(number, ..)| *number > seen) {
+            Some((number, _, text)) => {
+                seen = *number;
+                Poll::Ready(Some(text.clone()))
             }
-            if ready!(Pin::new(&mut self.news).poll_next(context)).is_none() {
-                return Poll::Ready(None);
-            }
-        }
+            None => Poll::Pending,
+        })
     }
 }

@@ -2,17 +2,18 @@
 
 use std::{
     io::{self, Write},
-    pin::Pin,
     sync::{Arc, Mutex},
-    task::{Context, Poll, ready},
+    task::Poll,
 };
 
 use hyper::body::Bytes;
 use tokio::sync::watch;
-use tokio_stream::{Stream, wrappers::WatchStream};
 
 use super::{change::Problem, lock};
-use crate::sdk::{CrateVersion, EncodeError, Encoder, EncodingOptions, LogMsg};
+use crate::{
+    sdk::{CrateVersion, EncodeError, Encoder, EncodingOptions, LogMsg},
+    stream::sinks::serve::{Parts, follow},
+};
 
 /// The recording of a run, as it becomes known.
 pub struct Recording {
@@ -51,8 +52,19 @@ impl Recording {
 
     /// The recording as a file that grows; with the layout if `is_first`.
     pub fn read(&self, is_first: bool) -> Parts {
-        let news = WatchStream::from_changes(self.news.subscribe());
-        Parts { log: Arc::clone(&self.log), news, next: Next::Header, is_first }
+        let (log, mut next) = (Arc::clone(&self.log), 0);
+        follow(self.news.subscribe(), move || {
+            let log = lock(&log);
+            let layout = is_first.then_some(&log.layout);
+            match std::iter::once(&log.header).chain(layout).chain(&log.parts).nth(next) {
+                Some(part) => {
+                    next += 1;
+                    Poll::Ready(Some(part.clone()))
+                }
+                None if log.is_complete => Poll::Ready(None),
+                None => Poll::Pending,
+            }
+        })
     }
 }
 
@@ -126,47 +138,5 @@ impl Write for Collected {
 
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
-    }
-}
-
-/// The parts of a recording's file, as they become known.
-pub struct Parts {
-    log: Arc<Mutex<Log>>,
-    news: WatchStream<()>,
-    next: Next,
-    is_first: bool,
-}
-
-#[derive(Clone, Copy)]
-enum Next {
-    Header,
-    Layout,
-    Part(usize),
-}
-
-impl Stream for Parts {
-    type Item = Bytes;
-
-    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Bytes>> {
-        loop {
-            let log = Arc::clone(&self.log);
-            let log = lock(&log);
-            let (part, next) = match self.next {
-                Next::Header => (Some(log.header.clone()), if self.is_first { Next::Layout } else { Next::Part(0) }),
-                Next::Layout => (Some(log.layout.clone()), Next::Part(0)),
-                Next::Part(index) => (log.parts.get(index).cloned(), Next::Part(index + 1)),
-            };
-            if let Some(part) = part {
-                self.next = next;
-                return Poll::Ready(Some(part));
-            }
-            if log.is_complete {
-                return Poll::Ready(None);
-            }
-            drop(log);
-            if ready!(Pin::new(&mut self.news).poll_next(context)).is_none() {
-                return Poll::Ready(None);
-            }
-        }
     }
 }

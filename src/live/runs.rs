@@ -18,7 +18,7 @@ use super::{
     feed::Feed,
     lock,
     outline::Outline,
-    recording::{Parts, Recording, Writer},
+    recording::{Recording, Writer},
     thresholds,
 };
 use crate::{
@@ -28,7 +28,7 @@ use crate::{
     sdk::LogMsg,
     stream::{
         self, Recorder, Settings,
-        sinks::Destinations,
+        sinks::{Destinations, serve::Parts},
         step::{StepRecord, StepWatch},
     },
 };

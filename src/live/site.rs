@@ -82,14 +82,14 @@ impl Page {
             Err(reason) => return text(StatusCode::INTERNAL_SERVER_ERROR, reason),
         };
         if path == "feed" {
-            return respond(StatusCode::OK, "text/event-stream", Content::Parts(Box::pin(self.runs.feed.read())));
+            return respond(StatusCode::OK, "text/event-stream", Content::Parts(self.runs.feed.read(), None));
         }
         if let Some((folder, number)) = path.strip_suffix(".rrd").and_then(|path| path.split_once('/')) {
             let run = number.parse().ok().and_then(|number| self.runs.recording(number, folder == "first"));
             let Some(parts) = run.filter(|_| matches!(folder, "first" | "runs")) else {
                 return text(StatusCode::NOT_FOUND, "this run has been replaced");
             };
-            return respond(StatusCode::OK, "application/octet-stream", Content::Parts(Box::pin(parts)));
+            return respond(StatusCode::OK, "application/octet-stream", Content::Parts(parts, None));
         }
         match file(files, path) {
             Some((kind, bytes)) => respond(StatusCode::OK, kind, Content::Whole(Bytes::from_static(bytes))),

@@ -17,11 +17,13 @@ use tokio::net::TcpListener;
 use tokio::sync::oneshot;
 
 mod answer;
+mod follow;
 mod guard;
 mod history;
 mod port;
 
 pub(crate) use answer::{Content, body, confine, respond};
+pub(crate) use follow::{Parts, follow};
 pub(crate) use guard::Guard;
 pub use guard::Host;
 pub(crate) use port::Site;

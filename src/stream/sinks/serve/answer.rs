@@ -4,7 +4,7 @@
 //! load a list of examples. A content security policy makes the browser send nothing to other machines.
 
 use std::net::IpAddr;
-use std::pin::{Pin, pin};
+use std::pin::pin;
 use std::sync::atomic::Ordering;
 use std::task::{Context, Poll, ready};
 
@@ -13,10 +13,10 @@ use hyper::header::{self, HeaderMap, HeaderName, HeaderValue};
 use hyper::{Method, Request, Response, StatusCode};
 use re_protos::sdk_comms::v1alpha1::message_proxy_service_server::SERVICE_NAME;
 use re_web_viewer_server::WebViewerData;
-use tokio_stream::Stream;
 
+use super::follow::Parts;
 use super::guard::{Guard, Host};
-use super::history::{History, Reader};
+use super::history::History;
 use super::port::Site;
 
 /// Upper limit on the body of a gRPC request: an empty message, in its frame [bytes].
@@ -36,10 +36,8 @@ pub(super) const SHARE: usize = 64 << 10;
 /// The body of a response.
 pub(crate) enum Content {
     Whole(Bytes),
-    /// Parts as they become known.
-    Parts(Pin<Box<dyn Stream<Item = Bytes> + Send>>),
-    /// The messages of the run, followed by a final frame.
-    Stream(Reader, Option<Frame<Bytes>>),
+    /// Parts as they become known, followed by a final frame, if any.
+    Parts(Parts, Option<Frame<Bytes>>),
 }
 
 impl Content {
@@ -48,11 +46,10 @@ impl Content {
         match self {
             Content::Whole(rest) if rest.is_empty() => Poll::Ready(None),
             Content::Whole(rest) => Poll::Ready(Some(Frame::data(rest.split_to(rest.len().min(SHARE))))),
-            Content::Parts(parts) => parts.as_mut().poll_next(context).map(|part| part.map(Frame::data)),
-            Content::Stream(reader, end) => match ready!(reader.poll_next(context)) {
-                Some(message) => Poll::Ready(Some(Frame::data(message))),
-                None => Poll::Ready(end.take()),
-            },
+            Content::Parts(parts, end) => {
+                let part = ready!(parts.as_mut().poll_next(context));
+                Poll::Ready(part.map(Frame::data).or_else(|| end.take()))
+            }
         }
     }
 }
@@ -166,7 +163,7 @@ async fn data(history: &History, guard: &Guard, request: Request<Incoming>) -> R
             if body(request.into_body(), REQUEST).await.is_none() {
                 return invalid(StatusCode::PAYLOAD_TOO_LARGE, "a read request must be empty\n");
             }
-            let mut response = Response::new(Content::Stream(history.read(), Some(end)));
+            let mut response = Response::new(Content::Parts(history.read(), Some(end)));
             response.headers_mut().insert(header::CONTENT_TYPE, content_type);
             response
         }

@@ -4,17 +4,16 @@
 //! Here every reader has its own position in a shared log: a slow reader costs one integer, not memory.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::task::{Context, Poll, ready};
+use std::task::Poll;
 
 use hyper::body::Bytes;
 use re_protos::external::prost::Message as _;
 use re_protos::log_msg::v1alpha1 as proto;
 use re_protos::sdk_comms::v1alpha1::ReadMessagesResponse;
 use tokio::sync::watch;
-use tokio_stream::{Stream as _, wrappers::WatchStream};
 
+use super::follow::{Parts, follow};
 use crate::sdk::{Compression, LogMsg, StoreKind, ToTransport as _};
 use crate::stream::sinks::live::LogSink;
 
@@ -62,37 +61,21 @@ pub(super) struct History {
 }
 
 impl History {
-    /// A reader of everything kept, in order, and then of new messages.
-    pub fn read(&self) -> Reader {
-        Reader { log: Arc::clone(&self.log), next: 0, news: WatchStream::from_changes(self.news.clone()) }
+    /// Everything kept as gRPC frames, in order, and then new messages.
+    pub fn read(&self) -> Parts {
+        let (log, mut next) = (Arc::clone(&self.log), 0);
+        follow(self.news.clone(), move || match log.lock().from(next) {
+            Some((number, frame)) => {
+                next = number + 1;
+                Poll::Ready(Some(frame))
+            }
+            None => Poll::Pending,
+        })
     }
 
     /// The stored messages. Holding them does not count as a reader: the feed fails without a [`History`].
     pub fn log(&self) -> Arc<Log> {
         Arc::clone(&self.log)
-    }
-}
-
-/// A viewer's position in the history.
-pub(crate) struct Reader {
-    log: Arc<Log>,
-    /// Sequence number of the first message that it has not received.
-    next: u64,
-    news: WatchStream<()>,
-}
-
-impl Reader {
-    /// The next message as a gRPC frame; `None` at the end of the history.
-    pub fn poll_next(&mut self, context: &mut Context<'_>) -> Poll<Option<Bytes>> {
-        loop {
-            if let Some((number, frame)) = self.log.lock().from(self.next) {
-                self.next = number + 1;
-                return Poll::Ready(Some(frame));
-            }
-            if ready!(Pin::new(&mut self.news).poll_next(context)).is_none() {
-                return Poll::Ready(None);
-            }
-        }
     }
 }
 
@@ -181,6 +164,8 @@ fn encode(msg: &LogMsg) -> Result<(Bytes, Keep), String> {
 
 #[cfg(test)]
 mod tests {
+    use std::task::Context;
+
     use super::*;
 
     #[test]
@@ -212,22 +197,22 @@ mod tests {
         let (feed, history) = history(1 << 20);
         let mut context = Context::from_waker(std::task::Waker::noop());
         let (mut early, mut numbers) = (history.read(), Vec::new());
-        assert!(early.poll_next(&mut context).is_pending());
+        assert!(early.as_mut().poll_next(&mut context).is_pending());
         for i in 0..5_u8 {
             feed.log.lock().push(Bytes::from(vec![i]), Keep::Temporal);
             feed.news.send(()).expect("there are readers");
         }
         let mut late = history.read();
         drop(feed);
-        while let Poll::Ready(Some(frame)) = early.poll_next(&mut context) {
+        while let Poll::Ready(Some(frame)) = early.as_mut().poll_next(&mut context) {
             numbers.push(frame[0]);
         }
         assert_eq!(numbers, [0, 1, 2, 3, 4]);
-        assert!(matches!(early.poll_next(&mut context), Poll::Ready(None)));
+        assert!(matches!(early.as_mut().poll_next(&mut context), Poll::Ready(None)));
         for i in 0..5_u8 {
-            assert!(matches!(late.poll_next(&mut context), Poll::Ready(Some(frame)) if frame[0] == i));
+            assert!(matches!(late.as_mut().poll_next(&mut context), Poll::Ready(Some(frame)) if frame[0] == i));
         }
-        assert!(matches!(late.poll_next(&mut context), Poll::Ready(None)));
+        assert!(matches!(late.as_mut().poll_next(&mut context), Poll::Ready(None)));
     }
 
     #[test]

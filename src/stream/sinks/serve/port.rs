@@ -316,7 +316,7 @@ impl Body for Answer {
     fn size_hint(&self) -> SizeHint {
         match &self.content {
             Content::Whole(rest) => SizeHint::with_exact(rest.len() as u64),
-            Content::Stream(..) | Content::Parts(_) => SizeHint::default(),
+            Content::Parts(..) => SizeHint::default(),
         }
     }
 }
