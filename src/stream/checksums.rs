@@ -1,21 +1,13 @@
 //! `/checksum`: a hash of the exact state for every step, whether or not its frame is recorded.
 
-use std::sync::Arc;
-
 use super::{
     chunks::Chunks,
-    contract::{CHECKSUM, CHECKSUMS, SIM_TIME, STEP},
+    columns::Columns,
+    contract::{CHECKSUM, CHECKSUMS},
     instant::Instant,
 };
 use crate::hash::followed_by;
-use crate::sdk::{
-    ChunkComponents, RowId, TimeColumn, Tuid,
-    arrow::{
-        array::{ListArray, UInt64Array},
-        buffer::OffsetBuffer,
-        datatypes::{DataType, Field},
-    },
-};
+use crate::sdk::{RowId, Tuid};
 
 /// Checksums of consecutive steps that have not been sent yet.
 ///
@@ -66,23 +58,12 @@ impl Checksums {
         }
         let values: Vec<u64> = self.values.drain(..count).collect();
         let at: Vec<Instant> = self.at.drain(..count).collect();
-        let lengths = values.chunks(self.per_row).map(<[u64]>::len);
-        let last: Vec<Instant> = at.chunks(self.per_row).filter_map(|row| row.last().copied()).collect();
-        let ids: Vec<RowId> = (0..last.len())
-            .map(|_| {
-                self.rows += 1;
-                RowId::from_tuid(Tuid::from_nanos_and_inc(3, self.rows))
-            })
-            .collect();
-
-        let field = Field::new_list_field(DataType::UInt64, true);
-        let offsets = OffsetBuffer::from_lengths(lengths);
-        let lists = ListArray::new(field.into(), offsets, Arc::new(UInt64Array::from(values)), None);
-        let components: ChunkComponents = [(CHECKSUMS.descriptor(), lists)].into_iter().collect();
-        let timelines = [
-            TimeColumn::new_sequence(STEP, last.iter().map(|at| at.step as i64)),
-            TimeColumn::new_duration_nanos(SIM_TIME, last.iter().map(|at| at.nanoseconds())),
-        ];
-        chunks.columns(CHECKSUM.path, &ids, timelines, components);
+        let mut columns = Columns::new(CHECKSUM.path, vec![CHECKSUMS.descriptor()]);
+        for (values, at) in values.chunks(self.per_row).zip(at.chunks(self.per_row)) {
+            self.rows += 1;
+            let id = RowId::from_tuid(Tuid::from_nanos_and_inc(3, self.rows));
+            columns.push(id, at[at.len() - 1], None, &[&values.to_vec()]);
+        }
+        chunks.send_columns(columns);
     }
 }

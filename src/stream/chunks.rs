@@ -11,8 +11,8 @@ use super::{
     instant::Instant,
 };
 use crate::sdk::{
-    AsComponents, Chunk, ChunkBuilder, ChunkComponents, ChunkId, ComponentDescriptor, EntityPath, LogMsg, RowId,
-    SetStoreInfo, StoreId, StoreInfo, StoreSource, TimeColumn, TimePoint, Timeline, Tuid,
+    AsComponents, Chunk, ChunkBuilder, ChunkId, ComponentDescriptor, EntityPath, LogMsg, RowId, SetStoreInfo, StoreId,
+    StoreInfo, StoreSource, TimePoint, Timeline, Tuid,
 };
 
 /// The destinations of a message: files get the same rows as viewers, but in larger chunks.
@@ -149,18 +149,11 @@ impl Chunks {
         self.finish(builder);
     }
 
-    /// Logs many rows of an entity at once, in a separate message.
-    pub fn columns(
-        &mut self,
-        entity: &str,
-        ids: &[RowId],
-        timelines: impl IntoIterator<Item = TimeColumn>,
-        components: ChunkComponents,
-    ) {
-        let timelines = timelines.into_iter().map(|column| (*column.timeline().name(), column)).collect();
-        let id = self.chunk_id();
-        let chunk = Chunk::from_native_row_ids(id, EntityPath::from(entity), Some(true), ids, timelines, components);
-        self.send(ours(chunk));
+    /// Logs the rows of an entity that is no track, in a separate message.
+    pub(super) fn send_columns(&mut self, mut columns: Columns) {
+        let parts = ours(columns.take());
+        let chunk = self.chunk(columns.entity, parts);
+        self.send(chunk);
     }
 
     /// Returns the messages since the last call.
@@ -195,7 +188,7 @@ impl Chunks {
             std::mem::take(&mut self.done).into_iter().map(|message| (Audience::All, message)).collect();
         for track in 0..self.tracks.len() {
             if let Some(parts) = self.tracks[track].show() {
-                let chunk = self.chunk(track, ours(parts));
+                let chunk = self.chunk(self.tracks[track].entity.clone(), ours(parts));
                 self.send(chunk);
             }
         }
@@ -209,7 +202,7 @@ impl Chunks {
     }
 
     /// Returns the rows since the last call as chunks, not yet converted to messages. Static data and
-    /// [`Chunks::columns`] are converted at once.
+    /// [`Chunks::send_columns`] are converted at once.
     pub fn drain(&mut self) -> Vec<Chunk> {
         let mut chunks = self.drain_rows();
         for track in 0..self.tracks.len() {
@@ -230,13 +223,12 @@ impl Chunks {
     /// Converts the rows of a track to a chunk.
     fn close(&mut self, track: usize) -> Chunk {
         let parts = ours(self.tracks[track].take());
-        self.chunk(track, parts)
+        self.chunk(self.tracks[track].entity.clone(), parts)
     }
 
-    fn chunk(&mut self, track: usize, (ids, timelines, components): ChunkParts) -> Chunk {
+    fn chunk(&mut self, entity: EntityPath, (ids, timelines, components): ChunkParts) -> Chunk {
         let id = self.chunk_id();
         let timelines = timelines.into_iter().map(|column| (*column.timeline().name(), column)).collect();
-        let entity = self.tracks[track].entity.clone();
         ours(Chunk::from_native_row_ids(id, entity, Some(true), &ids, timelines, components))
     }
 

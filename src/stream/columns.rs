@@ -12,6 +12,7 @@ use crate::sdk::{
     arrow::{
         array::{
             ArrayRef, FixedSizeListArray, Float32Array, Float64Array, ListArray, StringArray, UInt16Array, UInt32Array,
+            UInt64Array,
         },
         buffer::OffsetBuffer,
         datatypes::{DataType, Field},
@@ -55,6 +56,8 @@ elements! {
     f32: values => Arc::new(Float32Array::from(values));
     /// Packed colours, or indices.
     u32: values => Arc::new(UInt32Array::from(values));
+    /// Checksums.
+    u64: values => Arc::new(UInt64Array::from(values));
     /// Class ids of an annotation context.
     u16: values => Arc::new(UInt16Array::from(values));
     /// Texture coordinates.
