@@ -25,10 +25,11 @@ use crate::{
     recording::{Recorded, existing::Existing},
     scene::template::Override,
     stream::settings::file_stem,
+    table::Table,
     text::{self, bytes, counted},
 };
 use formats::{Format, GENERATOR};
-use tables::{Bodies, Events, Forces, Pairs, Scalars, States};
+use tables::{BY_STEP, EVENTS, StepData, add_event};
 
 /// Placeholder for the path of a table; its extension selects the format.
 const TABLE: &str = "F.csv|F.json|F.parquet";
@@ -101,27 +102,19 @@ pub fn export(program: Program<'_>, arguments: Arguments) -> Result<(), Failure>
     let (stem, format) = (file_stem(&schema.name), arguments.format);
     let folder = arguments.mesh.as_ref().map(|path| Folder { path, stem, format });
     folder.iter().try_for_each(|folder| folder.prepare(is_wanted))?;
-    let paths = [
-        &arguments.events,
-        &arguments.pairs,
-        &arguments.bodies,
-        &arguments.scalars,
-        &arguments.states,
-        &arguments.forces,
-    ];
-    let given: Vec<&PathBuf> = paths.into_iter().flatten().collect();
+    let by_step = BY_STEP.iter().filter_map(|table| Some(((table.path)(&arguments)?, table)));
+    let given: Vec<&PathBuf> = arguments.events.iter().chain(by_step.clone().map(|(path, _)| path)).collect();
     let is_twice = |i: &usize| given[..*i].iter().any(|other| atomic::is_same_destination(other, given[*i]));
     if let Some(twice) = (0..given.len()).find(is_twice).map(|i| given[i]) {
         return Err(Failure::Input(format!("{} is given for two tables: give each its own file", twice.display())));
     }
-    let mut events = arguments.events.as_deref().map(Events::create).transpose()?;
-    let mut pairs = arguments.pairs.as_deref().map(|path| Pairs::create(path, &schema)).transpose()?;
-    let mut bodies = arguments.bodies.as_deref().map(|path| Bodies::create(path, &schema)).transpose()?;
-    let mut scalars = arguments.scalars.as_deref().map(|path| Scalars::create(path, &schema)).transpose()?;
-    let mut states = arguments.states.as_deref().map(States::create).transpose()?;
-    let mut forces = arguments.forces.as_deref().map(Forces::create).transpose()?;
-    let want = Want { scalars: scalars.is_some() || pairs.is_some() || bodies.is_some(), forces: forces.is_some() };
-    let needs_frames = folder.is_some() || want != Want::default() || states.is_some();
+    let mut events = arguments.events.as_deref().map(|path| Table::create(path, EVENTS.into())).transpose()?;
+    let tables = by_step.map(|(path, of)| Ok((Table::create(path, (of.columns)(&schema))?, of.add)));
+    let mut tables = tables.collect::<Result<Vec<_>, Failure>>()?;
+    let Arguments { pairs, bodies, scalars, forces, .. } = &arguments;
+    let has_scalars = [pairs, bodies, scalars].into_iter().any(Option::is_some);
+    let want = Want { scalars: has_scalars, forces: forces.is_some() };
+    let needs_frames = folder.is_some() || !tables.is_empty();
 
     let [mut merger, mut measurer] = [(); 2].map(|()| Merger::new(&schema, None));
     let mut frame = Frame::default();
@@ -149,20 +142,9 @@ pub fn export(program: Program<'_>, arguments: Arguments) -> Result<(), Failure>
             size += folder.write(step, &parts::parts(&schema, &frame, merged))?;
             files += 1;
         }
-        if let Some(table) = pairs.as_mut().filter(|_| is_wanted(step)) {
-            table.add(&schema, &frame, &mut measurer)?;
-        }
-        if let Some(table) = bodies.as_mut().filter(|_| is_wanted(step)) {
-            table.add(&schema, &frame)?;
-        }
-        if let Some(table) = scalars.as_mut().filter(|_| is_wanted(step)) {
-            table.add(&schema, &frame, &run.summary)?;
-        }
-        if let Some(table) = states.as_mut().filter(|_| is_wanted(step)) {
-            table.add(&schema, &frame)?;
-        }
-        if let Some(table) = forces.as_mut().filter(|_| is_wanted(step)) {
-            table.add(&schema, &frame)?;
+        if is_wanted(step) {
+            let mut data = StepData { schema: &schema, frame: &frame, summary: &run.summary, merger: &mut measurer };
+            tables.iter_mut().try_for_each(|(table, add)| add(table, &mut data))?;
         }
         let has_stepped = run.valid_step().map_err(|failure| {
             let written =
@@ -177,7 +159,9 @@ pub fn export(program: Program<'_>, arguments: Arguments) -> Result<(), Failure>
             simulation.observe(Want::default(), &mut frame);
             touches.step(simulation, &frame, &summary.events, &mut surfaces);
             let all = rows(&summary.events, &surfaces, &summary.body_events);
-            all.iter().filter(|row| (from..=to).contains(&row.step())).try_for_each(|row| table.add(&schema, row))?;
+            all.iter()
+                .filter(|row| (from..=to).contains(&row.step()))
+                .try_for_each(|row| add_event(table, &schema, row))?;
         }
     }
     drop(progress);
@@ -190,19 +174,9 @@ pub fn export(program: Program<'_>, arguments: Arguments) -> Result<(), Failure>
     if let Some(folder) = &folder {
         print(&format!("wrote {} to {}, {}", counted(files, "file"), folder.path.display(), bytes(size)));
     }
-    let tables = [
-        events.map(|events| events.0),
-        pairs.map(|pairs| pairs.0),
-        bodies.map(|bodies| bodies.0),
-        scalars.map(|scalars| scalars.0),
-        states.map(|states| states.table),
-        forces.map(|forces| forces.0),
-    ];
-    for (table, path) in tables.into_iter().zip(paths) {
-        if let (Some(table), Some(path)) = (table, path) {
-            let size = table.finish()?;
-            print(&format!("wrote {}, {}", path.display(), bytes(size)));
-        }
+    for (table, path) in events.into_iter().chain(tables.into_iter().map(|(table, _)| table)).zip(given) {
+        let size = table.finish()?;
+        print(&format!("wrote {}, {}", path.display(), bytes(size)));
     }
     Ok(())
 }

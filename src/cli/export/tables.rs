@@ -1,14 +1,15 @@
 //! The tables of a run and their columns.
 
-use std::{collections::BTreeMap, path::Path};
+use std::{collections::BTreeMap, path::PathBuf};
 
+use super::Arguments;
 use crate::{
     analysis::surface::Merger,
     cli::Failure,
     geometry::Vectors,
     observe::{
-        EventRow, Frame, Instant, Schema, StepSummary,
-        schema::{ScalarOf, ScalarSchema},
+        BodyFrame, EventRow, Frame, Instant, Schema, StepSummary,
+        schema::{BodySchema, ScalarOf, ScalarSchema},
     },
     table::{Cell, Column, Kind, Table, TableError},
 };
@@ -103,87 +104,104 @@ pub const FORCES: [Column; 12] = [
     Column::new("at_z", Kind::Float, ""),
 ];
 
-/// A table of events.
-pub struct Events(pub Table);
+/// What a table by step has its rows from.
+pub struct StepData<'a> {
+    pub schema: &'a Schema,
+    pub frame: &'a Frame,
+    /// The step that led to the frame.
+    pub summary: &'a StepSummary,
+    /// Measures pairs.
+    pub merger: &'a mut Merger,
+}
 
-impl Events {
-    /// An empty table.
-    pub fn create(path: &Path) -> Result<Events, Failure> {
-        Ok(Events(Table::create(path, EVENTS.into())?))
-    }
+/// A table with rows for each step.
+pub struct ByStep {
+    /// Where it is to be written, if at all.
+    pub path: fn(&Arguments) -> Option<&PathBuf>,
+    /// Its columns.
+    pub columns: fn(&Schema) -> Vec<Column>,
+    /// Adds the rows of a step.
+    pub add: fn(&mut Table, &mut StepData<'_>) -> Result<(), TableError>,
+}
 
-    /// Adds an event.
-    pub fn add(&mut self, schema: &Schema, row: &EventRow<'_>) -> Result<(), Failure> {
-        let head = |name| [Cell::Count(row.step()), Cell::Float(row.time()), Cell::Text(name)];
-        let pair = |a, b, q| [body(schema, a), body(schema, b), Cell::Float(q)];
-        let cells = match row {
-            EventRow::Phase(event, surfaces) => {
-                let phase = |phase: usize| Cell::Text(schema.phases[phase].name);
-                let surfaces = surfaces.as_deref().map_or(Cell::Null, Cell::Text);
-                let rest = [Cell::Float(event.rate), phase(event.from), phase(event.to), surfaces];
-                [&head(event.name)[..], &pair(event.a, event.b, event.q), &rest].concat()
-            }
-            EventRow::Contact(event) => {
-                [&head(event.name())[..], &pair(event.a, event.b, event.q), &[Cell::Null; 4]].concat()
-            }
-            EventRow::Body(event) => [&head(event.name)[..], &[body(schema, event.body)], &[Cell::Null; 6]].concat(),
+/// The tables with rows for each step.
+pub const BY_STEP: [ByStep; 5] = [
+    ByStep {
+        path: |arguments| arguments.pairs.as_ref(),
+        columns: |schema| with_scalars(&PAIRS, &schema.pair_scalars),
+        add: add_pairs,
+    },
+    ByStep {
+        path: |arguments| arguments.bodies.as_ref(),
+        columns: |schema| with_scalars(&BODIES, &schema.body_scalars),
+        add: add_bodies,
+    },
+    ByStep {
+        path: |arguments| arguments.scalars.as_ref(),
+        columns: |schema| with_scalars(&SCALARS, &schema.scalars),
+        add: add_scalars,
+    },
+    ByStep { path: |arguments| arguments.states.as_ref(), columns: |_| STATES.into(), add: add_states },
+    ByStep { path: |arguments| arguments.forces.as_ref(), columns: |_| FORCES.into(), add: add_forces },
+];
+
+/// Adds an event to a table of events.
+pub fn add_event(table: &mut Table, schema: &Schema, row: &EventRow<'_>) -> Result<(), TableError> {
+    let head = |name| [Cell::Count(row.step()), Cell::Float(row.time()), Cell::Text(name)];
+    let pair = |a, b, q| [body(schema, a), body(schema, b), Cell::Float(q)];
+    let cells = match row {
+        EventRow::Phase(event, surfaces) => {
+            let phase = |phase: usize| Cell::Text(schema.phases[phase].name);
+            let surfaces = surfaces.as_deref().map_or(Cell::Null, Cell::Text);
+            let rest = [Cell::Float(event.rate), phase(event.from), phase(event.to), surfaces];
+            [&head(event.name)[..], &pair(event.a, event.b, event.q), &rest].concat()
+        }
+        EventRow::Contact(event) => {
+            [&head(event.name())[..], &pair(event.a, event.b, event.q), &[Cell::Null; 4]].concat()
+        }
+        EventRow::Body(event) => [&head(event.name)[..], &[body(schema, event.body)], &[Cell::Null; 6]].concat(),
+    };
+    table.row(&cells)
+}
+
+/// Adds the pairs within reach.
+fn add_pairs(table: &mut Table, data: &mut StepData<'_>) -> Result<(), TableError> {
+    let StepData { schema, frame, ref mut merger, .. } = *data;
+    let [step, time] = instant(frame.at);
+    let count = schema.pair_scalars.len();
+    let mut closest: Vec<_> = frame.pairs.iter().collect();
+    closest.sort_by(|x, y| x.q.total_cmp(&y.q));
+    let closest: Vec<[usize; 2]> = closest.iter().take(MEASURED).map(|pair| [pair.a, pair.b]).collect();
+    let measures = merger.measure(schema, frame, &closest);
+    let measures: BTreeMap<_, _> =
+        closest.iter().zip(measures).filter_map(|(&pair, of)| Some((pair, (*of)?))).collect();
+    frame.pairs.iter().enumerate().try_for_each(|(index, pair)| {
+        let phase = Cell::Text(schema.phases[pair.phase].name);
+        let [gap, overlap, neck] = match measures.get(&[pair.a, pair.b]) {
+            Some(of) => [of.gap, of.overlap, of.neck].map(Cell::Float),
+            None => [Cell::Null; 3],
         };
-        Ok(self.0.row(&cells)?)
-    }
+        let (a, b) = (body(schema, pair.a), body(schema, pair.b));
+        let cells = [step, time, a, b, Cell::Float(pair.q), phase, gap, overlap, neck];
+        table.row(&[&cells[..], &numbers(&frame.pair_scalars, index, count)].concat())
+    })
 }
 
-/// A table of pairs within reach.
-pub struct Pairs(pub Table);
-
-impl Pairs {
-    /// An empty table.
-    pub fn create(path: &Path, schema: &Schema) -> Result<Pairs, Failure> {
-        Ok(Pairs(Table::create(path, with_scalars(&PAIRS, &schema.pair_scalars))?))
-    }
-
-    /// Adds the pairs of a frame.
-    pub fn add(&mut self, schema: &Schema, frame: &Frame, merger: &mut Merger) -> Result<(), Failure> {
-        let [step, time] = instant(frame.at);
-        let count = schema.pair_scalars.len();
-        let mut closest: Vec<_> = frame.pairs.iter().collect();
-        closest.sort_by(|x, y| x.q.total_cmp(&y.q));
-        let closest: Vec<[usize; 2]> = closest.iter().take(MEASURED).map(|pair| [pair.a, pair.b]).collect();
-        let measures = merger.measure(schema, frame, &closest);
-        let measures: BTreeMap<_, _> =
-            closest.iter().zip(measures).filter_map(|(&pair, of)| Some((pair, (*of)?))).collect();
-        frame.pairs.iter().enumerate().try_for_each(|(index, pair)| {
-            let phase = Cell::Text(schema.phases[pair.phase].name);
-            let [gap, overlap, neck] = match measures.get(&[pair.a, pair.b]) {
-                Some(of) => [of.gap, of.overlap, of.neck].map(Cell::Float),
-                None => [Cell::Null; 3],
-            };
-            let (a, b) = (body(schema, pair.a), body(schema, pair.b));
-            let cells = [step, time, a, b, Cell::Float(pair.q), phase, gap, overlap, neck];
-            Ok(self.0.row(&[&cells[..], &numbers(&frame.pair_scalars, index, count)].concat())?)
-        })
-    }
+/// The bodies that are there, with their indices and states.
+fn present<'a>(data: &StepData<'a>) -> impl Iterator<Item = (usize, &'a BodySchema, &'a BodyFrame)> + use<'a> {
+    let bodies = data.schema.bodies.iter().zip(&data.frame.bodies).enumerate();
+    bodies.filter(|(_, (_, now))| !now.is_absent).map(|(index, (of, now))| (index, of, now))
 }
 
-/// A table of bodies.
-pub struct Bodies(pub Table);
-
-impl Bodies {
-    /// An empty table.
-    pub fn create(path: &Path, schema: &Schema) -> Result<Bodies, Failure> {
-        Ok(Bodies(Table::create(path, with_scalars(&BODIES, &schema.body_scalars))?))
-    }
-
-    /// Adds the bodies of a frame.
-    pub fn add(&mut self, schema: &Schema, frame: &Frame) -> Result<(), Failure> {
-        let [step, time] = instant(frame.at);
-        let count = schema.body_scalars.len();
-        let mut present = schema.bodies.iter().zip(&frame.bodies).enumerate().filter(|(_, (_, now))| !now.is_absent);
-        present.try_for_each(|(index, (of, now))| {
-            let [x, y, z] = now.centre.to_array().map(Cell::Float);
-            let cells = [step, time, body(schema, index), x, y, z, Cell::Float(now.max_displacement / of.radius)];
-            Ok(self.0.row(&[&cells[..], &numbers(&frame.body_scalars, index, count)].concat())?)
-        })
-    }
+fn add_bodies(table: &mut Table, data: &mut StepData<'_>) -> Result<(), TableError> {
+    let StepData { schema, frame, .. } = *data;
+    let [step, time] = instant(frame.at);
+    let count = schema.body_scalars.len();
+    present(data).try_for_each(|(index, of, now)| {
+        let [x, y, z] = now.centre.to_array().map(Cell::Float);
+        let cells = [step, time, body(schema, index), x, y, z, Cell::Float(now.max_displacement / of.radius)];
+        table.row(&[&cells[..], &numbers(&frame.body_scalars, index, count)].concat())
+    })
 }
 
 fn with_scalars(first: &[Column], scalars: &[ScalarSchema]) -> Vec<Column> {
@@ -197,94 +215,61 @@ fn numbers(values: &[f64], index: usize, count: usize) -> Vec<Cell<'static>> {
     (0..count).map(|i| of(i).map_or(Cell::Null, Cell::Float)).collect()
 }
 
-/// A table of scalars.
-pub struct Scalars(pub Table);
-
-impl Scalars {
-    /// An empty table.
-    pub fn create(path: &Path, schema: &Schema) -> Result<Scalars, Failure> {
-        Ok(Scalars(Table::create(path, with_scalars(&SCALARS, &schema.scalars))?))
-    }
-
-    /// Adds the scalars of a frame and of the step that led to it.
-    pub fn add(&mut self, schema: &Schema, frame: &Frame, summary: &StepSummary) -> Result<(), Failure> {
-        let scalars = schema.scalars.iter().enumerate().map(|(index, scalar)| {
-            let values = if scalar.of == ScalarOf::State { &frame.scalars } else { &summary.scalars };
-            values.get(index).map_or(Cell::Null, |&value| Cell::Float(value))
-        });
-        Ok(self.0.row(&instant(frame.at).into_iter().chain(scalars).collect::<Vec<_>>())?)
-    }
+fn add_scalars(table: &mut Table, data: &mut StepData<'_>) -> Result<(), TableError> {
+    let StepData { schema, frame, summary, .. } = *data;
+    let scalars = schema.scalars.iter().enumerate().map(|(index, scalar)| {
+        let values = if scalar.of == ScalarOf::State { &frame.scalars } else { &summary.scalars };
+        values.get(index).map_or(Cell::Null, |&value| Cell::Float(value))
+    });
+    table.row(&instant(frame.at).into_iter().chain(scalars).collect::<Vec<_>>())
 }
 
-/// A table of exact states, with one row per vertex.
-pub struct States {
-    /// The file.
-    pub table: Table,
-    /// Positions relative to the centre; scratch storage.
-    local: Vectors,
-}
-
-impl States {
-    /// An empty table.
-    pub fn create(path: &Path) -> Result<States, Failure> {
-        Ok(States { table: Table::create(path, STATES.into())?, local: Vectors::default() })
-    }
-
-    /// Adds the vertices of a frame.
-    pub fn add(&mut self, schema: &Schema, frame: &Frame) -> Result<(), Failure> {
-        let [step, time] = instant(frame.at);
-        let present = schema.bodies.iter().zip(&frame.bodies).enumerate().filter(|(_, (_, now))| !now.is_absent);
-        for (index, (of, now)) in present {
-            now.local_positions(now.rest_of(of), &mut self.local);
-            for i in 0..self.local.len() {
-                let position = now.centre + self.local.get(i);
-                let velocity = if now.is_at_rest { glam::DVec3::ZERO } else { now.velocities.get(i) };
-                let [x, y, z] = position.to_array().map(Cell::Float);
-                let [dx, dy, dz] = now.displacement(i).to_array().map(Cell::Float);
-                let [vx, vy, vz] = velocity.to_array().map(Cell::Float);
-                let vertex = Cell::Count(i as u64);
-                self.table.row(&[step, time, body(schema, index), vertex, x, y, z, dx, dy, dz, vx, vy, vz])?;
-            }
+/// Adds the exact state of each vertex.
+fn add_states(table: &mut Table, data: &mut StepData<'_>) -> Result<(), TableError> {
+    let StepData { schema, frame, .. } = *data;
+    let [step, time] = instant(frame.at);
+    let mut local = Vectors::default();
+    for (index, of, now) in present(data) {
+        now.local_positions(now.rest_of(of), &mut local);
+        for i in 0..local.len() {
+            let position = now.centre + local.get(i);
+            let velocity = if now.is_at_rest { glam::DVec3::ZERO } else { now.velocities.get(i) };
+            let [x, y, z] = position.to_array().map(Cell::Float);
+            let [dx, dy, dz] = now.displacement(i).to_array().map(Cell::Float);
+            let [vx, vy, vz] = velocity.to_array().map(Cell::Float);
+            let vertex = Cell::Count(i as u64);
+            table.row(&[step, time, body(schema, index), vertex, x, y, z, dx, dy, dz, vx, vy, vz])?;
         }
-        Ok(())
     }
+    Ok(())
 }
 
-/// A table of forces: a row for each cause that acts on a vertex, and for each force at another point.
-pub struct Forces(pub Table);
-
-impl Forces {
-    /// An empty table.
-    pub fn create(path: &Path) -> Result<Forces, Failure> {
-        Ok(Forces(Table::create(path, FORCES.into())?))
-    }
-
-    /// Adds the forces of a frame. A force of zero has no row.
-    pub fn add(&mut self, schema: &Schema, frame: &Frame) -> Result<(), Failure> {
-        let [step, time] = instant(frame.at);
-        let by = |source: Option<u32>| source.map_or(Cell::Null, |source| body(schema, source as usize));
-        for (index, now) in frame.bodies.iter().enumerate() {
-            for (of, term) in schema.terms.iter().zip(&now.terms) {
-                let source = by(term.source);
-                for (i, acceleration) in term.accelerations.iter().enumerate() {
-                    if acceleration != glam::DVec3::ZERO {
-                        let [x, y, z] = acceleration.to_array().map(Cell::Float);
-                        let (vertex, cause) = (Cell::Count(i as u64), Cell::Text(of.name));
-                        let head = [step, time, body(schema, index), vertex, cause, source, x, y, z];
-                        self.0.row(&[&head[..], &[Cell::Null; 3]].concat())?;
-                    }
+/// Adds each cause that acts on a vertex, and each force at another point. A force of zero has no row.
+fn add_forces(table: &mut Table, data: &mut StepData<'_>) -> Result<(), TableError> {
+    let StepData { schema, frame, .. } = *data;
+    let [step, time] = instant(frame.at);
+    let by = |source: Option<u32>| source.map_or(Cell::Null, |source| body(schema, source as usize));
+    for (index, now) in frame.bodies.iter().enumerate() {
+        for (of, term) in schema.terms.iter().zip(&now.terms) {
+            let source = by(term.source);
+            for (i, acceleration) in term.accelerations.iter().enumerate() {
+                if acceleration != glam::DVec3::ZERO {
+                    let [x, y, z] = acceleration.to_array().map(Cell::Float);
+                    let (vertex, cause) = (Cell::Count(i as u64), Cell::Text(of.name));
+                    let head = [step, time, body(schema, index), vertex, cause, source, x, y, z];
+                    table.row(&[&head[..], &[Cell::Null; 3]].concat())?;
                 }
             }
-            for force in &now.point_forces {
-                let [x, y, z] = force.acceleration.to_array().map(Cell::Float);
-                let at = (now.centre + force.place).to_array().map(Cell::Float);
-                let (cause, source) = (Cell::Text(schema.terms[force.term].name), by(force.source));
-                let head = [step, time, body(schema, index), Cell::Null, cause, source, x, y, z];
-                self.0.row(&[&head[..], &at].concat())?;
-            }
         }
-        Ok(())
+        for force in &now.point_forces {
+            let [x, y, z] = force.acceleration.to_array().map(Cell::Float);
+            let at = (now.centre + force.place).to_array().map(Cell::Float);
+            let (cause, source) = (Cell::Text(schema.terms[force.term].name), by(force.source));
+            let head = [step, time, body(schema, index), Cell::Null, cause, source, x, y, z];
+            table.row(&[&head[..], &at].concat())?;
+        }
     }
+    Ok(())
 }
 
 fn instant(Instant { step, time }: Instant) -> [Cell<'static>; 2] {
