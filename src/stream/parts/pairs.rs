@@ -92,7 +92,7 @@ struct PairPlot {
     scalars: Vec<LineId>,
     /// The lane that compares phase and surfaces, and the state that was last logged.
     contact: String,
-    last_contact: Option<Contact>,
+    last_contact: Option<usize>,
 }
 
 /// The pairs that have plots worth a look, as `A~B`; where none has, all of them.
@@ -115,43 +115,24 @@ impl PairPlot {
     }
 }
 
-/// Whether two bodies are joined, by their phase and by their surfaces.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Contact {
-    Apart,
-    Together,
-    JoinedOnly,
-    TouchingOnly,
-}
+/// Whether two bodies are joined by their phase, and touch by their surfaces: names and colours.
+const CONTACTS: [(&str, palette::Rgb); 4] = [
+    ("apart", colors::GREY),
+    ("joined and touching", colors::GREEN),
+    ("joined, not touching", colors::VERMILION),
+    ("touching, not joined", colors::YELLOW),
+];
+/// Indices in [`CONTACTS`].
+const APART: usize = 0;
+const TOGETHER: usize = 1;
 
-impl Contact {
-    const ALL: [Contact; 4] = [Contact::Apart, Contact::Together, Contact::JoinedOnly, Contact::TouchingOnly];
-
-    fn of(is_joined: bool, is_touching: bool) -> Contact {
-        match (is_joined, is_touching) {
-            (false, false) => Contact::Apart,
-            (true, true) => Contact::Together,
-            (true, false) => Contact::JoinedOnly,
-            (false, true) => Contact::TouchingOnly,
-        }
-    }
-
-    fn name(self) -> &'static str {
-        match self {
-            Contact::Apart => "apart",
-            Contact::Together => "joined and touching",
-            Contact::JoinedOnly => "joined, not touching",
-            Contact::TouchingOnly => "touching, not joined",
-        }
-    }
-
-    fn color(self) -> palette::Rgb {
-        match self {
-            Contact::Apart => colors::GREY,
-            Contact::Together => colors::GREEN,
-            Contact::JoinedOnly => colors::VERMILION,
-            Contact::TouchingOnly => colors::YELLOW,
-        }
+/// The index in [`CONTACTS`].
+fn contact_of(is_joined: bool, is_touching: bool) -> usize {
+    match (is_joined, is_touching) {
+        (false, false) => APART,
+        (true, true) => TOGETHER,
+        (true, false) => 2,
+        (false, true) => 3,
     }
 }
 
@@ -295,10 +276,10 @@ impl PairPlots {
         for (index, pair) in now.pairs.iter().enumerate() {
             let Some(known) = self.known.get_mut(&(pair.a, pair.b)) else { continue };
             if let Some(Some(PairMeasures { gap, overlap, neck, .. })) = measures.next() {
-                let contact = Contact::of(view.schema.phases[pair.phase].is_joined, *gap <= 0.0);
-                known.has_met |= contact != Contact::Apart;
+                let contact = contact_of(view.schema.phases[pair.phase].is_joined, *gap <= 0.0);
+                known.has_met |= contact != APART;
                 if known.last_contact.replace(contact) != Some(contact) {
-                    chunks.log(&known.contact, at, &StateChange::single(contact.name()));
+                    chunks.log(&known.contact, at, &StateChange::single(CONTACTS[contact].0));
                 }
                 for (line, value) in known.measures.into_iter().zip([*gap, *overlap, *neck]) {
                     series.log(chunks, line, value, at);
@@ -465,9 +446,9 @@ impl PairPlot {
             .map(|scalar| series.scalar(chunks, &PAIR_SCALAR.of(&[scalar.name, &name]), scalar, &name, rgb));
         let scalars = scalars.collect();
         let lane = StateConfiguration::new()
-            .with_values(Contact::ALL.map(Contact::name))
-            .with_labels(Contact::ALL.map(Contact::name))
-            .with_colors(Contact::ALL.map(|contact| color(contact.color())));
+            .with_values(CONTACTS.map(|(name, _)| name))
+            .with_labels(CONTACTS.map(|(name, _)| name))
+            .with_colors(CONTACTS.map(|(_, rgb)| color(rgb)));
         chunks.log_static(&entity(&PAIR_CONTACT), &lane);
         let (phase, contact) = (entity(&PAIR_PHASE), entity(&PAIR_CONTACT));
         PairPlot {
@@ -548,7 +529,7 @@ fn log_surface_event(schema: &Schema, event: &SurfaceEvent, chunks: &mut Chunks)
 }
 
 fn contact_color(event: &SurfaceEvent) -> palette::Rgb {
-    if event.what == Finding::Touch { Contact::Together.color() } else { Contact::Apart.color() }
+    CONTACTS[if event.what == Finding::Touch { TOGETHER } else { APART }].1
 }
 
 /// Logs the line of a body event.
