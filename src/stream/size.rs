@@ -1,7 +1,7 @@
 //! Predicts the size of a recording from a few sample frames, which are encoded and discarded. The choice of samples
 //! depends on the scene and the settings alone, so that equal runs give equal predictions.
 
-use std::io::{self, Write};
+use std::io;
 
 use super::{
     Recorder, Settings,
@@ -114,7 +114,7 @@ fn sample(experiment: &dyn Experiment, settings: Settings, last: u64, frames: u6
 /// A recording whose messages are measured and discarded.
 struct Probe {
     recorder: Recorder,
-    encoder: Encoder<Count>,
+    encoder: Encoder<io::Sink>,
     /// Size of the data that does not depend on the number of frames [bytes].
     head: u64,
     first: u64,
@@ -124,7 +124,7 @@ impl Probe {
     fn new(simulation: &dyn Simulation, settings: Settings) -> Option<Probe> {
         let mut recorder = Recorder::new(simulation, settings).ok()?;
         let mut encoder =
-            Encoder::new_eager(CrateVersion::LOCAL, EncodingOptions::PROTOBUF_COMPRESSED, Count::default()).ok()?;
+            Encoder::new_eager(CrateVersion::LOCAL, EncodingOptions::PROTOBUF_COMPRESSED, io::sink()).ok()?;
         encoder.do_not_emit_footer(); // it is not counted, and expensive
         let layout = recorder.blueprint(simulation, Tab::Scene);
         let head = append(&mut encoder, layout.into_iter().chain(recorder.take())).ok()?;
@@ -146,7 +146,7 @@ impl Probe {
 
 /// Returns the encoded size of the messages [bytes]. Timings and the axes of their plots vary from run to run; they
 /// are counted with a typical size.
-fn append(encoder: &mut Encoder<Count>, messages: impl IntoIterator<Item = LogMsg>) -> Result<u64, EncodeError> {
+fn append(encoder: &mut Encoder<io::Sink>, messages: impl IntoIterator<Item = LogMsg>) -> Result<u64, EncodeError> {
     let size = |message: LogMsg| match timings(&message) {
         Some(rows) => Ok(rows * TIMING_BYTES),
         None => encoder.append(&message),
@@ -161,19 +161,4 @@ fn timings(message: &LogMsg) -> Option<u64> {
     let entity = schema.metadata().get("rerun:entity_path")?;
     let varies = TIMING.is(entity) || STACKED.is(entity) || store.kind() == StoreKind::Blueprint;
     varies.then(|| arrow.batch.num_rows() as u64)
-}
-
-/// Counts the bytes written to it.
-#[derive(Default)]
-struct Count(u64);
-
-impl Write for Count {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0 += bytes.len() as u64;
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
 }
