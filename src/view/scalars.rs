@@ -66,6 +66,11 @@ const fn smooth(
     Scalar { name, label, plot, value: ScalarValue::State(value), is_smooth: true }
 }
 
+/// A scalar that jumps from step to step.
+const fn jumping(name: &'static str, label: &'static str, plot: &'static str, value: ScalarValue) -> Scalar {
+    Scalar { name, label, plot, value, is_smooth: false }
+}
+
 /// The energy of free bodies, and of those on paths by their masses.
 const TOTAL_OF_FREE: &[Scalar] =
     &[smooth("energy", "energy [mass·unit²/s²]", OF_FREE, |state| state.energy.total())];
@@ -130,44 +135,24 @@ const BROUGHT: &str = "Energy brought since t = 0 [mass·unit²/s²], by cause";
 const UNACCOUNTED: &str = "Energy not accounted for [mass·unit²/s²]";
 
 const SCALARS: &[Scalar] = &[
-    Scalar {
-        name: "max_displacement",
-        label: "largest displacement [radii]",
-        plot: "Displacement",
-        value: ScalarValue::State(|state| {
-            let bodies = state.bodies.iter().zip(&state.scene.bodies);
-            bodies.map(|(now, body)| now.max_displacement / body.radius).fold(0.0, f64::max)
-        }),
-        is_smooth: true,
-    },
-    Scalar {
-        name: "reached_vertices",
-        label: "vertices inside a sphere",
-        plot: "Counts",
-        value: ScalarValue::State(|state| state.energy.reached_vertices as f64),
-        is_smooth: false,
-    },
-    Scalar {
-        name: "substeps",
-        label: "steps of the integrator",
-        plot: "Counts",
-        value: ScalarValue::SumOfSteps(|report| report.substeps as f64),
-        is_smooth: false,
-    },
-    Scalar {
-        name: "estimated_error",
-        label: "estimated error of the step [radii]",
-        plot: "Estimated error",
-        value: ScalarValue::MaxOfSteps(|report| report.error),
-        is_smooth: false,
-    },
-    Scalar {
-        name: "sleeping_bodies",
-        label: "bodies at rest",
-        plot: "Counts",
-        value: ScalarValue::State(|state| state.resting as f64),
-        is_smooth: false,
-    },
+    smooth("max_displacement", "largest displacement [radii]", "Displacement", |state| {
+        let bodies = state.bodies.iter().zip(&state.scene.bodies);
+        bodies.map(|(now, body)| now.max_displacement / body.radius).fold(0.0, f64::max)
+    }),
+    jumping(
+        "reached_vertices",
+        "vertices inside a sphere",
+        "Counts",
+        ScalarValue::State(|state| state.energy.reached_vertices as f64),
+    ),
+    jumping("substeps", "steps of the integrator", "Counts", ScalarValue::SumOfSteps(|report| report.substeps as f64)),
+    jumping(
+        "estimated_error",
+        "estimated error of the step [radii]",
+        "Estimated error",
+        ScalarValue::MaxOfSteps(|report| report.error),
+    ),
+    jumping("sleeping_bodies", "bodies at rest", "Counts", ScalarValue::State(|state| state.resting as f64)),
 ];
 
 /// The smallest range of a plot, see [`ScalarSchema`](crate::observe::schema::ScalarSchema): 1e-9 of the momentum of all
