@@ -2,8 +2,7 @@
 
 use std::{
     collections::HashMap,
-    fs::File,
-    io::{self, Read as _, Write as _},
+    io::{self, Write as _},
     path::{Path, PathBuf},
     time::Instant,
 };
@@ -11,7 +10,7 @@ use std::{
 use super::{
     Failure,
     interrupt::{self, STOP},
-    print,
+    is_marked, print,
     program::Program,
     progress::{Progress, Work},
     say,
@@ -231,10 +230,9 @@ fn may_draw(folder: &Path) -> Result<(), Failure> {
 
 /// Checks that a file is missing, empty, or has this mark near its beginning.
 fn may_write(path: &Path, mark: &str) -> Result<(), Failure> {
-    let mut head = Vec::new();
-    match File::open(path).and_then(|file| file.take(4096).read_to_end(&mut head)) {
+    match is_marked(path, mark) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
-        Ok(_) if head.is_empty() || String::from_utf8_lossy(&head).contains(mark) => Ok(()),
+        Ok(true) => Ok(()),
         _ => Err(not_replaced(path)),
     }
 }
