@@ -1,13 +1,14 @@
 //! Announces scenes that take minutes or gigabytes, before the time or the memory is spent.
 
-use std::collections::{HashMap, HashSet};
-
-use glam::DVec3;
+use std::collections::HashSet;
 
 use super::{Failure, say};
 use crate::{
-    scene::{Body, Model, Scene},
-    sim::memory,
+    scene::{Model, Scene},
+    sim::{
+        memory,
+        reach::{Ball, Grid},
+    },
     stream::settings::Detail,
     text::{bytes, counted, significant},
 };
@@ -40,10 +41,7 @@ struct Near {
 
 impl Near {
     fn of(scene: &Scene) -> Near {
-        let largest = |of: fn(&Body) -> f64| scene.bodies.iter().map(of).fold(0.0, f64::max);
-        let cell = largest(Body::sphere_radius) + largest(|body| body.radius);
-        let place = |centre: DVec3| (centre / cell).floor().to_array().map(|x| x as i64);
-        let mut known: HashMap<[i64; 3], Vec<u32>> = HashMap::new();
+        let mut grid = Grid::default();
         let mut is_near = vec![false; scene.bodies.len()];
         let (mut near, mut tests, mut seen) = (Near::default(), 0, 0);
         for (b, body) in scene.bodies.iter().enumerate().take(MOST_BODIES) {
@@ -51,23 +49,19 @@ impl Near {
                 break;
             }
             seen = b + 1;
-            let centre = body.motion.start();
-            let [x, y, z] = place(centre);
-            for offset in 0..27 {
-                let [dx, dy, dz] = [offset % 3 - 1, offset / 3 % 3 - 1, offset / 9 - 1];
-                let cell = [x.saturating_add(dx), y.saturating_add(dy), z.saturating_add(dz)];
-                for &a in known.get(&cell).into_iter().flatten() {
-                    tests += 1;
-                    let other = &scene.bodies[a as usize];
-                    let reach = f64::max(body.sphere_radius() + other.radius, other.sphere_radius() + body.radius);
-                    if centre.distance(other.motion.start()) < reach {
-                        near.pairs += 1.0;
-                        near.forces += (body.shape.vertex_count() + other.shape.vertex_count()) as f64;
-                        (is_near[a as usize], is_near[b]) = (true, true);
-                    }
+            let (centre, b) = (body.motion.start(), b as u32);
+            // A ball within which the body acts and is acted on.
+            grid.place(b, Ball { centre, radius: body.sphere_radius().max(body.radius) });
+            grid.each_touching(b, |a| {
+                tests += 1;
+                let other = &scene.bodies[a as usize];
+                let reach = f64::max(body.sphere_radius() + other.radius, other.sphere_radius() + body.radius);
+                if centre.distance(other.motion.start()) < reach {
+                    near.pairs += 1.0;
+                    near.forces += (body.shape.vertex_count() + other.shape.vertex_count()) as f64;
+                    (is_near[a as usize], is_near[b as usize]) = (true, true);
                 }
-            }
-            known.entry([x, y, z]).or_default().push(b as u32);
+            });
         }
         let of_near = scene.bodies.iter().zip(&is_near).filter(|(_, is_near)| **is_near);
         near.vertices = of_near.map(|(body, _)| body.shape.vertex_count() as f64).sum();
