@@ -26,15 +26,8 @@ pub fn read(path: &Path) -> Result<Scene, Failure> {
 pub fn scene(name: &str) -> Result<Scene, Failure> {
     match Scene::builtin(name) {
         Some(scene) => Ok(scene),
-        None if !Path::new(name).exists() && !name.contains(['/', '\\', '.']) => {
-            let names = builtin::ALL.map(|builtin| builtin.name);
-            let hint = did_you_mean(name, names.into_iter());
-            Err(Failure::Input(format!(
-                "no scene {name:?}{hint} (there is no such file, and the built-in scenes are {}; see `meldscope scenes`)",
-                names.join(", ")
-            )))
-        }
         None => {
+            file("scene", name, &builtin::ALL.map(|builtin| builtin.name), "; see `meldscope scenes`")?;
             let path = Path::new(name);
             if Existing::is_recording(path) {
                 let word = shell_word(name);
@@ -45,6 +38,17 @@ pub fn scene(name: &str) -> Result<Scene, Failure> {
             read(path)
         }
     }
+}
+
+/// Rejects what is neither the name of a built-in scene or sweep nor that of a file.
+pub fn file(what: &str, name: &str, builtin: &[&str], help: &str) -> Result<(), Failure> {
+    if Path::new(name).exists() || name.contains(['/', '\\', '.']) {
+        return Ok(());
+    }
+    let (hint, names) = (did_you_mean(name, builtin.iter().copied()), builtin.join(", "));
+    Err(Failure::Input(format!(
+        "no {what} {name:?}{hint} (there is no such file, and the built-in {what}s are {names}{help})"
+    )))
 }
 
 /// Quotes a path for a shell, if necessary.

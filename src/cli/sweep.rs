@@ -10,7 +10,7 @@ use std::{
 use super::{
     Failure,
     interrupt::{self, STOP},
-    is_marked, print,
+    is_marked, load, print,
     program::Program,
     progress::{Progress, Work},
     say,
@@ -98,18 +98,10 @@ pub fn sweep(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> 
     let sweep = match (program, builtin::named(&arguments.sweep)) {
         (Program::Own(find), _) => Sweep::load_own(Path::new(&arguments.sweep), find),
         (Program::Scenes, Some(builtin)) => Sweep::parse(builtin.text, builtin.name, None),
-        (Program::Scenes, None)
-            if !Path::new(&arguments.sweep).exists() && !arguments.sweep.contains(['/', '\\', '.']) =>
-        {
-            let names = || builtin::ALL.iter().map(|builtin| builtin.name);
-            let (name, hint) = (&arguments.sweep, did_you_mean(&arguments.sweep, names()));
-            let names: Vec<&str> = names().collect();
-            return Err(Failure::Input(format!(
-                "no sweep {name:?}{hint} (there is no such file, and the built-in sweeps are {})",
-                names.join(", ")
-            )));
+        (Program::Scenes, None) => {
+            load::file("sweep", &arguments.sweep, &builtin::ALL.map(|builtin| builtin.name), "")?;
+            Sweep::load(Path::new(&arguments.sweep))
         }
-        (Program::Scenes, None) => Sweep::load(Path::new(&arguments.sweep)),
     };
     let sweep = sweep.map_err(Failure::input)?;
     if arguments.refine > 0 || arguments.bisect.is_some() {
