@@ -196,12 +196,12 @@ impl Layout {
         class: &str,
         name: &str,
         origin: &str,
-        contents: &[&str],
+        contents: &[String],
         properties: &[(&str, &dyn AsComponents)],
     ) -> Part {
         let (id, text) = self.id();
         let path = format!("view/{text}");
-        let contents = ViewContents::new(contents.iter().copied());
+        let contents = ViewContents::new(contents.iter().map(String::as_str));
         self.log(&format!("{path}/ViewContents"), &contents);
         self.log(&path, &ViewBlueprint::new(class).with_display_name(name).with_space_origin(origin));
         for (property, components) in properties {
@@ -228,11 +228,11 @@ impl Layout {
 
     /// A list of the lines of text of an entity and those below it.
     pub fn lines(&mut self, name: &str, entity: &str) -> Part {
-        self.listed(name, entity, &[&format!("+ {entity}/**")])
+        self.listed(name, entity, &[format!("+ {entity}/**")])
     }
 
     /// A list of lines of text.
-    pub fn listed(&mut self, name: &str, entity: &str, contents: &[&str]) -> Part {
+    pub fn listed(&mut self, name: &str, entity: &str, contents: &[String]) -> Part {
         let columns = TextLogColumns::new()
             .with_timeline_columns(Vec::<TimelineColumn>::new())
             .with_text_log_columns([TextLogColumn { kind: TextLogColumnKind::Body, visible: true.into() }]);
@@ -240,24 +240,21 @@ impl Layout {
     }
 
     /// A plot over time, with the events as markers on its axis.
-    pub fn plot(&mut self, name: &str, origin: &str, contents: &[&str], corner: Corner2D) -> Part {
-        let marks = family(&MARKS_ON_AXIS);
-        let contents: Vec<&str> = contents.iter().copied().chain([marks.as_str()]).collect();
-        self.time_series(name, origin, &contents, corner)
+    pub fn plot(&mut self, name: &str, origin: &str, contents: &[String], corner: Corner2D) -> Part {
+        self.time_series(name, origin, &[contents, &[family(&MARKS_ON_AXIS)]].concat(), corner)
     }
 
     /// A plot over time. All plots and lanes share one time range.
-    pub fn time_series(&mut self, name: &str, origin: &str, contents: &[&str], corner: Corner2D) -> Part {
+    pub fn time_series(&mut self, name: &str, origin: &str, contents: &[String], corner: Corner2D) -> Part {
         let legend = PlotLegend::new().with_corner(corner);
         let axis = TimeAxis::new().with_link(LinkAxis::LinkToGlobal);
         let view = self.view("TimeSeries", name, origin, contents, &[("PlotLegend", &legend), ("TimeAxis", &axis)]);
-        let contents = contents.iter().map(|rule| (*rule).to_owned()).collect();
-        self.plots.push(Plot { path: view.path.clone(), contents, corner, range: None });
+        self.plots.push(Plot { path: view.path.clone(), contents: contents.to_vec(), corner, range: None });
         view
     }
 
     /// Lanes of states over time, on the time range of all plots.
-    pub fn lanes(&mut self, name: &str, origin: &str, contents: &[&str]) -> Part {
+    pub fn lanes(&mut self, name: &str, origin: &str, contents: &[String]) -> Part {
         let axis = TimeAxis::new().with_link(LinkAxis::LinkToGlobal);
         self.view("StateTimeline", name, origin, contents, &[("TimeAxis", &axis)])
     }
@@ -279,7 +276,7 @@ impl Layout {
     }
 
     /// A 3D view.
-    pub fn space(&mut self, (spheres, aspect): Framing<'_>, name: &str, contents: &[&str]) -> Part {
+    pub fn space(&mut self, (spheres, aspect): Framing<'_>, name: &str, contents: &[String]) -> Part {
         let grid = match self.ground {
             None => LineGrid3D::new().with_visible(false),
             Some(Ground { height, spacing }) => LineGrid3D::new()

@@ -104,23 +104,22 @@ pub fn of_comparison(
 
     let mut layout = Layout::of(recording);
     layout.ground = Ground::under(spheres);
-    let surfaces = layout.space((spheres, WIDE), "Both surfaces, and arrows between them", &[&family(&WORLD)]);
+    let surfaces = layout.space((spheres, WIDE), "Both surfaces, and arrows between them", &[family(&WORLD)]);
     let dots =
         Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(2.0)]).with_colors([palette::color(rgb)]);
     for surface in second {
         layout.visualize(&surfaces.path, surface, &[("Points3D", &[VERTICES], &dots)]);
     }
-    let about = layout.view("TextDocument", "What is what", ABOUT.path, &[&including(ABOUT.path)], &[]);
+    let about = layout.view("TextDocument", "What is what", ABOUT.path, &[including(ABOUT.path)], &[]);
     let left = layout.container(ContainerKind::Vertical, "Surfaces", vec![surfaces, about], &[3.4, 1.0]);
     let title = "Largest difference [radii], as its decimal logarithm";
     // runs that differ do so more and more: lines rise from the left
-    let plot = layout.time_series(title, "/", &[&family(&LOG_DIFFERENCE)], Corner2D::LeftTop);
+    let plot = layout.time_series(title, "/", &[family(&LOG_DIFFERENCE)], Corner2D::LeftTop);
     let events = layout.lines("Events", EVENTS.path);
     let (mut parts, mut shares) = (vec![plot, events], vec![1.5, 1.0]);
     if has_pairs {
         let distances = "Pair distances q in both runs";
         let contents = [&COMPARED_DISTANCE, &COMPARED_EVENTS].map(family);
-        let contents = contents.each_ref().map(String::as_str);
         parts.insert(1, layout.time_series(distances, "/", &contents, Corner2D::RightBottom));
         shares.insert(1, 1.0);
     }
@@ -143,11 +142,11 @@ pub fn of_map(measures: &[&str], recording: &StoreId, picture: [f64; 2]) -> Vec<
         y_range: [-0.14 * y, 1.12 * y].into(),
     });
     let bounds: [(&str, &dyn AsComponents); 1] = [("VisualBounds2D", &bounds)];
-    let map = layout.view("2D", "Map", MAP.family(), &[&family(&MAP)], &bounds);
-    let about = layout.view("TextDocument", "What is what", ABOUT.path, &[&including(ABOUT.path)], &[]);
+    let map = layout.view("2D", "Map", MAP.family(), &[family(&MAP)], &bounds);
+    let about = layout.view("TextDocument", "What is what", ABOUT.path, &[including(ABOUT.path)], &[]);
     let plots = measures.iter().map(|measure| {
         let entity = format!("{}/{measure}", MEASURE.family());
-        layout.view("2D", &capitalized(&measure.replace('_', " ")), &entity, &[&format!("+ {entity}/**")], &bounds)
+        layout.view("2D", &capitalized(&measure.replace('_', " ")), &entity, &[format!("+ {entity}/**")], &bounds)
     });
     let plots: Vec<Part> = plots.collect();
     let left = layout.container(ContainerKind::Vertical, "Map", vec![map, about], &[3.2, 1.0]);

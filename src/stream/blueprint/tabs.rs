@@ -81,7 +81,7 @@ impl Layout {
     /// An overview of everything.
     fn scene_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         let scene_view = self.scene_view((framing, WIDE), schema, scene_title(schema), settings);
-        let about = self.view("TextDocument", "What is what", ABOUT.path, &[&including(ABOUT.path)], &[]);
+        let about = self.view("TextDocument", "What is what", ABOUT.path, &[including(ABOUT.path)], &[]);
         let left = self.container(ContainerKind::Vertical, "Space", vec![scene_view, about], &[2.6, 1.0]);
         let right = if schema.bodies.len() > 1 {
             // a lane for each pair, as far as there is room
@@ -112,7 +112,7 @@ impl Layout {
 
     /// A 3D view of everything, with the forces that make bodies merge and split.
     pub fn scene_view(&mut self, framing: Framing<'_>, schema: &Schema, name: &str, settings: &Settings) -> Part {
-        let view = self.space(framing, name, &[&family(&WORLD)]);
+        let view = self.space(framing, name, &[family(&WORLD)]);
         for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
             let mut of = Mesh3D::update_fields();
             if draws_springs(schema, settings) && settings.entities == Entities::Body {
@@ -161,7 +161,6 @@ impl Layout {
     /// The pair of the last event, cut out of everything that may hide it.
     fn recent_pair(&mut self) -> Part {
         let contents = [&RECENT_PAIR, &RECENT_SPHERES, &RECENT_NAMES].map(|of| including(of.path));
-        let contents = contents.each_ref().map(String::as_str);
         let ground = self.ground.take();
         let framing: Framing<'_> = (&[(DVec3::ZERO, 2.6)], WIDE);
         let view = self.space(framing, "The pair of the last event, alone", &contents);
@@ -183,7 +182,6 @@ impl Layout {
             let plots = measures.map(|(title, measures)| {
                 let lines = measures.iter().flat_map(|measure| pairs::named(schema, measure));
                 let contents: Vec<String> = lines.map(|line| including(&line)).collect();
-                let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
                 self.plot(title, "/", &contents, Corner2D::RightTop)
             });
             parts.push(self.container(ContainerKind::Tabs, "Pairs", plots.into(), &[]));
@@ -191,16 +189,15 @@ impl Layout {
         let title = "Do surfaces touch? (red: joined, not touching; yellow: touching, not joined)";
         let mut contents: Vec<String> = pairs::named(schema, &PAIR_PHASE).map(|lane| format!("- {lane}")).collect();
         contents.push(family(&PAIR_PHASE));
-        let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
         let contacts = self.lanes(title, PAIR_PHASE.family(), &contents);
         self.contacts.push(contacts.path.clone());
         parts.push(contacts);
         if pairs::has_named_pairs(schema) {
             // no marks of events, which are at 0: a change of a hundredth is visible
             let title = "Volume [unit³]: what merging loses lies between the lines";
-            parts.push(self.time_series(title, "/", &[&family(&VOLUME)], Corner2D::LeftBottom));
+            parts.push(self.time_series(title, "/", &[family(&VOLUME)], Corner2D::LeftBottom));
         } else {
-            let plot = self.plot("Groups: volume, bodies, genus", "/", &[&family(&GROUP_LINE)], Corner2D::RightTop);
+            let plot = self.plot("Groups: volume, bodies, genus", "/", &[family(&GROUP_LINE)], Corner2D::RightTop);
             self.groups = Some(plot.path.clone());
             parts.push(plot);
         }
@@ -214,8 +211,8 @@ impl Layout {
     pub fn surface_view(&mut self, framing: Framing<'_>, schema: &Schema, settings: &Settings) -> Part {
         // a seam lies inside the smooth surface and would show through in places
         let merged = if schema.blend > 0.0 { including(MERGED_SURFACE.path) } else { family(&MERGED) };
-        let contents = [&BODY, &DEFORMING, &RESTING, &PLANE, &NAMES].map(family);
-        let contents: Vec<&str> = contents.iter().chain([&merged]).map(String::as_str).collect();
+        let bodies = [&BODY, &DEFORMING, &RESTING, &PLANE, &NAMES].map(family);
+        let contents = [&bodies[..], &[merged]].concat();
         let view = self.space(framing, "One surface per group", &contents);
         for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
             // a batch has a colour per vertex
@@ -251,7 +248,7 @@ impl Layout {
         }
         let causes = self.container(ContainerKind::Tabs, "Causes", views, &[]);
         let scale = including(ARROWS.path);
-        let scale = self.view("TextDocument", "What arrows and lines mean", ARROWS.path, &[&scale], &[]);
+        let scale = self.view("TextDocument", "What arrows and lines mean", ARROWS.path, &[scale], &[]);
         let causes = self.container(ContainerKind::Vertical, "Forces", vec![causes, scale], &[4.2, 1.0]);
         if schema.bodies.len() > body_forces::MOST_BODIES {
             return causes;
@@ -263,7 +260,7 @@ impl Layout {
                 false => format!("{} [unit/s²]", body.name),
             };
             let contents = format!("+ {}/{}/**", BODY_FORCE.family(), body.name);
-            let plot = self.plot(&title, "/", &[&contents], Corner2D::RightTop);
+            let plot = self.plot(&title, "/", &[contents], Corner2D::RightTop);
             if is_stacked && body.name != schema.bodies[0].name {
                 // the lines have the same colours in all plots; a legend covers half of a small one
                 self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
@@ -288,8 +285,7 @@ impl Layout {
     ) -> Part {
         const WHITE: palette::Rgb = [0xFF; 3];
         let bodies = [&BODY, &DEFORMING, &PLANE, &NAMES, &POINTS].map(family);
-        let contents: Vec<&str> = bodies.iter().chain(arrows).map(String::as_str).collect();
-        let view = self.space((framing, WIDE), name, &contents);
+        let view = self.space((framing, WIDE), name, &[&bodies[..], arrows].concat());
         if schema.bodies.len() <= MAX_SHEER || settings.entities == Entities::Batch {
             for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
                 // a batch has a colour per vertex
@@ -304,7 +300,6 @@ impl Layout {
     /// Surfaces coloured by displacement, with selectable vertices, above the colour scale.
     pub fn displacement_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         let contents = [&BODY, &DEFORMING, &PLANE, &LARGEST, &NAMES].map(family);
-        let contents = contents.each_ref().map(String::as_str);
         let title = "Displacement from rest; select a vertex to see its numbers";
         let view = self.space((framing, WIDE), title, &contents);
         let white = sdk::Rgba32::WHITE;
@@ -323,7 +318,7 @@ impl Layout {
             "2D",
             "Displacement [radii]: at this instant, at most a tenth of the surface has more than the colours show",
             LEGEND.family(),
-            &[&family(&LEGEND)],
+            &[family(&LEGEND)],
             &[],
         );
         self.container(ContainerKind::Vertical, "Displacement", vec![view, scale], &[6.0, 1.0])
@@ -338,12 +333,10 @@ impl Layout {
         };
         let mut contents = without(&MEASURES.map(|(measure, ..)| measure));
         contents.push(family(&MARKS_AT_Q));
-        let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
         let title = "Pair distances q and their thresholds";
         let distances = self.time_series(title, "/", &contents, Corner2D::RightBottom);
         self.distances.push(distances.path.clone());
         let contents = without(&[&PAIR_CONTACT]);
-        let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
         let phases = self.lanes("Pair phases", PAIR_PHASE.family(), &contents);
         self.phases.push(phases.path.clone());
         let events = self.events();
@@ -353,7 +346,7 @@ impl Layout {
     /// The events of pairs and bodies. Steps beyond the tolerance, which may be all of them, are listed beside the error.
     fn events(&mut self) -> Part {
         let contents = [format!("+ {}/**", EVENTS.path), format!("- {}", ACCURACY.path)];
-        self.listed("Events", EVENTS.path, &contents.each_ref().map(String::as_str))
+        self.listed("Events", EVENTS.path, &contents)
     }
 
     /// The cost of a step and of its recording, each as stacked stages, and the resulting speed.
@@ -380,7 +373,6 @@ impl Layout {
         let stages = numbers::timings(schema).filter(|stage| numbers::is_work(stage));
         let stages = stages.filter(|stage| numbers::RECORDING.contains(stage) == is_recording);
         let contents: Vec<String> = stages.map(|stage| including(&numbers::stacked(schema, stage))).collect();
-        let contents: Vec<&str> = contents.iter().map(String::as_str).collect();
         let plot = self.plot(title, "/", &contents, Corner2D::LeftTop);
         self.timings.push((plot.path.clone(), is_recording, title.to_owned()));
         plot
@@ -388,7 +380,6 @@ impl Layout {
 
     fn speed(&mut self) -> Part {
         let contents = [&SPEED, &LAG].map(|line| including(line.path));
-        let contents = [contents[0].as_str(), contents[1].as_str()];
         let plot =
             self.plot("Steps per second; with --realtime, also the lag in ms", "/", &contents, Corner2D::LeftTop);
         self.speeds = Some(plot.path.clone());
@@ -429,8 +420,7 @@ impl Layout {
             }
         }
         let mut plot = |(name, lines): (&'static str, Vec<String>)| {
-            let contents: Vec<&str> = lines.iter().map(String::as_str).collect();
-            let plot = self.plot(name, "/", &contents, Corner2D::RightTop);
+            let plot = self.plot(name, "/", &lines, Corner2D::RightTop);
             self.scalars.push((plot.path.clone(), name));
             (name, plot)
         };
