@@ -143,7 +143,7 @@ impl FocusFinder {
     /// much smaller then.
     pub fn focus(&self) -> Option<Focus> {
         /// How much wider the box around the whole run may be than that around the instant.
-        const WIDER: f64 = 1.5;
+        const WIDER: f64 = 1.3;
 
         let (mut focus, whole @ [low, high]) = (self.focus.clone()?, self.whole?);
         let [least, most] =

@@ -204,7 +204,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
 /// more is shown where that lets it label two of them.
 fn readable([mut low, mut high]: [f64; 2]) -> [f64; 2] {
     /// Multiples that have labels in a plot of usual height.
-    const LABELLED: f64 = 6.0;
+    const LABELLED: f64 = 8.0;
     const MARGIN: f64 = 0.04;
 
     let spacing = 10f64.powf(((high - low) / LABELLED).log10().ceil());
