@@ -2,8 +2,6 @@
 
 use std::collections::{HashMap, HashSet};
 
-use glam::DVec3;
-
 use super::root;
 
 /// The faces of a cell as corners, counter-clockwise seen from outside.
@@ -86,15 +84,4 @@ pub fn boundary(first: &[[u32; 8]], corners: &[[u32; 8]], is_there: impl Fn(usiz
         }
     }
     mesh
-}
-
-impl BoundaryMesh {
-    /// The enclosed volume with the vertices at the given positions.
-    pub fn volume(&self, place: impl Fn(usize) -> DVec3) -> f64 {
-        let of = |corners: &[u32; 3]| {
-            let [a, b, c] = corners.map(|i| place(i as usize));
-            a.cross(b).dot(c) / 6.0
-        };
-        self.triangles.iter().map(of).sum()
-    }
 }

@@ -14,6 +14,17 @@ fn cuboid(low: DVec3, high: DVec3) -> (Vectors, Vec<[u32; 3]>) {
     (corners, surface.triangles)
 }
 
+impl BoundaryMesh {
+    /// The enclosed volume with the vertices at the given positions.
+    pub fn volume(&self, place: impl Fn(usize) -> DVec3) -> f64 {
+        let of = |corners: &[u32; 3]| {
+            let [a, b, c] = corners.map(|i| place(i as usize));
+            a.cross(b).dot(c) / 6.0
+        };
+        self.triangles.iter().map(of).sum()
+    }
+}
+
 #[test]
 fn cells_cover_a_sphere() {
     let mesh = Sphere { stacks: 12, slices: 24 }.mesh();

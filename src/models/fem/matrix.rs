@@ -92,7 +92,7 @@ pub struct Cholesky {
     starts: Vec<usize>,
     rows: Vec<u32>,
     /// The blocks below the diagonal, each multiplied by the inverse of its column's diagonal block …
-    blocks: Vec<DMat3>,
+    pub blocks: Vec<DMat3>,
     /// … and the inverses of the diagonal blocks of D in L D Lᵀ.
     inverses: Vec<DMat3>,
 }
@@ -228,11 +228,6 @@ impl Cholesky {
             }
             x[column] = sums[0] + sums[1];
         }
-    }
-
-    /// Number of blocks below the diagonal.
-    pub fn block_count(&self) -> usize {
-        self.blocks.len()
     }
 
     /// Allocated memory [bytes].

@@ -231,16 +231,6 @@ impl Stepper {
         }
     }
 
-    /// Solves for the equilibrium (2.1) with the factor of K: replaces forces by displacements.
-    pub fn equilibrium(&self, forces: &mut [DVec3]) {
-        self.factor.solve(forces);
-    }
-
-    /// Number of blocks of the factor below the diagonal.
-    pub fn block_count(&self) -> usize {
-        self.factor.block_count()
-    }
-
     /// Allocated memory of the factor [bytes].
     pub fn memory(&self) -> usize {
         self.factor.memory()

@@ -81,16 +81,6 @@ impl Motion {
             + self.inverse.capacity() * size_of::<f64>()
             + self.lanes.memory()
     }
-
-    /// Σ m u [mass · scene unit/s].
-    pub fn momentum(&self, masses: &[f64]) -> DVec3 {
-        self.velocities.iter().zip(masses).map(|(u, m)| *u * *m).sum()
-    }
-
-    /// Σ ½ m u² [mass · scene unit²/s²].
-    pub fn kinetic_energy(&self, masses: &[f64]) -> f64 {
-        self.velocities.iter().zip(masses).map(|(u, m)| 0.5 * m * u.length_squared()).sum()
-    }
 }
 
 /// External accelerations [scene unit/s²], given the time within the steps [s], positions and velocities; written to

@@ -3,6 +3,18 @@ use std::f64::consts::FRAC_PI_2;
 use super::*;
 use crate::{models::cells::boundary, scene::TearMode};
 
+impl Motion {
+    /// Σ m u [mass · scene unit/s].
+    fn momentum(&self, masses: &[f64]) -> DVec3 {
+        self.velocities.iter().zip(masses).map(|(u, m)| *u * *m).sum()
+    }
+
+    /// Σ ½ m u² [mass · scene unit²/s²].
+    fn kinetic_energy(&self, masses: &[f64]) -> f64 {
+        self.velocities.iter().zip(masses).map(|(u, m)| 0.5 * m * u.length_squared()).sum()
+    }
+}
+
 /// No external accelerations.
 fn nothing(_: f64, _: &[DVec3], _: &[DVec3], accelerations: &mut [DVec3]) {
     accelerations.fill(DVec3::ZERO);
