@@ -39,21 +39,11 @@ pub struct PairMeasures {
     pub seams: Vec<Seam>,
 }
 
-/// Measures two bodies.
+/// Measures two bodies from their union. If it is not the union of two bodies, the gap is infinite.
 ///
 /// The depth is the greatest distance of a sample point on either surface, inside the other body, to that body's
 /// surface. Sample points are the vertices, the midpoints of edges and of the parts of cut edges, and the centres of
 /// triangles. For bodies that intersect themselves, the distance is to the nearest sheet.
-///
-/// # Errors
-///
-/// Those of [`union`], from which the measures are computed.
-pub fn pair_measures(a: &Body, b: &Body, budget: &Budget) -> Result<PairMeasures, UnionError> {
-    let bodies = [a.clone(), b.clone()];
-    measures_of(&union(&bodies, budget)?, budget, &mut Hint::default())
-}
-
-/// [`pair_measures`] of two bodies, from their union. If the union is not of two bodies, the gap is infinite.
 ///
 /// # Errors
 ///
@@ -86,7 +76,7 @@ impl PairMeasures {
     }
 }
 
-/// [`pair_measures`] of two bodies that a plane separates, without their union. `None` if none is found, and for bodies
+/// [`measures_of`] two bodies that a plane separates, without their union. `None` if none is found, and for bodies
 /// that may intersect themselves, whose measures follow from what their union removes.
 ///
 /// # Errors
@@ -107,17 +97,6 @@ pub fn measures_apart(
     let meter = Meter::new(Budget { work: u64::MAX, ..*budget });
     let gap = Tree::new(a).distance(&Tree::new(b), &mut hint.triangles, &meter).map_err(|_| meter.gave_up())?;
     Ok(Some(PairMeasures::new(gap, 0.0, Vec::new())))
-}
-
-/// The gap alone: the smallest distance of two surfaces or minus the greatest depth [scene unit], as in
-/// [`PairMeasures`].
-///
-/// # Errors
-///
-/// Those of [`union`].
-pub fn gap(a: &Body, b: &Body, budget: &Budget) -> Result<f64, UnionError> {
-    let bodies = [a.clone(), b.clone()];
-    gap_of(&union(&bodies, budget)?, budget, &mut Hint::default())
 }
 
 fn gap_of(united: &Union, budget: &Budget, hint: &mut Hint) -> Result<f64, UnionError> {

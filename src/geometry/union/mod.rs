@@ -75,11 +75,11 @@ mod winding;
 
 pub use body::{Aabb, Body, BodyError};
 pub use contact::{Contact, Crossing, contact};
-pub use measures::{Hint, PairMeasures, gap, measures_apart, measures_of, pair_measures};
+pub use measures::{Hint, PairMeasures, measures_apart, measures_of};
 pub use report::{Budget, UnionError, is_raised};
 pub use seams::Seam;
 pub use self_contact::{SelfContactError, self_contact};
-pub use surface::{Component, NewTriangle, NewVertex, Origin, Statistics, Union, UnionMesh};
+pub use surface::{NewTriangle, NewVertex, Origin, Statistics, Union, UnionMesh};
 pub use topology::{Topology, TopologyError};
 
 use rayon::prelude::*;
@@ -139,7 +139,6 @@ fn attempt_union<'a, 'b>(
         included[b as usize] = true;
     }
     let mut union = Union::untouched(bodies, &included);
-    union.statistics.pairs = placement.pairs.len();
     union.statistics.folds = placement.folds.iter().filter(|f| **f).count();
     union.statistics.dropped = placement.dropped;
     let is_done = |placement: &Placement| placement.pairs.is_empty() && !placement.folds.contains(&true);
@@ -178,9 +177,6 @@ fn attempt_union<'a, 'b>(
     let faces = Faces::new(&placement, &arrangement, &classified, meter, threads)?;
 
     meter.check()?;
-    union.statistics.nodes = arrangement.nodes.len();
-    union.statistics.segments = arrangement.segments.len();
-    union.statistics.triple_points = arrangement.triple_points.len();
     union.assemble(&placement, &arrangement, &classified, faces, &order)
 }
 

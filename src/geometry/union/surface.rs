@@ -73,16 +73,8 @@ pub struct NewTriangle {
 pub struct Statistics {
     /// Number of attempts beyond the first.
     pub retries: u32,
-    /// Number of pairs of bodies with overlapping boxes.
-    pub pairs: usize,
     /// Number of edge–triangle tests.
     pub tests: usize,
-    /// Number of edges through triangles.
-    pub nodes: usize,
-    /// Number of triangles through triangles.
-    pub segments: usize,
-    /// Number of points where three triangles meet.
-    pub triple_points: usize,
     /// Number of bodies tested against themselves.
     pub folds: usize,
     /// Number of bodies left out because they are too small to be resolved beside the others.
@@ -124,24 +116,6 @@ pub struct Union<'a, 'b> {
 struct Change {
     volume: f64,
     area: f64,
-}
-
-/// A connected part of the surface of a union.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Component {
-    /// Euler characteristic: vertices − edges + triangles = 2 − 2 × genus.
-    pub euler: i64,
-    /// Enclosed volume [scene unit³]; < 0 for the surface of a void, which is subtracted from the component around it.
-    pub volume: f64,
-    /// Area [scene unit²].
-    pub area: f64,
-}
-
-impl Component {
-    /// Genus: the number of handles.
-    pub fn genus(&self) -> i64 {
-        (2 - self.euler) / 2
-    }
 }
 
 /// A union as a mesh.
@@ -754,46 +728,6 @@ impl Parts {
             self.parent[a.max(b) as usize] = a.min(b);
             self.count -= 1;
         }
-    }
-}
-
-impl UnionMesh {
-    /// The connected components of the surface, by their first vertex, in time proportional to the whole mesh.
-    pub fn components(&self) -> Vec<Component> {
-        // A vertex's representative is the lowest of its component, after path compression.
-        let mut parent: Vec<u32> = (0..self.positions.len() as u32).collect();
-        fn root(parent: &mut [u32], mut v: u32) -> u32 {
-            while parent[v as usize] != v {
-                parent[v as usize] = parent[parent[v as usize] as usize];
-                v = parent[v as usize];
-            }
-            v
-        }
-        for &[a, b, c] in &self.triangles {
-            for (a, b) in [(a, b), (b, c)] {
-                let (a, b) = (root(&mut parent, a), root(&mut parent, b));
-                parent[a.max(b) as usize] = a.min(b);
-            }
-        }
-        let mut components: Vec<(Component, i64)> = Vec::new();
-        let mut number: FxHashMap<u32, usize> = FxHashMap::default();
-        for v in 0..self.positions.len() as u32 {
-            let root = root(&mut parent, v);
-            let k = *number.entry(root).or_insert_with(|| {
-                components.push((Component { euler: 0, volume: 0.0, area: 0.0 }, 0));
-                components.len() - 1
-            });
-            components[k].0.euler += 1;
-        }
-        let origin = self.positions.first().copied().unwrap_or_default();
-        for corners in &self.triangles {
-            let (component, triangles) = &mut components[number[&root(&mut parent, corners[0])]];
-            let [x, y, z] = corners.map(|v| self.positions[v as usize] - origin);
-            component.volume += x.dot(y.cross(z)) / 6.0;
-            component.area += (y - x).cross(z - x).length() / 2.0;
-            *triangles += 1;
-        }
-        components.into_iter().map(|(c, triangles)| Component { euler: c.euler - triangles / 2, ..c }).collect()
     }
 }
 

@@ -181,9 +181,8 @@ fn unite(scene: &Scene, tally: &mut Tally) -> Result<Option<Numbers>, String> {
             Err(error) => return Err(error.to_string()),
         };
         tally.retries += u64::from(united.statistics.retries);
-        let mesh = united.mesh();
-        closed(&mesh)?;
-        let components = mesh.components().len();
+        closed(&united.mesh())?;
+        let components = united.component_count();
         Ok(Some(Numbers { volume: united.volume(), euler: united.euler(), components }))
     };
     let name = scene.kind.name();

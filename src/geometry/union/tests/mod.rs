@@ -70,6 +70,63 @@ impl Checked {
     }
 }
 
+/// A connected part of the surface of a union.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Component {
+    /// Euler characteristic: vertices − edges + triangles = 2 − 2 × the number of handles.
+    euler: i64,
+    /// Enclosed volume [scene unit³]; < 0 for the surface of a void, which is subtracted from the component around it.
+    volume: f64,
+    /// Area [scene unit²].
+    area: f64,
+}
+
+impl UnionMesh {
+    /// The connected components of the surface, by their first vertex, in time proportional to the whole mesh.
+    fn components(&self) -> Vec<Component> {
+        // A vertex's representative is the lowest of its component, after path compression.
+        let mut parent: Vec<u32> = (0..self.positions.len() as u32).collect();
+        fn root(parent: &mut [u32], mut v: u32) -> u32 {
+            while parent[v as usize] != v {
+                parent[v as usize] = parent[parent[v as usize] as usize];
+                v = parent[v as usize];
+            }
+            v
+        }
+        for &[a, b, c] in &self.triangles {
+            for (a, b) in [(a, b), (b, c)] {
+                let (a, b) = (root(&mut parent, a), root(&mut parent, b));
+                parent[a.max(b) as usize] = a.min(b);
+            }
+        }
+        let mut components: Vec<(Component, i64)> = Vec::new();
+        let mut number: HashMap<u32, usize> = HashMap::new();
+        for v in 0..self.positions.len() as u32 {
+            let root = root(&mut parent, v);
+            let k = *number.entry(root).or_insert_with(|| {
+                components.push((Component { euler: 0, volume: 0.0, area: 0.0 }, 0));
+                components.len() - 1
+            });
+            components[k].0.euler += 1;
+        }
+        let origin = self.positions.first().copied().unwrap_or_default();
+        for corners in &self.triangles {
+            let (component, triangles) = &mut components[number[&root(&mut parent, corners[0])]];
+            let [x, y, z] = corners.map(|v| self.positions[v as usize] - origin);
+            component.volume += x.dot(y.cross(z)) / 6.0;
+            component.area += (y - x).cross(z - x).length() / 2.0;
+            *triangles += 1;
+        }
+        components.into_iter().map(|(c, triangles)| Component { euler: c.euler - triangles / 2, ..c }).collect()
+    }
+}
+
+/// Measures two bodies by their union.
+fn pair_measures(a: &Body, b: &Body) -> PairMeasures {
+    let (bodies, budget) = ([a.clone(), b.clone()], Budget::default());
+    measures_of(&union(&bodies, &budget).unwrap(), &budget, &mut Hint::default()).unwrap()
+}
+
 /// Asserts that every edge has one triangle on either side and every vertex one fan.
 fn assert_closed(mesh: &UnionMesh) {
     let mut next: HashMap<(u32, u32), u32> = HashMap::new();
