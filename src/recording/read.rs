@@ -16,6 +16,12 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use re_protos::{
+    common::v1alpha1::{Compression, StoreKind},
+    external::prost::{Message as _, bytes::Bytes},
+    log_msg::v1alpha1 as proto,
+};
+
 use super::{ReadError, Recorded};
 use crate::sdk::{
     ArrowMsg, Chunk, CrateVersion, Tuid,
@@ -220,24 +226,28 @@ impl Reader {
                 0 => self.footer(length)?,
                 2 => {
                     let damaged = |what: String| ReadError::Damaged { path: self.path.clone(), at: Some(start), what };
-                    let envelope = Envelope::read(&message).map_err(damaged)?;
-                    if !envelope.is_recording {
+                    let message = proto::ArrowMsg::decode(Bytes::from(message))
+                        .map_err(|_| damaged("a message with a malformed envelope".to_owned()))?;
+                    if message.encoding() != proto::Encoding::ArrowIpc {
+                        return Err(damaged("a message that is not in Arrow's format".to_owned()));
+                    }
+                    let Some(store) = message.store_id.as_ref().filter(|id| id.kind() == StoreKind::Recording) else {
+                        continue;
+                    };
+                    if self.only.as_ref().is_some_and(|only| *only != store.recording_id) {
                         continue;
                     }
-                    if self.only.as_ref().is_some_and(|only| *only != envelope.recording_id) {
-                        continue;
+                    if self.id.as_ref() != Some(&store.recording_id) {
+                        self.id = Some(store.recording_id.clone());
+                        self.application = Some(store.application_id.clone().unwrap_or_default().id);
                     }
-                    if self.id.as_ref() != Some(&envelope.recording_id) {
-                        self.id = Some(envelope.recording_id.clone());
-                        self.application = Some(envelope.application.clone());
-                    }
-                    self.unpacked = self.unpacked.saturating_add(envelope.unpacked_size());
+                    self.unpacked = self.unpacked.saturating_add(unpacked_size(&message));
                     let max_unpacked = UNPACKED.0.saturating_add(UNPACKED.1.saturating_mul(self.at));
                     if self.unpacked > max_unpacked {
                         let (read, unpacked) = (self.at, self.unpacked);
                         return Err(damaged(format!("{read} bytes claim to unpack to {unpacked} bytes")));
                     }
-                    if let Some(chunk) = catching(|| envelope.chunk(&wanted)).map_err(damaged)? {
+                    if let Some(chunk) = catching(|| chunk(&message, &wanted)).map_err(damaged)? {
                         self.rows = self.rows.saturating_add(chunk.num_rows() as u64);
                         if self.rows > ROWS.0 + self.at / ROWS.1 {
                             return Err(damaged(format!("{} rows within {} bytes", self.rows, self.at)));
@@ -287,95 +297,46 @@ impl Reader {
     }
 }
 
-/// An Arrow message as stored in the file: the fields of `rerun.log_msg.v1alpha1.ArrowMsg` that are needed.
-struct Envelope<'a> {
-    is_recording: bool,
-    recording_id: String,
-    application: String,
-    compression: u64,
-    uncompressed: u64,
-    payload: &'a [u8],
+/// The unpacked size that a message claims [bytes].
+fn unpacked_size(message: &proto::ArrowMsg) -> u64 {
+    match message.compression() {
+        Compression::Lz4 => message.uncompressed_size,
+        Compression::Unspecified | Compression::None => message.payload.len() as u64,
+    }
 }
 
-impl<'a> Envelope<'a> {
-    fn read(message: &'a [u8]) -> Result<Envelope<'a>, String> {
-        let mut envelope = Envelope {
-            is_recording: false,
-            recording_id: String::new(),
-            application: String::new(),
-            compression: 0,
-            uncompressed: 0,
-            payload: &[],
-        };
-        let mut encoding = 0;
-        for field in Fields(message) {
-            match field? {
-                (1, Value::Bytes(store)) => {
-                    for field in Fields(store) {
-                        match field? {
-                            (1, Value::Number(kind)) => envelope.is_recording = kind == 1,
-                            (2, Value::Bytes(id)) => envelope.recording_id = String::from_utf8_lossy(id).into_owned(),
-                            (3, Value::Bytes(application)) => {
-                                for field in Fields(application) {
-                                    if let (1, Value::Bytes(id)) = field? {
-                                        envelope.application = String::from_utf8_lossy(id).into_owned();
-                                    }
-                                }
-                            }
-                            _ => {}
-                        }
-                    }
-                }
-                (2, Value::Number(compression)) => envelope.compression = compression,
-                (3, Value::Number(bytes)) => envelope.uncompressed = bytes,
-                (4, Value::Number(number)) => encoding = number,
-                (5, Value::Bytes(payload)) => envelope.payload = payload,
-                _ => {}
+/// Decodes the chunk if its entity is wanted.
+fn chunk(message: &proto::ArrowMsg, wanted: impl Fn(&str) -> bool) -> Result<Option<Chunk>, String> {
+    let (payload, claimed) = (message.payload.as_ref(), message.uncompressed_size);
+    let mut unpacked = Vec::new();
+    let data = match Compression::try_from(message.compression) {
+        Ok(Compression::Unspecified | Compression::None) => payload,
+        Ok(Compression::Lz4) => {
+            let max_size = MAX_MESSAGE.min(LZ4_RATIO.saturating_mul(payload.len() as u64) + 64);
+            if claimed > max_size {
+                return Err(format!("{} bytes claim to unpack to {claimed} bytes", payload.len()));
             }
+            unpacked.resize(claimed as usize, 0);
+            let length = lz4_flex::block::decompress_into(payload, &mut unpacked)
+                .map_err(|error| format!("a message cannot be unpacked ({})", brief(&error)))?;
+            unpacked.truncate(length);
+            unpacked.as_slice()
         }
-        if encoding != 1 {
-            return Err("a message that is not in Arrow's format".to_owned());
-        }
-        Ok(envelope)
+        Err(_) => return Err(format!("a message with unknown compression {}", message.compression)),
+    };
+    check_lengths(data)?;
+    let arrow = |error: ArrowError| format!("a message is not Arrow data ({})", brief(&error));
+    let mut stream = ipc::reader::StreamReader::try_new(data, None).map_err(arrow)?;
+    if let Some(entity) = stream.schema().metadata().get("rerun:entity_path")
+        && !wanted(entity)
+    {
+        return Ok(None);
     }
-
-    /// The unpacked size that the message claims [bytes].
-    fn unpacked_size(&self) -> u64 {
-        if self.compression == 2 { self.uncompressed } else { self.payload.len() as u64 }
-    }
-
-    /// Decodes the chunk if its entity is wanted.
-    fn chunk(&self, wanted: impl Fn(&str) -> bool) -> Result<Option<Chunk>, String> {
-        let mut unpacked = Vec::new();
-        let data = match self.compression {
-            0 | 1 => self.payload,
-            2 => {
-                let max_size = MAX_MESSAGE.min(LZ4_RATIO.saturating_mul(self.payload.len() as u64) + 64);
-                if self.uncompressed > max_size {
-                    return Err(format!("{} bytes claim to unpack to {} bytes", self.payload.len(), self.uncompressed));
-                }
-                unpacked.resize(self.uncompressed as usize, 0);
-                let length = lz4_flex::block::decompress_into(self.payload, &mut unpacked)
-                    .map_err(|error| format!("a message cannot be unpacked ({})", brief(&error)))?;
-                unpacked.truncate(length);
-                unpacked.as_slice()
-            }
-            other => return Err(format!("a message with unknown compression {other}")),
-        };
-        check_lengths(data)?;
-        let arrow = |error: ArrowError| format!("a message is not Arrow data ({})", brief(&error));
-        let mut stream = ipc::reader::StreamReader::try_new(data, None).map_err(arrow)?;
-        if let Some(entity) = stream.schema().metadata().get("rerun:entity_path")
-            && !wanted(entity)
-        {
-            return Ok(None);
-        }
-        let batch: RecordBatch = stream.next().ok_or("a message has no data")?.map_err(arrow)?;
-        let message = ArrowMsg { chunk_id: Tuid::ZERO, batch, on_release: None };
-        let chunk =
-            Chunk::from_arrow_msg(&message).map_err(|error| format!("a message is not a chunk ({})", brief(&error)))?;
-        Ok(Some(chunk).filter(|chunk| wanted(&chunk.entity_path().to_string())))
-    }
+    let batch: RecordBatch = stream.next().ok_or("a message has no data")?.map_err(arrow)?;
+    let decoded = ArrowMsg { chunk_id: Tuid::ZERO, batch, on_release: None };
+    let chunk =
+        Chunk::from_arrow_msg(&decoded).map_err(|error| format!("a message is not a chunk ({})", brief(&error)))?;
+    Ok(Some(chunk).filter(|chunk| wanted(&chunk.entity_path().to_string())))
 }
 
 /// The first line of an error message, which may have many.
@@ -416,66 +377,6 @@ fn check_lengths(mut data: &[u8]) -> Result<(), String> {
         body.and_then(|length| split(&mut data, length)).ok_or_else(short)?;
     }
     Ok(())
-}
-
-/// A field of a Protobuf message.
-enum Value<'a> {
-    Number(u64),
-    Bytes(&'a [u8]),
-}
-
-/// The fields of a Protobuf message: its tags and values.
-struct Fields<'a>(&'a [u8]);
-
-impl<'a> Fields<'a> {
-    fn varint(&mut self) -> Option<u64> {
-        let mut value = 0;
-        for shift in (0..64).step_by(7) {
-            let (&byte, rest) = self.0.split_first()?;
-            self.0 = rest;
-            value |= u64::from(byte & 0x7f) << shift;
-            if byte < 0x80 {
-                return Some(value);
-            }
-        }
-        None
-    }
-
-    fn bytes(&mut self, length: u64) -> Option<&'a [u8]> {
-        let (head, rest) = self.0.split_at_checked(usize::try_from(length).ok()?)?;
-        self.0 = rest;
-        Some(head)
-    }
-
-    fn field(&mut self) -> Option<(u64, Value<'a>)> {
-        let key = self.varint()?;
-        let value = match key & 7 {
-            0 => Value::Number(self.varint()?),
-            1 => Value::Bytes(self.bytes(8)?),
-            2 => {
-                let length = self.varint()?;
-                Value::Bytes(self.bytes(length)?)
-            }
-            5 => Value::Bytes(self.bytes(4)?),
-            _ => return None,
-        };
-        Some((key >> 3, value))
-    }
-}
-
-impl<'a> Iterator for Fields<'a> {
-    type Item = Result<(u64, Value<'a>), String>;
-
-    fn next(&mut self) -> Option<Self::Item> {
-        if self.0.is_empty() {
-            return None;
-        }
-        let field = self.field();
-        if field.is_none() {
-            self.0 = &[];
-        }
-        Some(field.ok_or_else(|| "a message with a malformed envelope".to_owned()))
-    }
 }
 
 thread_local! {

@@ -76,8 +76,8 @@ impl PairMeasures {
     }
 }
 
-/// [`measures_of`] two bodies that a plane separates, without their union. `None` if none is found, and for bodies
-/// that may intersect themselves, whose measures follow from what their union removes.
+/// Measures two bodies that a plane separates as [`measures_of`] does, without their union. `None` if none is found, and
+/// for bodies that may intersect themselves, whose measures follow from what their union removes.
 ///
 /// # Errors
 ///
