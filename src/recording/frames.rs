@@ -177,11 +177,8 @@ pub struct FrameReader {
     shapes: HashMap<String, Arc<Mesh>>,
     schema: Schema,
     first: u64,
-    /// Chunks that do not belong to a frame yet; a second chunk of the same entity belongs to later frames.
-    pending: Vec<Chunk>,
-    entities: HashSet<String>,
-    /// Rows of `pending` (chunk, row) by step.
-    rows: BTreeMap<i64, Vec<(usize, usize)>>,
+    /// Rows that do not belong to a frame yet, by step, in the order of the file.
+    rows: BTreeMap<i64, Vec<(Arc<Chunk>, usize)>>,
     /// Steps with a row of [`MARKER`].
     marked: Vec<i64>,
     next_chunk: Option<Chunk>,
@@ -215,8 +212,6 @@ impl FrameReader {
             names,
             shapes: shapes.collect(),
             first: recorded.first,
-            pending: Vec::new(),
-            entities: HashSet::new(),
             rows: BTreeMap::new(),
             marked: Vec::new(),
             next_chunk: None,
@@ -260,25 +255,7 @@ impl FrameReader {
     fn gather(&mut self) -> Result<(), ReadError> {
         let path = self.path.clone();
         let damaged = |what| ReadError::Damaged { path: path.clone(), at: None, what };
-        // the remaining rows of older chunks belong to incomplete frames
-        let left: Vec<(i64, usize, usize)> = self
-            .rows
-            .iter()
-            .flat_map(|(&step, rows)| rows.iter().map(move |&(chunk, row)| (step, chunk, row)))
-            .collect();
-        let mut kept: Vec<Chunk> = Vec::new();
-        let mut moved: HashMap<usize, usize> = HashMap::new();
-        self.rows.clear();
-        for (step, chunk, row) in left {
-            let index = *moved.entry(chunk).or_insert_with(|| {
-                kept.push(self.pending[chunk].clone());
-                kept.len() - 1
-            });
-            self.rows.entry(step).or_default().push((index, row));
-        }
-        self.pending = kept;
-        self.entities.clear();
-
+        let mut entities = HashSet::new();
         let marker = TIMING.of(&[MARKER]);
         let states = [&BODY, &BODY_SURFACE, &INFLUENCE, &DEFORMING, &RESTING];
         let is_wanted = |entity: &str| entity == marker || states.iter().any(|state| state.is(entity));
@@ -298,10 +275,12 @@ impl FrameReader {
                 },
             };
             let entity = path_of(&chunk);
-            if !self.entities.insert(entity.clone()) {
+            if !entities.insert(entity.clone()) {
+                // a second chunk of the same entity belongs to later frames
                 self.next_chunk = Some(chunk);
                 break;
             }
+            let chunk = Arc::new(chunk);
             for row in 0..chunk.num_rows() {
                 let step = step_of(&chunk, row).map_err(damaged)?;
                 if entity == marker {
@@ -310,10 +289,9 @@ impl FrameReader {
                         self.marked.push(step);
                     }
                 } else {
-                    self.rows.entry(step).or_default().push((self.pending.len(), row));
+                    self.rows.entry(step).or_default().push((Arc::clone(&chunk), row));
                 }
             }
-            self.pending.push(chunk);
         }
         let first = i64::try_from(self.first).unwrap_or(i64::MAX);
         // the first frame has no timings of its own: it is complete when another frame is
@@ -328,13 +306,12 @@ impl FrameReader {
 
     /// Applies the rows up to `step`.
     fn apply(&mut self, step: i64) -> Result<(), String> {
-        while let Some((&at, _)) = self.rows.first_key_value().filter(|(at, _)| **at <= step) {
-            let Some(mut rows) = self.rows.remove(&at) else { break };
+        while let Some(entry) = self.rows.first_entry().filter(|entry| *entry.key() <= step) {
+            let rows = entry.remove();
             // the bodies of a mesh must be known before its vertex positions
-            rows.sort_unstable();
             for pass in [true, false] {
-                for &(chunk, row) in &rows {
-                    self.apply_row(chunk, row, pass)?;
+                for (chunk, row) in &rows {
+                    self.apply_row(chunk, *row, pass)?;
                 }
             }
         }
@@ -349,8 +326,7 @@ impl FrameReader {
         }
     }
 
-    fn apply_row(&mut self, chunk: usize, row: usize, is_naming_pass: bool) -> Result<(), String> {
-        let Some(chunk) = self.pending.get(chunk) else { return Ok(()) };
+    fn apply_row(&mut self, chunk: &Chunk, row: usize, is_naming_pass: bool) -> Result<(), String> {
         let entity = path_of(chunk);
         let vectors = |component: &ComponentDescriptor| -> Vec<Vec3> {
             cell::<Vec3D>(chunk, component, row).into_iter().map(|v| Vec3::from(v.0)).collect()
