@@ -65,12 +65,13 @@
 //! | `text` | formatting of numbers and text for output | | |
 //! | [`hash`] | hashes of exact states | | |
 //! | `random` | random numbers, the same on every machine | | |
-//! | [`geometry`] | rest shapes (positions, normals, triangles, masses) and the union of overlapping surfaces | `random` | |
+//! | `disjoint_sets` | sets of what is connected | | |
+//! | [`geometry`] | rest shapes (positions, normals, triangles, masses) and the union of overlapping surfaces | `random`, `disjoint_sets` | |
 //! | [`colors`] | a palette | | |
 //! | [`scene`] | scene files: parsing, validation, centre paths | `model`, `geometry`, `random`, `text` | |
 //! | [`sim`] | the world and its step: forces, integrators, events, solver of free bodies | `model`, `geometry`, `text`, `hash`, `scene` | |
 //! | [`observe`] | the contract between a simulation and its observers: schema, frames, events | `model`, `geometry`, `colors` | |
-//! | [`analysis`] | what is computed from frames: surfaces, touches, closest approaches | `geometry`, `observe` | |
+//! | [`analysis`] | what is computed from frames: surfaces, touches, closest approaches | `disjoint_sets`, `geometry`, `observe` | |
 //! | [`view`] | how the world presents itself: titles, colours, plots, arrows, cameras | all above but `analysis` | |
 //! | [`models`] | the models of a soft body, and which of them runs a scene | all above | |
 //! | `atomic` | files that are either complete or not there | | `viewer` |
@@ -154,6 +155,7 @@ pub mod bench;
 #[cfg(feature = "cli")]
 pub mod cli;
 pub mod colors;
+mod disjoint_sets;
 pub mod geometry;
 #[doc(hidden)]
 pub mod hash;

@@ -21,6 +21,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::{
+    disjoint_sets::DisjointSets,
     geometry::{
         Facets, Mesh, Vectors,
         fairing::Seamed,
@@ -448,26 +449,15 @@ fn groups(schema: &Schema, frame: &Frame) -> Vec<Vec<usize>> {
 
 /// The groups of at least two bodies connected by selected pairs of a frame, in ascending order of their first body.
 pub fn connected(frame: &Frame, is_joined: impl Fn(&PairFrame) -> bool) -> Vec<Vec<usize>> {
-    // union-find: the root of a body is the first known body of its group
-    fn root(roots: &mut [usize], mut body: usize) -> usize {
-        while roots[body] != body {
-            roots[body] = roots[roots[body]];
-            body = roots[body];
-        }
-        body
-    }
     let joined: Vec<&PairFrame> = frame.pairs.iter().filter(|pair| is_joined(pair)).collect();
     if joined.is_empty() {
         return Vec::new();
     }
-    let mut roots: Vec<usize> = (0..frame.bodies.len()).collect();
-    for pair in joined {
-        let (a, b) = (root(&mut roots, pair.a), root(&mut roots, pair.b));
-        roots[a.max(b)] = a.min(b);
-    }
-    let mut groups: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
-    for body in 0..roots.len() {
-        groups.entry(root(&mut roots, body)).or_default().push(body);
+    let mut sets = DisjointSets::singletons(frame.bodies.len());
+    joined.iter().for_each(|pair| sets.join(pair.a as u32, pair.b as u32));
+    let mut groups: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+    for body in 0..frame.bodies.len() {
+        groups.entry(sets.least(body as u32)).or_default().push(body);
     }
     groups.into_values().filter(|group| group.len() > 1).collect()
 }

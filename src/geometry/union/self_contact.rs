@@ -12,6 +12,7 @@ use super::{
     sweep::{best_axis, sweep},
     topology::{Topology, TopologyError},
 };
+use crate::disjoint_sets::DisjointSets;
 
 /// Why self-contact could not be determined.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -166,27 +167,15 @@ fn joined(positions: &[DVec3], triangles: &[[u32; 3]]) -> Vec<u32> {
         let (x, y) = (b - a, c - a);
         !has_area(x.cross(y), [a, b, c])
     };
-    let mut joined = Vec::new();
-    for corners in triangles.iter().filter(|corners| is_flat(corners)) {
-        if joined.is_empty() {
-            joined = (0..positions.len() as u32).collect();
+    let mut joined = DisjointSets::default();
+    for &[a, b, c] in triangles.iter().filter(|corners| is_flat(corners)) {
+        if joined.count == 0 {
+            joined.add(positions.len());
         }
-        let roots = corners.map(|v| root(&mut joined, v));
-        let least = roots[0].min(roots[1]).min(roots[2]);
-        roots.iter().for_each(|&root| joined[root as usize] = least);
+        joined.join(a, b);
+        joined.join(b, c);
     }
-    for v in 0..joined.len() as u32 {
-        joined[v as usize] = root(&mut joined, v);
-    }
-    joined
-}
-
-fn root(joined: &mut [u32], mut v: u32) -> u32 {
-    while joined[v as usize] != v {
-        joined[v as usize] = joined[joined[v as usize] as usize];
-        v = joined[v as usize];
-    }
-    v
+    joined.all_least()
 }
 
 /// 1 in front of a triangle, −1 behind it, 0 in its plane.

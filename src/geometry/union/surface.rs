@@ -14,6 +14,7 @@ use super::{
     seams::{Seam, seams},
     winding::Classified,
 };
+use crate::disjoint_sets::DisjointSets;
 
 /// Origin of a vertex of the union. Vertices, edges and triangles are numbered as in the given bodies.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -618,7 +619,7 @@ impl<'a, 'b> Union<'a, 'b> {
         let whole = (0..self.bodies.len()).filter(|&b| !is_cut(b));
         let count: usize = whole.map(|b| self.bodies[b].topology.components as usize).sum();
         // a part is a whole block, a remaining triangle of another block, or a new triangle
-        let mut parts = Parts::default();
+        let mut parts = DisjointSets::default();
         let first_of: Vec<u32> = (self.bodies.iter().enumerate())
             .map(|(b, body)| if is_cut(b) { parts.add(body.topology.block_count()) } else { 0 })
             .collect();
@@ -694,40 +695,6 @@ impl<'a, 'b> Union<'a, 'b> {
             }
         }
         count + parts.count
-    }
-}
-
-/// Disjoint sets of connected parts.
-#[derive(Default)]
-struct Parts {
-    parent: Vec<u32>,
-    /// Number of sets.
-    count: usize,
-}
-
-impl Parts {
-    /// Adds parts and returns the first.
-    fn add(&mut self, count: usize) -> u32 {
-        let first = self.parent.len() as u32;
-        self.parent.extend(first..first + count as u32);
-        self.count += count;
-        first
-    }
-
-    fn root(&mut self, mut part: u32) -> u32 {
-        while self.parent[part as usize] != part {
-            self.parent[part as usize] = self.parent[self.parent[part as usize] as usize];
-            part = self.parent[part as usize];
-        }
-        part
-    }
-
-    fn join(&mut self, a: u32, b: u32) {
-        let (a, b) = (self.root(a), self.root(b));
-        if a != b {
-            self.parent[a.max(b) as usize] = a.min(b);
-            self.count -= 1;
-        }
     }
 }
 

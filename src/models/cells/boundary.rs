@@ -2,7 +2,7 @@
 
 use std::collections::{HashMap, HashSet};
 
-use super::root;
+use crate::disjoint_sets::DisjointSets;
 
 /// The faces of a cell as corners, counter-clockwise seen from outside.
 const FACES: [[usize; 4]; 6] = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
@@ -30,7 +30,7 @@ pub fn boundary(first: &[[u32; 8]], corners: &[[u32; 8]], is_there: impl Fn(usiz
     // the second sides of faces that have come apart
     let mut apart: HashSet<(u32, u32)> = HashSet::new();
     // cells around a node, joined through faces: a forest of the cells' corners
-    let mut parent: Vec<u32> = (0..8 * corners.len() as u32).collect();
+    let mut sets = DisjointSets::singletons(8 * corners.len());
     for cell in present() {
         for face in 0..6 {
             let nodes = face_of(cell, face);
@@ -55,9 +55,7 @@ pub fn boundary(first: &[[u32; 8]], corners: &[[u32; 8]], is_there: impl Fn(usiz
             faces.remove(&key);
             for (corner, across) in pairs {
                 let Some(across) = across else { continue };
-                let [a, b] = [8 * cell as u32 + corner as u32, 8 * other + across as u32];
-                let [a, b] = [root(&mut parent, a), root(&mut parent, b)];
-                parent[a.max(b) as usize] = a.min(b);
+                sets.join(8 * cell as u32 + corner as u32, 8 * other + across as u32);
             }
         }
     }
@@ -73,7 +71,7 @@ pub fn boundary(first: &[[u32; 8]], corners: &[[u32; 8]], is_there: impl Fn(usiz
                 continue;
             }
             let quad = FACES[face].map(|corner| {
-                let set = root(&mut parent, 8 * cell as u32 + corner as u32);
+                let set = sets.least(8 * cell as u32 + corner as u32);
                 *vertex_of.entry(set).or_insert_with(|| {
                     mesh.vertices.push((corners[cell][corner], cell as u32));
                     mesh.vertices.len() as u32 - 1

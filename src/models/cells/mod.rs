@@ -16,6 +16,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use glam::{DMat3, DVec3};
 
 use crate::{
+    disjoint_sets::DisjointSets,
     geometry::Mesh,
     model::shape_matching::{outer, solve},
 };
@@ -177,7 +178,7 @@ impl Cells {
     /// The connected component of each cell, `[cell_count]`: cells that share a node are connected.
     fn parts(&self) -> Vec<u32> {
         const NONE: u32 = u32::MAX;
-        let mut parent: Vec<u32> = (0..self.cell_count() as u32).collect();
+        let mut sets = DisjointSets::singletons(self.cell_count());
         let mut first = vec![NONE; self.nodes.len()];
         for (cell, corners) in (0..).zip(&self.corners) {
             for &node in corners {
@@ -185,23 +186,21 @@ impl Cells {
                 if other == NONE {
                     first[node as usize] = cell;
                 } else {
-                    let [a, b] = [root(&mut parent, other), root(&mut parent, cell)];
-                    parent[a.max(b) as usize] = a.min(b);
+                    sets.join(other, cell);
                 }
             }
         }
-        let mut number = vec![NONE; parent.len()];
+        let mut number = vec![NONE; self.cell_count()];
         let mut count = 0;
-        (0..self.cell_count() as u32)
-            .map(|cell| {
-                let root = root(&mut parent, cell) as usize;
-                if number[root] == NONE {
-                    number[root] = count;
-                    count += 1;
-                }
-                number[root]
-            })
-            .collect()
+        let number_of = |least: u32| {
+            let number = &mut number[least as usize];
+            if *number == NONE {
+                *number = count;
+                count += 1;
+            }
+            *number
+        };
+        sets.all_least().into_iter().map(number_of).collect()
     }
 
     /// Allocated memory [bytes].
@@ -244,15 +243,6 @@ fn weights(places: &[[u32; 3]], across: u32) -> Vec<f64> {
         return places.iter().map(weight).collect();
     }
     vec![mean; places.len()]
-}
-
-/// The representative of a set in a union-find forest, with path halving.
-fn root(parent: &mut [u32], mut i: u32) -> u32 {
-    while parent[i as usize] != i {
-        parent[i as usize] = parent[parent[i as usize] as usize];
-        i = parent[i as usize];
-    }
-    i
 }
 
 /// Index of a cell in an array of the whole grid.

@@ -39,6 +39,7 @@ use glam::DVec3;
 use super::Unsupported;
 use crate::{
     colors,
+    disjoint_sets::DisjointSets,
     geometry::Rest,
     hash,
     observe::{
@@ -210,20 +211,11 @@ impl Metaballs {
 
     /// Number of connected components of the bodies, connected by joined pairs.
     fn components(&self) -> usize {
-        let mut roots: Vec<usize> = (0..self.scene.bodies.len()).collect();
-        let find = |roots: &[usize], mut body: usize| {
-            while roots[body] != body {
-                body = roots[body];
-            }
-            body
-        };
-        let mut count = roots.len();
+        let mut sets = DisjointSets::singletons(self.scene.bodies.len());
         for ([a, b], _) in self.ones.iter().filter(|(_, is_one)| **is_one) {
-            let (a, b) = (find(&roots, *a), find(&roots, *b));
-            count -= usize::from(a != b);
-            roots[a.max(b)] = a.min(b);
+            sets.join(*a as u32, *b as u32);
         }
-        count
+        sets.count
     }
 
     /// Writes the vertices of a body to its frame, given its centre and those of others.

@@ -20,6 +20,7 @@ use super::{
 };
 use crate::{
     analysis::surface::{connected, for_all},
+    disjoint_sets::DisjointSets,
     geometry::union::is_raised,
     observe::{
         Frame, Schema,
@@ -393,23 +394,12 @@ fn on_surface(balls: &[Ball], inner: DVec3, outer: DVec3) -> DVec3 {
 
 /// Number of connected components of a mesh.
 fn components(vertices: usize, triangles: &[[u32; 3]]) -> usize {
-    fn find(roots: &mut [u32], mut v: u32) -> u32 {
-        while roots[v as usize] != v {
-            roots[v as usize] = roots[roots[v as usize] as usize];
-            v = roots[v as usize];
-        }
-        v
-    }
-    let mut roots: Vec<u32> = (0..vertices as u32).collect();
-    let mut count = vertices;
+    let mut sets = DisjointSets::singletons(vertices);
     for &[a, b, c] in triangles {
-        for (from, to) in [(a, b), (b, c)] {
-            let (from, to) = (find(&mut roots, from), find(&mut roots, to));
-            count -= usize::from(from != to);
-            roots[from.max(to) as usize] = from.min(to);
-        }
+        sets.join(a, b);
+        sets.join(b, c);
     }
-    count
+    sets.count
 }
 
 /// Volume and area of a closed mesh [scene unit³, scene unit²].

@@ -11,6 +11,7 @@ use std::collections::HashMap;
 use glam::DVec3;
 
 use super::*;
+use crate::disjoint_sets::DisjointSets;
 use shapes::Shape;
 
 /// The union of the shapes, as a mesh that has been checked.
@@ -84,26 +85,15 @@ struct Component {
 impl UnionMesh {
     /// The connected components of the surface, by their first vertex, in time proportional to the whole mesh.
     fn components(&self) -> Vec<Component> {
-        // A vertex's representative is the lowest of its component, after path compression.
-        let mut parent: Vec<u32> = (0..self.positions.len() as u32).collect();
-        fn root(parent: &mut [u32], mut v: u32) -> u32 {
-            while parent[v as usize] != v {
-                parent[v as usize] = parent[parent[v as usize] as usize];
-                v = parent[v as usize];
-            }
-            v
-        }
+        let mut sets = DisjointSets::singletons(self.positions.len());
         for &[a, b, c] in &self.triangles {
-            for (a, b) in [(a, b), (b, c)] {
-                let (a, b) = (root(&mut parent, a), root(&mut parent, b));
-                parent[a.max(b) as usize] = a.min(b);
-            }
+            sets.join(a, b);
+            sets.join(b, c);
         }
         let mut components: Vec<(Component, i64)> = Vec::new();
         let mut number: HashMap<u32, usize> = HashMap::new();
         for v in 0..self.positions.len() as u32 {
-            let root = root(&mut parent, v);
-            let k = *number.entry(root).or_insert_with(|| {
+            let k = *number.entry(sets.least(v)).or_insert_with(|| {
                 components.push((Component { euler: 0, volume: 0.0, area: 0.0 }, 0));
                 components.len() - 1
             });
@@ -111,7 +101,7 @@ impl UnionMesh {
         }
         let origin = self.positions.first().copied().unwrap_or_default();
         for corners in &self.triangles {
-            let (component, triangles) = &mut components[number[&root(&mut parent, corners[0])]];
+            let (component, triangles) = &mut components[number[&sets.least(corners[0])]];
             let [x, y, z] = corners.map(|v| self.positions[v as usize] - origin);
             component.volume += x.dot(y.cross(z)) / 6.0;
             component.area += (y - x).cross(z - x).length() / 2.0;
