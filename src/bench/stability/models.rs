@@ -1,12 +1,6 @@
 //! Stability of the other models, on the cases of the sweep: a state that is not finite without a report is a failure.
 
-use std::{
-    sync::{
-        atomic::{AtomicBool, Ordering},
-        mpsc::{self, RecvTimeoutError},
-    },
-    time::Duration,
-};
+use std::time::{Duration, Instant};
 
 use rayon::prelude::*;
 
@@ -21,7 +15,7 @@ use crate::{
 
 /// Upper limit on the steps of a case.
 const MAX_STEPS: u64 = 60;
-/// Time limit of a case.
+/// Time limit of a case, asked after each step.
 const TIME_LIMIT: Duration = Duration::from_millis(300);
 /// Cells along a diameter. Their number affects the cost, but hardly the stability.
 const CELLS: u32 = 3;
@@ -36,12 +30,7 @@ pub fn measure(model: Model, cases: u64, progress: &(dyn Fn() + Sync)) -> Result
         case.scene.model = model;
         case.scene.integrator = Integrator::Exponential;
         (case.scene.lattice.cells, case.scene.fem.cells) = (CELLS, CELLS);
-        let verdict = timed(|interrupt| {
-            verdict(&SceneRun {
-                scene: case.scene,
-                options: Options { interrupt: Some(interrupt), ..Options::default() },
-            })
-        });
+        let verdict = verdict(&SceneRun { scene: case.scene, options: Options::default() });
         progress();
         let what = format!("case {index}: {}", case.what);
         Ok(Judged { axis: case.axis.name(), what, verdicts: vec![(model.name(), verdict)] })
@@ -49,32 +38,8 @@ pub fn measure(model: Model, cases: u64, progress: &(dyn Fn() + Sync)) -> Result
     (0..cases).into_par_iter().map(run).collect()
 }
 
-/// Runs a case, and interrupts it at the time limit.
-fn timed(case: impl FnOnce(&'static AtomicBool) -> Verdict) -> Verdict {
-    thread_local! {
-        // interrupt flags are leaked: one per thread
-        static INTERRUPT: &'static AtomicBool = Box::leak(Box::new(AtomicBool::new(false)));
-    }
-    let interrupt = INTERRUPT.with(|interrupt| *interrupt);
-    interrupt.store(false, Ordering::Relaxed);
-    std::thread::scope(|scope| {
-        let (done, ended) = mpsc::channel::<()>();
-        scope.spawn(move || {
-            if ended.recv_timeout(TIME_LIMIT) == Err(RecvTimeoutError::Timeout) {
-                interrupt.store(true, Ordering::Relaxed);
-            }
-        });
-        let verdict = case(interrupt);
-        drop(done);
-        match verdict {
-            Verdict::Failed(_) => verdict,
-            _ if interrupt.load(Ordering::Relaxed) => Verdict::Stopped("the time limit".to_owned()),
-            _ => verdict,
-        }
-    })
-}
-
 fn verdict(scene: &SceneRun) -> Verdict {
+    let start = Instant::now();
     let simulation = match scene.start() {
         Ok(simulation) => simulation,
         Err(why) => return Verdict::Stopped(why),
@@ -89,6 +54,9 @@ fn verdict(scene: &SceneRun) -> Verdict {
         }
         if !frame.bodies.iter().all(|body| body.centre.is_finite() && body.max_displacement.is_finite()) {
             return Verdict::Failed("not finite, and not reported".to_owned());
+        }
+        if start.elapsed() > TIME_LIMIT {
+            return Verdict::Stopped("the time limit".to_owned());
         }
     }
 }
