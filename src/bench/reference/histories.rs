@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use super::{NoReference, PhaseChange, ROUNDING};
 use crate::{
     bench::path,
-    model::phase::{Phase, Thresholds},
+    model::phase::{Phase, Thresholds, Transition},
     scene::Scene,
 };
 
@@ -50,13 +50,7 @@ fn history(scene: &Scene, a: usize, b: usize, end: f64) -> Result<History, NoRef
     let thresholds = scene.law(a, b).thresholds;
     let Thresholds { merge_at, split_at, core_at } = thresholds;
 
-    let mut phase = Phase::Apart;
-    if q(0.0) <= merge_at {
-        phase = Phase::Merged;
-    }
-    if q(0.0) < core_at {
-        phase = Phase::Core;
-    }
+    let mut phase = thresholds.initial(q(0.0));
     let mut history = History { a, b, first: phase, changes: vec![] };
     if path(one).relative_bounds(path(other), 0.0, end).speed == 0.0 {
         return Ok(history); // q is constant, and its phase with it, even if q equals one or two thresholds
@@ -80,7 +74,7 @@ fn history(scene: &Scene, a: usize, b: usize, end: f64) -> Result<History, NoRef
         let distances =
             [one, other].map(|body| path(body).position(0.0).length() + path(body).position(later).length());
         let uncertainty = ROUNDING * (1.0 + distances.iter().sum::<f64>() / radii);
-        if let Some(passage) = watch.check(&transitions(phase, &thresholds), q(t), q(later), uncertainty) {
+        if let Some(passage) = watch.check(thresholds.transitions(phase), q(t), q(later), uncertainty) {
             let mut earlier = t;
             loop {
                 let middle = 0.5 * (earlier + later);
@@ -98,34 +92,14 @@ fn history(scene: &Scene, a: usize, b: usize, end: f64) -> Result<History, NoRef
     Err(NoReference::Undecided { a, b, time: t })
 }
 
-/// A transition out of a phase: q passes a level, falling or rising.
-#[derive(Clone, Copy)]
-struct Transition {
-    level: f64,
-    falls: bool,
-    /// Whether reaching the level is enough, without passing it.
-    on_level: bool,
-    to: Phase,
+/// Distance of q from completing a transition [–]: zero on the level, negative beyond.
+fn gap(transition: Transition, q: f64) -> f64 {
+    if transition.falling { q - transition.level } else { transition.level - q }
 }
 
-impl Transition {
-    /// Distance of q from completing the transition [–]: zero on the level, negative beyond.
-    fn gap(self, q: f64) -> f64 {
-        if self.falls { q - self.level } else { self.level - q }
-    }
-}
-
-/// The transitions out of `phase`.
-fn transitions(phase: Phase, thresholds: &Thresholds) -> Vec<Transition> {
-    let Thresholds { merge_at, split_at, core_at } = *thresholds;
-    match phase {
-        Phase::Apart => vec![Transition { level: merge_at, falls: true, on_level: true, to: Phase::Merged }],
-        Phase::Merged => vec![
-            Transition { level: split_at, falls: false, on_level: true, to: Phase::Apart },
-            Transition { level: core_at, falls: true, on_level: false, to: Phase::Core },
-        ],
-        Phase::Core => vec![Transition { level: core_at, falls: false, on_level: true, to: Phase::Merged }],
-    }
+/// Whether reaching the level of a transition is enough, without passing it.
+fn is_on_level_enough(transition: Transition) -> bool {
+    transition.to != Phase::Core
 }
 
 /// Watches a pair for the end of its current phase.
@@ -146,18 +120,24 @@ struct Passage {
 
 impl Passage {
     fn has_happened(&self, q: f64) -> bool {
-        let gap = self.transition.gap(q) - self.within;
-        gap < 0.0 || gap == 0.0 && self.transition.on_level
+        let gap = gap(self.transition, q) - self.within;
+        gap < 0.0 || gap == 0.0 && is_on_level_enough(self.transition)
     }
 }
 
 impl Watch {
     /// Checks q at two successive times, with an uncertainty of `uncertainty`.
-    fn check(&mut self, transitions: &[Transition], before: f64, now: f64, uncertainty: f64) -> Option<Passage> {
-        for (&transition, was_clear) in transitions.iter().zip(&mut self.was_clear) {
-            *was_clear |= transition.gap(before) > uncertainty;
-            let gap = transition.gap(now);
-            if gap < -uncertainty || *was_clear && transition.on_level && gap <= uncertainty {
+    fn check(
+        &mut self,
+        transitions: impl Iterator<Item = Transition>,
+        before: f64,
+        now: f64,
+        uncertainty: f64,
+    ) -> Option<Passage> {
+        for (transition, was_clear) in transitions.zip(&mut self.was_clear) {
+            *was_clear |= gap(transition, before) > uncertainty;
+            let gap = gap(transition, now);
+            if gap < -uncertainty || *was_clear && is_on_level_enough(transition) && gap <= uncertainty {
                 // the level itself, unless the pair comes to rest just short of it
                 return Some(Passage { transition, within: f64::max(0.0, gap) });
             }
