@@ -1,6 +1,9 @@
 //! What holds for every scene from a file, checked for scenes and parts that a program has built.
 
-use std::{collections::HashSet, fmt::Debug};
+use std::{
+    collections::HashSet,
+    fmt::{Debug, Display},
+};
 
 use glam::DVec3;
 
@@ -25,6 +28,19 @@ pub struct InvalidScene {
 }
 
 type Checked = Result<(), InvalidScene>;
+
+impl InvalidScene {
+    /// The error of a part of a scene as an error of the part's owner.
+    pub(crate) fn at(self, owner: impl Display) -> InvalidScene {
+        let dot = if self.field.is_empty() { "" } else { "." };
+        InvalidScene { field: format!("{owner}{dot}{}", self.field), ..self }
+    }
+}
+
+/// The error of an element of a list as an error of the list's owner; written only where there is one.
+fn element(list: &str, index: usize) -> impl FnOnce(InvalidScene) -> InvalidScene {
+    move |invalid| invalid.at(format_args!("{list}[{index}]"))
+}
 
 /// Masses are those of spheres of all radii, unless they are given.
 const MASS: Range = Range { min: SMALLEST * SMALLEST * SMALLEST, max: LARGEST * LARGEST * LARGEST };
@@ -59,9 +75,9 @@ impl Scene {
         self.fem.tear_stress.map_or(Ok(()), |stress| number(key!(ELEMENTS.tear_stress), "fem.tear_stress", stress))?;
         number(key!(SURFACES.blend), "blend", self.blend)?;
         number(key!(REACH.reach), "influence.reach", self.influence.reach)?;
-        law("influence", &self.common_law())?;
+        law(&self.common_law()).map_err(|invalid| invalid.at("influence"))?;
         for (index, own) in self.pairs.laws().iter().enumerate() {
-            law(&format!("pairs[{index}]"), own)?;
+            law(own).map_err(element("pairs", index))?;
         }
         let has_body = |body: usize| body < self.bodies.len();
         let exists = |side: &Members| !matches!(side, Members::Body(body) if !has_body(*body as usize));
@@ -70,41 +86,32 @@ impl Scene {
         }
         ensure(!self.bodies.is_empty(), "bodies", || "at least one body".to_owned(), &"none")?;
         for (index, body) in self.bodies.iter().enumerate() {
-            body.validate(|part| format!("bodies[{index}].{part}"))?;
+            body.validate().map_err(element("bodies", index))?;
         }
         let names = unique("bodies", self.bodies.iter().map(|body| &*body.name))?;
         for (index, body) in self.bodies.iter().enumerate() {
             let is_own = body.group.as_ref().is_none_or(|group| !names.contains(group.as_str()));
-            ensure(
-                is_own,
-                Field(|| format!("bodies[{index}].group")),
-                || "a name that no body has".to_owned(),
-                &body.group,
-            )?;
+            let expected = || "a name that no body has".to_owned();
+            ensure(is_own, "group", expected, &body.group).map_err(element("bodies", index))?;
         }
         ensure(self.planes.len() <= MAX_PLANES, "planes", || format!("at most {MAX_PLANES}"), &self.planes.len())?;
         for (index, plane) in self.planes.iter().enumerate() {
-            plane.check(|part| format!("planes[{index}].{part}"))?;
+            plane.check().map_err(element("planes", index))?;
         }
         for (index, point) in self.points.iter().enumerate() {
-            self.check_point(point, |part| format!("points[{index}].{part}"))?;
+            self.check_point(point).map_err(element("points", index))?;
         }
         unique("points", self.points.iter().map(|point| &*point.name))?;
         for (index, push) in self.pushes.iter().enumerate() {
-            self.check_push(push, |part| format!("pushes[{index}].{part}"))?;
+            self.check_push(push).map_err(element("pushes", index))?;
         }
         let mut earlier = 0.0;
         for (index, edit) in self.edits.iter().enumerate() {
-            let field = Field(|| format!("edits[{index}].time"));
-            ensure(
-                edit.time >= earlier,
-                field,
-                || format!("a time of at least {earlier:?} s, that of the edit before"),
-                &edit.time,
-            )?;
+            let expected = || format!("a time of at least {earlier:?} s, that of the edit before");
+            ensure(edit.time >= earlier, "time", expected, &edit.time).map_err(element("edits", index))?;
             let is_of_these = edit.body_count() == self.bodies.len();
             let expected = || format!("an edit of a scene of {} bodies", self.bodies.len());
-            ensure(is_of_these, Field(|| format!("edits[{index}]")), expected, &edit.body_count())?;
+            ensure(is_of_these, "", expected, &edit.body_count()).map_err(element("edits", index))?;
             earlier = edit.time;
         }
         Ok(())
@@ -114,76 +121,66 @@ impl Scene {
         format!("the index of one of {} bodies", self.bodies.len())
     }
 
-    fn check_point(&self, point: &Point, field: impl Fn(&str) -> String) -> Checked {
-        text(key!(POINTS.name), Field(|| field("name")), &point.name)?;
-        path(&point.path, &field)?;
-        number(key!(POINTS.radius), Field(|| field("radius")), point.radius)?;
-        within(ANY, Field(|| field("strength")), point.strength)?;
-        number(key!(POINTS.start), Field(|| field("start")), point.start)?;
+    fn check_point(&self, point: &Point) -> Checked {
+        text(key!(POINTS.name), "name", &point.name)?;
+        path(&point.path)?;
+        number(key!(POINTS.radius), "radius", point.radius)?;
+        within(ANY, "strength", point.strength)?;
+        number(key!(POINTS.start), "start", point.start)?;
         let is_time = point.duration == f64::INFINITY || NON_NEGATIVE.contains(point.duration);
-        ensure(
-            is_time,
-            Field(|| field("duration")),
-            || "a time of at least 0 s, or infinity".to_owned(),
-            &point.duration,
-        )?;
+        ensure(is_time, "duration", || "a time of at least 0 s, or infinity".to_owned(), &point.duration)?;
         let bodies = point.bodies.as_deref().unwrap_or_default();
         let is_list =
             bodies.is_sorted_by(|a, b| a < b) && bodies.iter().all(|&body| (body as usize) < self.bodies.len());
-        ensure(
-            is_list,
-            Field(|| field("bodies")),
-            || format!("ascending indices of {} bodies", self.bodies.len()),
-            &bodies,
-        )
+        ensure(is_list, "bodies", || format!("ascending indices of {} bodies", self.bodies.len()), &bodies)
     }
 
     /// Checks a push of a body of this scene.
-    pub(crate) fn check_push(&self, push: &Push, field: impl Fn(&str) -> String) -> Checked {
+    pub(crate) fn check_push(&self, push: &Push) -> Checked {
         let Push { body, direction, strength, start, duration } = *push;
-        ensure(body < self.bodies.len(), Field(|| field("body")), || self.body_index(), &body)?;
-        unit(Field(|| field("direction")), direction)?;
-        number(key!(PUSHES.strength), Field(|| field("strength")), strength)?;
-        number(key!(PUSHES.start), Field(|| field("start")), start)?;
-        number(key!(PUSHES.duration), Field(|| field("duration")), duration)
+        ensure(body < self.bodies.len(), "body", || self.body_index(), &body)?;
+        unit("direction", direction)?;
+        number(key!(PUSHES.strength), "strength", strength)?;
+        number(key!(PUSHES.start), "start", start)?;
+        number(key!(PUSHES.duration), "duration", duration)
     }
 }
 
 impl Body {
-    /// Checks the body alone; `field` is the place of a field in errors.
-    pub(crate) fn validate(&self, field: impl Fn(&str) -> String) -> Checked {
-        text(key!(BODIES.name), Field(|| field("name")), &self.name)?;
-        number(key!(BODIES.radius), Field(|| field("radius")), self.radius)?;
-        number(key!(REACH.reach), Field(|| field("reach")), self.reach)?;
-        within(MASS, Field(|| field("mass")), self.mass)?;
-        number(key!(OSCILLATOR.omega), Field(|| field("material.omega")), self.material.omega)?;
-        number(key!(OSCILLATOR.damping), Field(|| field("material.damping")), self.material.damping)?;
-        self.group.as_ref().map_or(Ok(()), |group| text(key!(BODIES.group), Field(|| field("group")), group))?;
-        self.check_motion(&self.motion, &field)?;
-        self.force.as_ref().map_or(Ok(()), |force| self.check_force(force, &field))
+    /// Checks the body alone; the fields of errors are relative to it, as in all checks of parts.
+    pub(crate) fn validate(&self) -> Checked {
+        text(key!(BODIES.name), "name", &self.name)?;
+        number(key!(BODIES.radius), "radius", self.radius)?;
+        number(key!(REACH.reach), "reach", self.reach)?;
+        within(MASS, "mass", self.mass)?;
+        number(key!(OSCILLATOR.omega), "material.omega", self.material.omega)?;
+        number(key!(OSCILLATOR.damping), "material.damping", self.material.damping)?;
+        self.group.as_ref().map_or(Ok(()), |group| text(key!(BODIES.group), "group", group))?;
+        self.check_motion(&self.motion)?;
+        self.force.as_ref().map_or(Ok(()), |force| self.check_force(force))
     }
 
     /// Checks a motion of this body.
-    pub(crate) fn check_motion(&self, motion: &Motion, field: impl Fn(&str) -> String) -> Checked {
+    pub(crate) fn check_motion(&self, motion: &Motion) -> Checked {
         match motion {
-            Motion::Prescribed(own) => path(own, field),
+            Motion::Prescribed(own) => path(own),
             Motion::Free(FreeMotion { from, velocity, spin, rotation: _ }) => {
-                vector(ANY, Field(|| field("motion.from")), *from)?;
-                vector(ANY, Field(|| field("motion.velocity")), *velocity)?;
-                vector(ANY, Field(|| field("motion.spin")), *spin)?;
+                vector(ANY, "motion.from", *from)?;
+                vector(ANY, "motion.velocity", *velocity)?;
+                vector(ANY, "motion.spin", *spin)?;
                 let response = self.material.response;
                 let expected = || "Inertial, the response of every free body".to_owned();
-                ensure(response == Response::Inertial, Field(|| field("material.response")), expected, &response)
+                ensure(response == Response::Inertial, "material.response", expected, &response)
             }
         }
     }
 
     /// Checks a force on this body, where it starts.
-    fn check_force(&self, force: &Force, field: impl Fn(&str) -> String) -> Checked {
+    fn check_force(&self, force: &Force) -> Checked {
         match &self.motion {
-            Motion::Free(free) => force.validate(0.0, free.from, free.velocity, field),
+            Motion::Free(free) => force.validate(0.0, free.from, free.velocity),
             Motion::Prescribed(_) => {
-                ensure(false, Field(|| field("force")), || "none: no force moves a body on a path".to_owned(), force)
+                ensure(false, "force", || "none: no force moves a body on a path".to_owned(), force)
             }
         }
     }
@@ -191,98 +188,68 @@ impl Body {
 
 impl Force {
     /// Checks the bound, and the acceleration of a body at `centre` [scene unit] with `velocity` [scene unit/s] at `t` [s].
-    pub(crate) fn validate(&self, t: f64, centre: DVec3, velocity: DVec3, field: impl Fn(&str) -> String) -> Checked {
-        within(NON_NEGATIVE, Field(|| field("force.bound")), self.bound())?;
+    pub(crate) fn validate(&self, t: f64, centre: DVec3, velocity: DVec3) -> Checked {
+        within(NON_NEGATIVE, "force.bound", self.bound())?;
         let now = self.acceleration(t, centre, velocity);
         let expected = || format!("an acceleration within its bound ({:?}) at t = {t:?} s", self.bound());
-        ensure(now.length() <= self.bound() * (1.0 + UNIT), Field(|| field("force")), expected, &now)
+        ensure(now.length() <= self.bound() * (1.0 + UNIT), "force", expected, &now)
     }
 }
 
 impl Plane {
-    fn check(&self, field: impl Fn(&str) -> String) -> Checked {
-        unit(Field(|| field("normal")), self.normal)?;
-        number(key!(PLANES.offset), Field(|| field("offset")), self.offset)?;
-        number(key!(PLANES.stiffness), Field(|| field("stiffness")), self.stiffness)?;
-        number(key!(PLANES.friction), Field(|| field("friction")), self.friction)?;
-        number(key!(PLANES.slip), Field(|| field("slip")), self.slip)
+    fn check(&self) -> Checked {
+        unit("normal", self.normal)?;
+        number(key!(PLANES.offset), "offset", self.offset)?;
+        number(key!(PLANES.stiffness), "stiffness", self.stiffness)?;
+        number(key!(PLANES.friction), "friction", self.friction)?;
+        number(key!(PLANES.slip), "slip", self.slip)
     }
 }
 
-fn law(owner: &str, law: &PairLaw) -> Checked {
-    let field = |part: &str| format!("{owner}.{part}");
+fn law(law: &PairLaw) -> Checked {
     let PairLaw { alpha, beta, thresholds, core_width, .. } = *law;
-    number(key!(STRENGTH.alpha), Field(|| field("alpha")), alpha)?;
-    number(key!(STRENGTH.beta), Field(|| field("beta")), beta)?;
+    number(key!(STRENGTH.alpha), "alpha", alpha)?;
+    number(key!(STRENGTH.beta), "beta", beta)?;
     let (merge_at, split_at, core_at) = (thresholds.merge_at, thresholds.split_at, thresholds.core_at);
-    number(key!(PHASES.merge_at), Field(|| field("merge_at")), merge_at)?;
-    number(key!(PHASES.split_at), Field(|| field("split_at")), split_at)?;
-    ensure(
-        split_at >= merge_at,
-        Field(|| field("split_at")),
-        || format!("a number of at least merge_at ({merge_at:?})"),
-        &split_at,
-    )?;
-    number(key!(PHASES.core_at), Field(|| field("core_at")), core_at)?;
-    ensure(
-        core_at < merge_at,
-        Field(|| field("core_at")),
-        || format!("a number below merge_at ({merge_at:?})"),
-        &core_at,
-    )?;
-    number(key!(PHASES.core_width), Field(|| field("core_width")), core_width)?;
+    number(key!(PHASES.merge_at), "merge_at", merge_at)?;
+    number(key!(PHASES.split_at), "split_at", split_at)?;
+    ensure(split_at >= merge_at, "split_at", || format!("a number of at least merge_at ({merge_at:?})"), &split_at)?;
+    number(key!(PHASES.core_at), "core_at", core_at)?;
+    ensure(core_at < merge_at, "core_at", || format!("a number below merge_at ({merge_at:?})"), &core_at)?;
+    number(key!(PHASES.core_width), "core_width", core_width)?;
     let has_rim = core_width == 0.0 || core_at > 0.0;
-    ensure(has_rim, Field(|| field("core_width")), || "0 where there is no core".to_owned(), &core_width)
+    ensure(has_rim, "core_width", || "0 where there is no core".to_owned(), &core_width)
 }
 
-fn path(path: &Path, field: impl Fn(&str) -> String) -> Checked {
+fn path(path: &Path) -> Checked {
     match path {
-        Path::Fixed(at) => vector(ANY, Field(|| field("motion.fixed")), *at),
+        Path::Fixed(at) => vector(ANY, "motion.fixed", *at),
         Path::Line { from, velocity } => {
-            vector(ANY, Field(|| field("motion.from")), *from)?;
-            vector(ANY, Field(|| field("motion.velocity")), *velocity)
+            vector(ANY, "motion.from", *from)?;
+            vector(ANY, "motion.velocity", *velocity)
         }
         Path::Sine { center, amplitude, frequency, phase } => {
-            vector(ANY, Field(|| field("motion.center")), *center)?;
-            vector(ANY, Field(|| field("motion.amplitude")), *amplitude)?;
-            number(key!(SINES.frequency), Field(|| field("motion.frequency")), *frequency)?;
-            number(key!(SINES.phase), Field(|| field("motion.phase")), *phase)
+            vector(ANY, "motion.center", *center)?;
+            vector(ANY, "motion.amplitude", *amplitude)?;
+            number(key!(SINES.frequency), "motion.frequency", *frequency)?;
+            number(key!(SINES.phase), "motion.phase", *phase)
         }
         Path::Keyframes(_) => {
             let knots = path.knots();
             let is_ascending = knots.is_sorted_by(|a, b| b - a >= SMALLEST);
-            ensure(is_ascending, Field(|| field("motion.keys")), || "ascending times".to_owned(), &knots)?;
-            knots.iter().try_for_each(|&t| vector(ANY, Field(|| field("motion.keys")), path.position(t)))
+            ensure(is_ascending, "motion.keys", || "ascending times".to_owned(), &knots)?;
+            knots.iter().try_for_each(|&t| vector(ANY, "motion.keys", path.position(t)))
         }
-        Path::Given(_) => vector(ANY, Field(|| field("motion")), path.position(0.0)),
+        Path::Given(_) => vector(ANY, "motion", path.position(0.0)),
     }
 }
 
 // --- checks of single values --------------------------------------------------------------------------------------
 
-/// The place of a value; many are written only if they are wrong.
-trait Place {
-    fn name(self) -> String;
-}
-
-impl Place for &str {
-    fn name(self) -> String {
-        self.to_owned()
-    }
-}
-
-struct Field<F>(F);
-
-impl<F: FnOnce() -> String> Place for Field<F> {
-    fn name(self) -> String {
-        (self.0)()
-    }
-}
-
-fn ensure(is_valid: bool, field: impl Place, expected: impl FnOnce() -> String, found: &dyn Debug) -> Checked {
+fn ensure(is_valid: bool, field: &'static str, expected: impl FnOnce() -> String, found: &dyn Debug) -> Checked {
     match is_valid {
         true => Ok(()),
-        false => Err(InvalidScene { field: field.name(), expected: expected(), found: format!("{found:?}") }),
+        false => Err(InvalidScene { field: field.to_owned(), expected: expected(), found: format!("{found:?}") }),
     }
 }
 
@@ -290,41 +257,41 @@ fn ensure(is_valid: bool, field: impl Place, expected: impl FnOnce() -> String, 
 fn unique<'n>(list: &str, names: impl ExactSizeIterator<Item = &'n str>) -> Result<HashSet<&'n str>, InvalidScene> {
     let mut seen = HashSet::with_capacity(names.len());
     for (index, name) in names.enumerate() {
-        let field = Field(|| format!("{list}[{index}].name"));
-        ensure(seen.insert(name), field, || format!("a name that no other of the {list} has"), &name)?;
+        let expected = || format!("a name that no other of the {list} has");
+        ensure(seen.insert(name), "name", expected, &name).map_err(element(list, index))?;
     }
     Ok(seen)
 }
 
-fn within(range: Range, field: impl Place, x: f64) -> Checked {
+fn within(range: Range, field: &'static str, x: f64) -> Checked {
     ensure(range.contains(x), field, || Kind::Number(range).expected(), &x)
 }
 
-fn vector(range: Range, field: impl Place, vector: DVec3) -> Checked {
+fn vector(range: Range, field: &'static str, vector: DVec3) -> Checked {
     let is_valid = vector.to_array().into_iter().all(|x| range.contains(x));
     ensure(is_valid, field, || "finite numbers of at most 1e15".to_owned(), &vector)
 }
 
-fn unit(field: impl Place, vector: DVec3) -> Checked {
+fn unit(field: &'static str, vector: DVec3) -> Checked {
     let is_valid = (vector.length() - 1.0).abs() <= UNIT;
     ensure(is_valid, field, || "a vector of length 1".to_owned(), &vector)
 }
 
-fn number(key: &Key, field: impl Place, x: f64) -> Checked {
+fn number(key: &Key, field: &'static str, x: f64) -> Checked {
     match key.kind {
         Kind::Number(range) => within(range, field, x),
         _ => Ok(()),
     }
 }
 
-fn integer(key: &Key, field: impl Place, x: u32) -> Checked {
+fn integer(key: &Key, field: &'static str, x: u32) -> Checked {
     match key.kind {
         Kind::Integer([min, max]) => ensure((min..=max).contains(&x), field, || key.kind.expected(), &x),
         _ => Ok(()),
     }
 }
 
-fn text(key: &Key, field: impl Place, text: &str) -> Checked {
+fn text(key: &Key, field: &'static str, text: &str) -> Checked {
     match key.kind {
         Kind::Text(keys::Text { form, accepts }) => ensure(accepts(text), field, || form.to_owned(), &text),
         _ => Ok(()),

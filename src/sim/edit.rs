@@ -24,7 +24,7 @@ impl World {
     /// [`EditError::Invalid`] for a body that no scene file could have, [`EditError::Name`], [`EditError::Solver`],
     /// [`EditError::TooLarge`]; the world is then unchanged.
     pub fn add(&mut self, body: Body) -> Result<BodyHandle, EditError> {
-        body.validate(|part| format!("body.{part}"))?;
+        body.validate().map_err(|invalid| invalid.at("body"))?;
         if self.scene.bodies.iter().any(|other| other.name == body.name) {
             return Err(EditError::Name(body.name));
         }
@@ -113,7 +113,7 @@ impl World {
     /// direction is no unit vector; the world is then unchanged.
     pub fn push(&mut self, push: Push) -> Result<(), EditError> {
         push.body.index_in(self)?;
-        self.scene.check_push(&push, |part| format!("push.{part}"))?;
+        self.scene.check_push(&push).map_err(|invalid| invalid.at("push"))?;
         self.scene.pushes.push(push);
         let (time, step, arch) = (self.time(), self.steps_taken(), self.options().arch);
         match &mut self.solver {
@@ -142,7 +142,7 @@ impl World {
         }
         if let Some(force) = &force {
             let now = &coupled.member(index).body;
-            force.validate(time, now.centre, now.velocity, str::to_owned)?;
+            force.validate(time, now.centre, now.velocity)?;
         }
         own.force = force;
         coupled.wake_up(index);
@@ -158,7 +158,8 @@ impl World {
     /// scene file could have; the world is then unchanged.
     pub fn set_motion(&mut self, body: impl BodyId, motion: impl Into<Motion>) -> Result<(), EditError> {
         let (index, motion) = (body.index_in(self)?, motion.into());
-        self.scene.bodies[index].check_motion(&motion, |part| format!("bodies[{index}].{part}"))?;
+        let checked = self.scene.bodies[index].check_motion(&motion);
+        checked.map_err(|invalid| invalid.at(format_args!("bodies[{index}]")))?;
         let (time, step, arch) = (self.time(), self.steps_taken(), self.options().arch);
         let energy = self.solver.coupled().map_or(0.0, |coupled| coupled.energy_of(&self.scene, time, index));
         let own = &mut self.scene.bodies[index];
