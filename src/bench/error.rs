@@ -524,16 +524,16 @@ pub fn report(scenes: &[Measured], machine: &Machine) -> Report {
         conclusions: measured.conclusions(),
     };
     let tables: Vec<Table> = scenes.iter().map(table).collect();
+    let rows = scenes.iter().flat_map(|it| it.measurements.iter().map(|measurement| it.row(measurement))).collect();
     Report {
-        columns: columns(),
-        rows: scenes.iter().flat_map(|it| it.measurements.iter().map(|measurement| it.row(measurement))).collect(),
+        file: Some(Table { columns: columns(), rows, ..Table::default() }),
         tables,
         notes: "error: the largest over time and vertices, in radii, against an independent solution by extrapolation (Gragg, \
                 Bulirsch, Stoer);\norder: relative to the previous step size; run time: of the steps alone, on one thread, median \
                 of several runs"
             .to_owned(),
         chart: Some(chart(scenes, machine)),
-        failure: None,
+        ..Report::default()
     }
 }
 

@@ -385,15 +385,14 @@ pub fn report(scenes: &[Measured], machine: &Machine) -> Report {
         ],
     };
     Report {
-        columns: columns(),
         tables: scenes.iter().map(Measured::table).collect(),
         notes: format!(
             "step: the best of {RUNS} runs; frame: a step, its state with forces, and the merged surface; error: the largest over \
              time and\nvertices, against the model's own run with 1/{FINEST} of the step; largest dt: among doublings and halvings, up to {LONGEST} times; \
              volume lost:\nof all surfaces together, in the worst frame"
         ),
-        rows,
+        file: Some(Table { columns: columns(), rows, ..Table::default() }),
         chart: Some(chart),
-        failure: None,
+        ..Report::default()
     }
 }

@@ -434,13 +434,11 @@ pub fn report(measurements: &[Measurement], verifications: &[Verification]) -> R
         ..Table::default()
     };
     Report {
-        columns: columns(),
-        rows: rates.rows.clone(),
+        file: Some(rates.clone()),
         tables: vec![rates, verification],
         notes: "payload: positions, normals and arrows; simulated: steps and recording together, otherwise recording alone;\n\
                 log(): positions, normals and arrows without surfaces of groups, pairs and events"
             .to_owned(),
-        chart: None,
-        failure: None,
+        ..Report::default()
     }
 }

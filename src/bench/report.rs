@@ -10,16 +10,14 @@ use crate::{
 };
 
 /// The results of a benchmark.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Report {
     /// The tables that are printed.
     pub tables: Vec<Table>,
     /// What the tables show.
     pub notes: String,
-    /// Columns of the measurements in a file.
-    pub columns: Vec<Column>,
-    /// All measurements, for a file.
-    pub rows: Vec<Vec<Cell>>,
+    /// The measurements for a file; `None`: those of all tables.
+    pub file: Option<Table>,
     /// The diagram, if there is one.
     pub chart: Option<Chart>,
     /// What must not be: the benchmark has failed.
@@ -162,8 +160,9 @@ pub fn file_columns(columns: &[Column]) -> Vec<table::Column> {
 /// A row cannot be written.
 pub fn write(mut file: table::Table, report: &Report, machine: &Machine) -> Result<(), table::TableError> {
     let machine = [table::Cell::Text(&machine.processor), table::Cell::Text(machine.version)];
-    for row in &report.rows {
-        let written = report.columns.iter().zip(row).filter(|(column, _)| !column.name.is_empty());
+    let tables = report.file.as_ref().map_or(&report.tables[..], std::slice::from_ref);
+    for (table, row) in tables.iter().flat_map(|table| table.rows.iter().map(move |row| (table, row))) {
+        let written = table.columns.iter().zip(row).filter(|(column, _)| !column.name.is_empty());
         let cells = written.map(|(_, cell)| match cell {
             Cell::Text(text) => table::Cell::Text(text),
             Cell::Count(count) => table::Cell::Count(*count),

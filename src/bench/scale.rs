@@ -234,15 +234,13 @@ impl Measured {
         let tables: Vec<Table> = Family::ALL.map(table).into_iter().filter(|table| !table.rows.is_empty()).collect();
         let left_out = self.left_out.iter().map(|what| format!("left out: {what}\n")).collect::<String>();
         Report {
-            columns: columns(),
-            rows: tables.iter().flat_map(|table| table.rows.iter().cloned()).collect(),
             tables,
             notes: format!(
                 "{left_out}error: the largest of any vertex in the first {WARM} steps, in radii, against an independent \
                  solution;\nrun times: the best of {BLOCKS} blocks of steps, or of {LONG_BLOCKS} long ones"
             ),
             chart: Some(self.chart(machine)),
-            failure: None,
+            ..Report::default()
         }
     }
 

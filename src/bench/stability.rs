@@ -384,14 +384,7 @@ pub fn columns() -> Vec<Column> {
 /// The outcomes of one case in detail.
 pub fn of_case(row: &Row) -> Report {
     let table = Table { columns: columns(), rows: row.cells().collect(), ..Table::default() };
-    Report {
-        columns: columns(),
-        rows: table.rows.clone(),
-        tables: vec![table],
-        notes: String::new(),
-        chart: None,
-        failure: defects(&[row.judged()]),
-    }
+    Report { tables: vec![table], failure: defects(&[row.judged()]), ..Report::default() }
 }
 
 /// The verdicts on a model.
@@ -401,10 +394,8 @@ pub fn of_model(judged: &[Judged]) -> Report {
         notes: "stopped: refused or ended with a reason, or after the time limit; failed: a state that is not finite, without a \
                 report"
             .to_owned(),
-        columns: vec![],
-        rows: vec![],
-        chart: None,
         failure: defects(judged),
+        ..Report::default()
     }
 }
 
@@ -424,16 +415,16 @@ pub fn report(rows: &[Row], drifts: &[drift::Drift], free: &[Judged]) -> Report 
     ));
     let lost = drifts.iter().find(|drift| drift.integrator == Integrator::Exponential && !drift.is_small());
     let lost = lost.map(|drift| format!("exponential lets energy drift by {:.1e} over a million steps", drift.largest));
+    let rows = rows.iter().flat_map(Row::cells).collect();
     Report {
-        columns: columns(),
-        rows: rows.iter().flat_map(Row::cells).collect(),
+        file: Some(Table { columns: columns(), rows, ..Table::default() }),
         tables: vec![sweep, drift::table(drifts), by_axis(free)],
         notes: format!(
             "passed: finite after every step, and within {MARGIN} times the energy bound; exponential also as close to the exact \
              solution, where there is one, as its tolerance promises\n`meldscope bench stability N` shows case N and its scene"
         ),
-        chart: None,
         failure: defects(&judged).or(lost).or_else(|| defects(free)),
+        ..Report::default()
     }
 }
 

@@ -153,15 +153,11 @@ pub fn report(rows: &[Row]) -> Report {
             .collect(),
         ..Table::default()
     };
-    let rows = unions.rows.clone();
     Report {
-        columns: columns(),
         tables: vec![unions],
         notes: "union: the closed surface alone; drawn: with its mesh, components and smooth seams; measures: gap, overlap and \
                 neck;\nbest of several runs"
             .to_owned(),
-        rows,
-        chart: None,
-        failure: None,
+        ..Report::default()
     }
 }

@@ -554,16 +554,13 @@ pub fn report(rows: &[Row]) -> Result<Report, MeasureError> {
             row.verdict.into(),
         ]
     };
-    let cells: Vec<Vec<Cell>> = rows.iter().map(cells).collect();
     let scenes = influence::SCENES.into_iter().map(builtin).collect::<Result<Vec<_>, _>>()?;
     Ok(Report {
-        tables: vec![Table { columns: columns(), rows: cells.clone(), ..Table::default() }],
+        tables: vec![Table { columns: columns(), rows: rows.iter().map(cells).collect(), ..Table::default() }],
         notes: format!(
             "{THESIS}\nits rates are frames of a Pentium D of 2.8 GHz, with drawing; these are steps alone; as printed: (3.6)–(3.10)"
         ),
-        columns: columns(),
-        rows: cells,
         chart: Some(influence::chart(&scenes)),
-        failure: None,
+        ..Report::default()
     })
 }
