@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use super::{
     Sweep,
-    row::{Cell, final_scalars},
+    row::{Cell, final_scalars, without_results},
     run::{Interrupted, MAX_EVENTS},
 };
 use crate::{
@@ -30,21 +30,7 @@ pub fn run(
     let (schema, simulation) = match started {
         Ok(started) => started,
         Err(reason) => {
-            cells.extend([
-                Cell::Null,
-                Cell::Text(String::new()),
-                Cell::List(vec![]),
-                Cell::I64(0),
-                Cell::I64(0),
-                Cell::F64(0.0),
-            ]);
-            cells.push(Cell::U64(0));
-            let scalars = sweep.experiment.iter().flat_map(|experiment| {
-                let schema = experiment.schema();
-                final_scalars(&schema).map(|_| Cell::Null).collect::<Vec<_>>()
-            });
-            cells.extend(scalars);
-            cells.push(Cell::Text(reason));
+            cells.extend(without_results(sweep, reason));
             return Ok(());
         }
     };

@@ -157,6 +157,21 @@ pub fn columns(sweep: &Sweep) -> Vec<Column> {
     columns
 }
 
+/// The cells of a run without results, from the first result to the reason: empty, or 0 where a value is required.
+pub(super) fn without_results(sweep: &Sweep, why: String) -> Vec<Cell> {
+    let columns = columns(sweep);
+    let results = &columns[1 + sweep.design.axes.len()..columns.len() - LAST.len()];
+    let empty = |column: &Column| match column.kind {
+        _ if column.is_nullable => Cell::Null,
+        Kind::Float => Cell::F64(0.0),
+        Kind::Count => Cell::U64(0),
+        Kind::Integer => Cell::I64(0),
+        Kind::Text => Cell::Text(String::new()),
+        Kind::List => Cell::List(vec![]),
+    };
+    results.iter().map(empty).chain([Cell::Text(why)]).collect()
+}
+
 /// The scalars that are in a row of a sweep, with their indices.
 pub(super) fn final_scalars(schema: &Schema) -> impl Iterator<Item = (usize, &ScalarSchema)> {
     schema.scalars.iter().enumerate().filter(|(_, scalar)| scalar.of == ScalarOf::State)

@@ -33,7 +33,7 @@ use super::{
     classes::Classes,
     file::{Sweep, Until},
     own,
-    row::{Cell, Row},
+    row::{Cell, Row, without_results},
 };
 use crate::{
     Scene, World,
@@ -155,23 +155,11 @@ impl<'a> Runner<'a> {
         let world = scene.and_then(|scene| World::with_options(scene, options).map_err(|error| error.to_string()));
         match world {
             Ok(world) => Run::new(world, self.sweep).finish(&mut cells)?,
-            Err(error) => rejected(self.sweep, error, &mut cells),
+            Err(error) => cells.extend(without_results(self.sweep, error)),
         }
         cells.push(Cell::F64(start.elapsed().as_secs_f64()));
         Ok(cells)
     }
-}
-
-/// Adds the cells of a scene that cannot be run.
-fn rejected(sweep: &Sweep, error: String, cells: &mut Vec<Cell>) {
-    use Cell::{F64, I64, List, Null, Text, U64};
-    cells.extend([Null, Text(String::new()), List(vec![]), I64(0), I64(0), I64(0), Null, Null, F64(0.0), Null, Null]);
-    cells.extend([Null, Null, Null, Null, F64(0.0), I64(0), F64(0.0), U64(0)]);
-    cells.extend(sweep.measures.displacement.then_some(F64(0.0)));
-    if sweep.measures.surfaces {
-        cells.extend([List(vec![]), List(vec![]), List(vec![])]);
-    }
-    cells.push(Text(error));
 }
 
 /// Estimated duration of a run [s], measured at the beginning of one.
