@@ -38,7 +38,7 @@ use crate::{
         Recorder,
         contract::{
             BLESSED, BODIES, COUNTS, Component, DISPLACEMENTS, FRAMES, GOLDEN_STATES, GOLDEN_SURFACES, GOLDEN_VERTICES,
-            HASHES, PROPERTIES, QUANTITIES, VALUES, path_of,
+            HASHES, QUANTITIES, VALUES, path_of,
         },
         settings::{Frames, Settings},
         sinks::{Complete, Destinations, SinkError, Sinks},
@@ -289,7 +289,6 @@ pub struct First {
 /// The golden recording cannot be read, or the scene cannot be run.
 pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -> Result<GoldenOutcome, ReadError> {
     let recorded = Recorded::open_as(golden, &|name, text, run| scene.read(name, text, run))?;
-    let counts_then = Details::counts(golden)?;
     let simulation = start(scene, golden)?;
     let schema = simulation.schema();
     let mut run = Run::again(simulation, schema.steps);
@@ -323,15 +322,15 @@ pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -
     let counts_now = counts(&schema);
     let is_rewritten = schema.source != recorded.schema.source;
     let steps = [recorded.last(), schema.steps];
-    let same_counts = counts_then.as_ref().is_none_or(|then| *then == counts_now);
-    if first.is_none() && steps[0] == steps[1] && same_counts && surfaces.is_empty() {
+    let other_counts = recorded.counts.clone().filter(|then| *then != counts_now);
+    if first.is_none() && steps[0] == steps[1] && other_counts.is_none() && surfaces.is_empty() {
         let digest = digest(&recorded.checksums);
         return Ok(GoldenOutcome::Identical { steps: steps[1], events: events.len(), digest, is_rewritten });
     }
 
     let mut difference = GoldenDifference {
         steps: (steps[0] != steps[1]).then_some(steps),
-        counts: counts_then.filter(|_| !same_counts).map(|then| [then, counts_now]),
+        counts: other_counts.map(|then| [then, counts_now]),
         is_rewritten,
         first: None,
         worst: None,
@@ -496,16 +495,6 @@ struct Details {
 }
 
 impl Details {
-    fn counts(path: &Path) -> Result<Option<String>, ReadError> {
-        let mut reader = Reader::open(path)?;
-        while let Some(chunk) = reader.next(|entity| PROPERTIES.is(entity))? {
-            if let Some(text) = cell::<sdk::datatypes::Utf8>(&chunk, &COUNTS.descriptor(), 0).first() {
-                return Ok(Some(text.as_str().to_owned()));
-            }
-        }
-        Ok(None)
-    }
-
     fn read(recorded: &Recorded, step: u64) -> Result<Details, ReadError> {
         let (schema, path) = (&recorded.schema, &recorded.path);
         let mut details = Details::default();

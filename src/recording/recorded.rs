@@ -19,7 +19,7 @@ use crate::{
     },
     stream::{
         contract::{
-            self, BLESSED, BODIES, CHECKSUM, CHECKSUMS, Component, DIGEST, FAILURE, MACHINE, OVERRIDES, PHASES,
+            self, BLESSED, BODIES, CHECKSUM, CHECKSUMS, COUNTS, Component, DIGEST, FAILURE, MACHINE, OVERRIDES, PHASES,
             PROPERTIES, Q, SCENE, SETTINGS, STEP, TIME, VERSION, path_of,
         },
         settings::{FORMAT, Settings, application, recording_id},
@@ -59,6 +59,8 @@ pub struct Recorded {
     pub machine: String,
     /// The reason for a golden recording; `None` for any other recording.
     pub blessed: Option<String>,
+    /// The numbers of vertices and triangles of a golden recording, in words; `None` for any other recording.
+    pub counts: Option<String>,
     /// Why the run ended before its last step, if it failed.
     pub failure: Option<String>,
     /// The step of the first checksum.
@@ -93,23 +95,18 @@ pub struct RecordedEvent {
 pub(super) struct Found {
     pub id: String,
     application: String,
-    properties: Properties,
-    sums: ReadChecksums,
-    events: Vec<RecordedEvent>,
-}
-
-/// The properties as stored in the file.
-#[derive(Clone, Debug, Default)]
-struct Properties {
     scene: Option<String>,
     settings: Option<String>,
     overrides: Option<String>,
     version: Option<String>,
     machine: Option<String>,
     blessed: Option<String>,
+    counts: Option<String>,
     failure: Option<String>,
     digest: Option<String>,
     format: Option<f64>,
+    sums: ReadChecksums,
+    events: Vec<RecordedEvent>,
 }
 
 impl Recorded {
@@ -199,14 +196,14 @@ impl Found {
 
     /// Whether the run has written its end.
     pub fn has_end(&self) -> bool {
-        self.properties.digest.is_some()
+        self.digest.is_some()
     }
 
     /// Reads a chunk of properties, checksums or events; `read` bytes of the file have been read.
     pub fn take(&mut self, chunk: &Chunk, read: u64) -> Result<(), String> {
         let entity = path_of(chunk);
         if PROPERTIES.is(&entity) {
-            self.properties.take(chunk, read)?;
+            self.take_properties(chunk, read)?;
         } else if CHECKSUM.is(&entity) {
             self.sums.take(chunk, read)?;
         } else {
@@ -215,16 +212,8 @@ impl Found {
         Ok(())
     }
 
-    /// Recreates the experiment.
-    pub fn into_recorded(self, path: &Path, read: &ReadExperiment<'_>, end: End) -> Result<Recorded, ReadError> {
-        let Found { id, properties, sums, events, .. } = self;
-        properties.into_recorded(path, read, id, sums, events, end)
-    }
-}
-
-impl Properties {
     /// Reads the properties in a chunk; `read` bytes of the file have been read.
-    fn take(&mut self, chunk: &Chunk, read: u64) -> Result<(), String> {
+    fn take_properties(&mut self, chunk: &Chunk, read: u64) -> Result<(), String> {
         for (field, property) in [
             (&mut self.scene, SCENE),
             (&mut self.settings, SETTINGS),
@@ -232,6 +221,7 @@ impl Properties {
             (&mut self.version, VERSION),
             (&mut self.machine, MACHINE),
             (&mut self.blessed, BLESSED),
+            (&mut self.counts, COUNTS),
             (&mut self.failure, FAILURE),
             (&mut self.digest, DIGEST),
         ] {
@@ -252,15 +242,9 @@ impl Properties {
         Ok(())
     }
 
-    fn into_recorded(
-        self,
-        path: &Path,
-        read: &ReadExperiment<'_>,
-        id: String,
-        sums: ReadChecksums,
-        events: Vec<RecordedEvent>,
-        end: End,
-    ) -> Result<Recorded, ReadError> {
+    /// Recreates the experiment.
+    pub fn into_recorded(self, path: &Path, read: &ReadExperiment<'_>, end: End) -> Result<Recorded, ReadError> {
+        let Found { id, sums, events, .. } = self;
         let foreign = |what: &str| ReadError::Foreign { path: path.to_owned(), what: what.to_owned() };
         let unsupported = |what: String| ReadError::Unsupported { path: path.to_owned(), what };
         let scene_error = |what: String| ReadError::Scene { path: path.to_owned(), what };
@@ -334,6 +318,7 @@ impl Properties {
             version,
             machine: self.machine.unwrap_or_else(|| "an unnamed machine".to_owned()),
             blessed: self.blessed,
+            counts: self.counts,
             failure: self.failure,
             first: sums.first,
             checksums: sums.values,
