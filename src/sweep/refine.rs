@@ -10,11 +10,14 @@
 //! The required points depend only on the results of runs, not on their order. A level can therefore be divided among
 //! machines, and an interrupted sweep resumes with the same rows.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::{
+    collections::{BTreeMap, BTreeSet, HashMap, HashSet},
+    ops::Range,
+};
 
 use super::{
     Sweep,
-    design::{Design, Place},
+    design::{Axis, Design, Place},
     row::Cell,
 };
 
@@ -131,36 +134,27 @@ impl<'a> Known<'a> {
     /// The cells of a level that contain a point, inside or on a face. The level must not be finer than the point's.
     fn cells_at(&self, level: u32, place: &Place) -> Vec<Vec<u64>> {
         let shift = place.level - level;
-        let mut cells = vec![Vec::with_capacity(place.index.len())];
-        for (axis, &index) in self.design.axes.iter().zip(&place.index) {
-            let choices: Vec<u64> = if axis.is_range() {
-                let cell_count = axis.count(level).unwrap_or(1) - 1;
-                let (whole, is_on_grid) = (index >> shift, index & ((1 << shift) - 1) == 0);
-                let below = if is_on_grid { whole.checked_sub(1) } else { None };
-                below.into_iter().chain((whole < cell_count).then_some(whole)).collect()
-            } else {
-                vec![index]
-            };
-            cells = cells
-                .iter()
-                .flat_map(|cell| choices.iter().map(move |&choice| [&cell[..], &[choice]].concat()))
-                .collect();
-        }
-        cells
+        self.combinations(&place.index, |axis, index| {
+            let cell_count = axis.count(level).unwrap_or(1) - 1;
+            let (whole, is_on_grid) = (index >> shift, index & ((1 << shift) - 1) == 0);
+            whole.saturating_sub(u64::from(is_on_grid))..cell_count.min(whole + 1)
+        })
     }
 
     /// The points of a cell on the grid `finer` levels below: 2ⁿ corners for 0, 3ⁿ points for 1.
     fn points(&self, corner: &[u64], finer: u32) -> Vec<Vec<u64>> {
-        let mut points = vec![Vec::with_capacity(corner.len())];
-        for (axis, &index) in self.design.axes.iter().zip(corner) {
-            let steps = if axis.is_range() { 1 << finer } else { 0 };
-            let first = if axis.is_range() { index << finer } else { index };
-            points = points
-                .iter()
-                .flat_map(|point| (0..=steps).map(move |step| [&point[..], &[first + step]].concat()))
-                .collect();
+        self.combinations(corner, |_, index| index << finer..((index + 1) << finer) + 1)
+    }
+
+    /// All combinations of the indices that `choices` gives for an axis with a range; other axes keep theirs.
+    fn combinations(&self, index: &[u64], choices: impl Fn(&Axis, u64) -> Range<u64>) -> Vec<Vec<u64>> {
+        let mut all = vec![Vec::with_capacity(index.len())];
+        for (axis, &index) in self.design.axes.iter().zip(index) {
+            let choices = if axis.is_range() { choices(axis, index) } else { index..index + 1 };
+            all =
+                all.iter().flat_map(|one| choices.clone().map(move |choice| [&one[..], &[choice]].concat())).collect();
         }
-        points
+        all
     }
 
     /// Divides a cell if its corners are known and two of them differ.
@@ -191,15 +185,7 @@ impl<'a> Known<'a> {
     }
 
     fn children(&self, corner: &[u64]) -> Vec<Vec<u64>> {
-        let mut cells = vec![Vec::with_capacity(corner.len())];
-        for (axis, &index) in self.design.axes.iter().zip(corner) {
-            let choices = if axis.is_range() { vec![2 * index, 2 * index + 1] } else { vec![index] };
-            cells = cells
-                .iter()
-                .flat_map(|cell| choices.iter().map(move |&choice| [&cell[..], &[choice]].concat()))
-                .collect();
-        }
-        cells
+        self.combinations(corner, |_, index| 2 * index..2 * index + 2)
     }
 
     /// Compares a point with the cells that contain it, from the first level to the first undivided cell.
@@ -232,7 +218,7 @@ mod tests {
     use super::*;
     use crate::{
         scene::template::{KeyPath, Setting},
-        sweep::design::{Axis, Sampling, Scale, Values},
+        sweep::design::{Sampling, Scale, Values},
     };
 
     fn design(counts: &[u64]) -> Design {
