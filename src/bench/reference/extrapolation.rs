@@ -7,18 +7,6 @@ const COLUMNS: usize = 10;
 /// A step that needs at most this many columns could have been longer.
 const FEW_COLUMNS: usize = 5;
 
-/// A right-hand side y′ = f(t, y).
-pub trait Slope {
-    /// Writes f(t, y).
-    fn at(&mut self, t: f64, y: &[f64], slope: &mut [f64]);
-}
-
-impl<F: FnMut(f64, &[f64], &mut [f64])> Slope for F {
-    fn at(&mut self, t: f64, y: &[f64], slope: &mut [f64]) {
-        self(t, y, slope);
-    }
-}
-
 /// How well a step went.
 #[derive(Clone, Copy, Debug)]
 pub struct Step {
@@ -64,14 +52,14 @@ pub struct Extrapolation {
 }
 
 impl Extrapolation {
-    /// Takes one step over `h` and writes the state after it to `end`; `tolerance` is the permitted error of each
-    /// coordinate.
+    /// Takes one step over `h` of y′ = f(t, y) and writes the state after it to `end`; `f` writes the slope, and
+    /// `tolerance` is the permitted error of each coordinate.
     ///
     /// All but the last addition act on the increment y(t + h) − y(t), so rounding errors scale with the change, not
     /// with y.
     pub fn step(
         &mut self,
-        f: &mut impl Slope,
+        f: &mut impl FnMut(f64, &[f64], &mut [f64]),
         start: Start<'_>,
         h: f64,
         tolerance: &[f64],
@@ -108,7 +96,7 @@ impl Extrapolation {
     }
 
     /// Writes y(t + h) − y(t) by Gragg's rule with `n` divisions to the entry; its error is a series in (h/n)².
-    fn midpoint(&mut self, f: &mut impl Slope, start: Start<'_>, h: f64, n: u32) {
+    fn midpoint(&mut self, f: &mut impl FnMut(f64, &[f64], &mut [f64]), start: Start<'_>, h: f64, n: u32) {
         let Extrapolation { entry, before, now, stage, slope, .. } = self;
         let part = h / f64::from(n);
         before.clear();
@@ -119,7 +107,7 @@ impl Extrapolation {
         for m in 1..=n {
             stage.clear();
             stage.extend(start.y.iter().zip(&*now).map(|(y, now)| y + now));
-            f.at(start.t + f64::from(m) * part, stage, slope);
+            f(start.t + f64::from(m) * part, stage, slope);
             if m == n {
                 break;
             }
