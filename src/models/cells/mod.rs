@@ -29,6 +29,11 @@ pub fn corner(i: usize) -> DVec3 {
     DVec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2 & 1) as f64)
 }
 
+/// The corners of the six tetrahedra of a cell, positively oriented: the paths from corner 0 to corner 7 along the three
+/// axes in every order (Kuhn). All share the diagonal, and match across the faces of neighbouring cells.
+pub const TETRAHEDRA: [[usize; 4]; 6] =
+    [[0, 1, 3, 7], [0, 2, 6, 7], [0, 4, 5, 7], [0, 3, 2, 7], [0, 6, 4, 7], [0, 5, 1, 7]];
+
 /// Cells of a regular grid, their nodes, and points embedded in them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cells {

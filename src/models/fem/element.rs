@@ -2,12 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
-use crate::models::cells::corner;
-
-/// The corners of the six tetrahedra of a cell: the paths from corner 0 to corner 7 along the three axes in every order
-/// (Kuhn). All share the diagonal, and match across the faces of neighbouring cells.
-pub const TETRAHEDRA: [[usize; 4]; 6] =
-    [[0, 1, 3, 7], [0, 2, 6, 7], [0, 4, 5, 7], [0, 3, 2, 7], [0, 6, 4, 7], [0, 5, 1, 7]];
+use crate::models::cells::{TETRAHEDRA, corner};
 
 /// Young's modulus and Poisson's ratio of an isotropic material.
 #[derive(Clone, Copy, Debug, PartialEq)]

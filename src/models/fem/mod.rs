@@ -47,9 +47,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::{DMat3, DVec3};
 
-use super::cells::Cells;
+use super::cells::{Cells, TETRAHEDRA};
 
-pub use element::{Elasticity, TETRAHEDRA, cube_stiffness, gradients, largest_eigenvalue};
+pub use element::{Elasticity, cube_stiffness, gradients, largest_eigenvalue};
 pub use matrix::{Cholesky, Symmetric, Unfactored, dissection};
 
 /// No node.

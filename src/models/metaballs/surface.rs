@@ -22,6 +22,7 @@ use crate::{
     analysis::surface::{connected, for_all},
     disjoint_sets::DisjointSets,
     geometry::union::is_raised,
+    models::cells::TETRAHEDRA,
     observe::{
         Frame, Schema,
         surface::{Group, PairMeasures, Surfaced, Surfaces, VertexOrigin},
@@ -285,10 +286,6 @@ impl Grid {
         (0..3).filter(|m| edge >> m & 1 == 1).map(|m| strides[m]).sum()
     }
 }
-
-/// The tetrahedra of a cube: the corners between its corners 0 and 7 (bit m: along axis m), positively oriented.
-const TETRAHEDRA: [[usize; 4]; 6] =
-    [[0, 1, 3, 7], [0, 2, 6, 7], [0, 4, 5, 7], [0, 3, 2, 7], [0, 6, 4, 7], [0, 5, 1, 7]];
 
 /// The even permutations of four that begin with each pair, and with each single element.
 const PAIRS: [[usize; 4]; 6] = [[0, 1, 2, 3], [0, 2, 3, 1], [0, 3, 1, 2], [1, 2, 0, 3], [1, 3, 2, 0], [2, 3, 0, 1]];
