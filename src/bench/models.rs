@@ -13,7 +13,7 @@ use super::{
 use crate::{
     Scene,
     analysis::{surface::Merger, touch::Touches},
-    geometry::Vectors,
+    geometry::{Vectors, mesh::signed_volume},
     models::SceneRun,
     observe::{Experiment as _, Frame, Run, Schema, SurfaceEvent, Want, surface::Finding},
     scene::Model,
@@ -184,8 +184,7 @@ pub(super) fn observe(scene: &Scene) -> Result<Row, String> {
 fn volume(schema: &Schema, frame: &Frame, body: usize, local: &mut Vectors) -> f64 {
     let (of, now) = (&schema.bodies[body], &frame.bodies[body]);
     now.local_positions(now.rest_of(of), local);
-    let corner = |v: u32| local.get(v as usize);
-    now.mesh_of(of).triangles().iter().map(|&[a, b, c]| corner(a).dot(corner(b).cross(corner(c))) / 6.0).sum()
+    signed_volume(now.mesh_of(of).triangles().iter().map(|corners| corners.map(|v| local.get(v as usize))))
 }
 
 /// The motion in a run with some step.
