@@ -38,9 +38,10 @@ use glam::{DMat3, DQuat, DVec3};
 use rayon::prelude::*;
 
 use super::{
-    Elastic, PARALLEL_NODES, PHASES,
+    Elastic, PARALLEL_NODES,
     act::{Instantaneous, StepContext},
     body::{Body, Contact, Finite, MAX_SPRINGS, Matter, OF_LIMIT, Springs},
+    note_phase,
 };
 use crate::{
     geometry::Mesh,
@@ -430,11 +431,7 @@ impl Elastic {
 
     /// Records a phase change.
     fn record(&mut self, event: PairEvent) {
-        let pair = [event.a as u32, event.b as u32];
-        match PHASES.get(event.to) {
-            None | Some(Phase::Apart) => _ = self.phases.remove(&pair),
-            Some(&phase) => _ = self.phases.insert(pair, phase),
-        }
+        note_phase(&mut self.phases, &event);
         self.events.push(event);
     }
 

@@ -256,13 +256,7 @@ impl Elastic {
         if self.failure.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
             return;
         }
-        for event in &self.events {
-            let pair = [event.a as u32, event.b as u32];
-            match PHASES.get(event.to) {
-                None | Some(Phase::Apart) => _ = self.phases.remove(&pair),
-                Some(&phase) => _ = self.phases.insert(pair, phase),
-            }
-        }
+        self.events.iter().for_each(|event| note_phase(&mut self.phases, event));
         self.timings = [reached - found, found - begun, reached.elapsed()];
         self.end_step(end);
     }
@@ -366,6 +360,15 @@ fn first_phases(scene: &Scene) -> BTreeMap<[u32; 2], Phase> {
 
 /// All phases, by their indices in events.
 const PHASES: [Phase; 3] = [Phase::Apart, Phase::Merged, Phase::Core];
+
+/// Notes the phase that a pair enters; pairs that are apart are not listed.
+fn note_phase(phases: &mut BTreeMap<[u32; 2], Phase>, event: &PairEvent) {
+    let pair = [event.a as u32, event.b as u32];
+    match PHASES.get(event.to) {
+        None | Some(Phase::Apart) => _ = phases.remove(&pair),
+        Some(&phase) => _ = phases.insert(pair, phase),
+    }
+}
 
 /// Memory that is left for the factors of finite elements [bytes].
 ///
