@@ -525,7 +525,7 @@ impl FrameParts {
             trails,
             series,
             focus: FocusFinder::new(settings),
-            body_forces: (settings.detail != Detail::Surface).then(|| BodyForces::new(schema)),
+            body_forces: (settings.detail != Detail::Surface).then(|| BodyForces::new(schema, chunks)),
             heat: (settings.detail != Detail::Surface)
                 .then(|| Heat::new(&blueprint::surfaces(schema, settings), chunks)),
         }

@@ -432,6 +432,7 @@ impl Run {
         if self.settings.detail == Detail::Forces {
             self.verify_forces();
             self.verify_body_forces();
+            self.verify_resultants();
             self.verify_vertices();
             self.verify_largest();
         }
@@ -463,7 +464,7 @@ impl Run {
             }
         }
         if self.settings.detail == Detail::Forces {
-            entities.extend(["/world/forces", "/about/arrows"].map(str::to_owned));
+            entities.extend(["/world/forces", "/world/resultants", "/about/arrows"].map(str::to_owned));
             entities.extend(Cause::of(&self.scene).map(|cause| format!("/world/forces/{}", cause.name())));
         }
         for pair in self.pairs() {
@@ -855,6 +856,50 @@ impl Run {
         }
     }
 
+    /// Verifies the arrows of the mean force on each body by each cause, all on one scale, and the label of the strongest.
+    fn verify_resultants(&self) {
+        let track = self.track("/world/resultants");
+        let largest = self.scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
+        let mut forces = BodyForces::default();
+        self.walk_frames(|frame, world| {
+            let at = format!("step {}", world.steps_taken());
+            let mut expected: Vec<(usize, &str, DVec3, DVec3)> = Vec::new();
+            for (index, body) in world.bodies().enumerate() {
+                world.forces(index, &mut forces);
+                for cause in Cause::of(&self.scene) {
+                    let of = forces.of(cause);
+                    let mean = of.iter().sum::<DVec3>() / of.len().max(1) as f64;
+                    expected.extend((mean != DVec3::ZERO).then_some((index, cause.name(), body.centre(), mean)));
+                }
+            }
+            let longest = expected.iter().map(|(.., mean)| mean.length()).fold(0.0, f64::max);
+            let held = &track.held[frame];
+            let origins: Vec<Vec3> = expected.iter().map(|(_, _, centre, _)| centre.as_vec3()).collect();
+            assert_same(&held.vectors("Arrows3D:origins"), &origins, &at);
+            for (found, (.., mean)) in held.vectors("Arrows3D:vectors").iter().zip(&expected) {
+                let error = found.as_dvec3().distance(largest / longest * mean);
+                assert!(error <= 1e-6 * largest, "{at}: {found} is not {mean} over {longest}");
+            }
+            let labels = held.texts("Arrows3D:labels");
+            assert_eq!(labels.len(), expected.len(), "{at}");
+            for index in 0..self.scene.bodies.len() {
+                let of_body = || expected.iter().zip(&labels).filter(|((body, ..), _)| *body == index);
+                let causes = of_body().filter(|((_, cause, ..), _)| *cause != "net");
+                let strongest = causes.map(|((.., mean), _)| mean.length()).fold(0.0, f64::max);
+                let labelled: Vec<_> = of_body().filter(|(_, label)| !label.is_empty()).collect();
+                assert_eq!(labelled.len(), usize::from(strongest > 0.0 && self.scene.bodies.len() <= 16), "{at}");
+                for ((_, cause, _, mean), label) in labelled {
+                    let number: f64 = label.strip_prefix(cause).expect("its cause").trim().parse().expect("a number");
+                    assert!(
+                        (mean.length() - strongest).abs() <= 1e-12 * strongest,
+                        "{at}: {cause} is not the strongest"
+                    );
+                    assert!((number - strongest).abs() <= 6e-3 * strongest.max(1e-2), "{at}: {label}, but {strongest}");
+                }
+            }
+        });
+    }
+
     /// Verifies the mark of the vertex with the largest displacement outside all other bodies, its label above them, and
     /// the number at the end of the colours.
     fn verify_largest(&self) {
@@ -899,6 +944,12 @@ impl Run {
                 let usual = on_surface[(0.9 * on_surface.len() as f64) as usize];
                 let expected = usual.max(0.3 * displacement).max(0.01);
                 let (end, beyond) = end.split_once(" to ").map_or((end.as_str(), None), |(end, at)| (end, Some(at)));
+                let beyond = beyond.map(|text| text.split_once(", at ").expect("a vertex"));
+                assert!(
+                    beyond.is_none_or(|(_, vertex)| label.contains(&format!(": {vertex}, "))),
+                    "{beyond:?}, {label}"
+                );
+                let beyond = beyond.map(|(number, _)| number);
                 assert_eq!(beyond.is_some(), displacement > 1.001 * expected, "{end}, but {displacement}");
                 for (text, value) in std::iter::once((end, expected)).chain(beyond.map(|text| (text, displacement))) {
                     let number: f64 = text.parse().expect("a number");
@@ -1235,9 +1286,9 @@ impl Run {
                 lengths.fold(0.0, f64::max) / body.scene().radius
             };
             let values = [
-                energy.total(),
                 energy.kinetic,
                 energy.elastic,
+                energy.total(),
                 energy.influence,
                 world.bodies().map(displacement).fold(0.0, f64::max),
                 energy.reached_vertices as f64,
@@ -1334,9 +1385,9 @@ impl Run {
 const CAUSES: [&str; 8] = ["attraction", "repulsion", "core", "restoring", "damping", "push", "carry", "net"];
 const TIMINGS: [&str; 7] = ["reach", "events", "integrate", "observe", "wait", "extract", "log"];
 const DIAGNOSTICS: [&str; 9] = [
-    "energy",
     "energy_vibration",
     "energy_elastic",
+    "energy",
     "energy_influence",
     "max_displacement",
     "reached_vertices",

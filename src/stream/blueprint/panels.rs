@@ -59,7 +59,8 @@ pub fn arrows(schema: &Schema) -> String {
         return "No force can act in this scene.\n".to_owned();
     }
     format!(
-        "An arrow is **1 R = {} unit long** if: {}.\n\nArrows begin at vertices{}.{}\n",
+        "**By body**: what each cause does to a body as a whole, all on one scale; the strongest has its value \
+         [unit/s²].\n\n**Others**: an arrow is 1 R = {} unit long if: {}. Arrows begin at vertices{}.{}\n",
         short(radius),
         lengths(schema, |_| true),
         if is_uniform { "; those that act on all alike, at the centre" } else { "" },

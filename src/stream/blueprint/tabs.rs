@@ -22,8 +22,8 @@ use crate::{
             ABOUT, ACCURACY, ARROWS, BODY, BODY_FORCE, BODY_SCALAR, BODY_SURFACE, DEFORMING, DIAGNOSTIC, EVENTS,
             Entity, FORCE, GROUP_LINE, INFLUENCE, LAG, LARGEST, LEGEND, MARKS_AT_Q, MERGED, MERGED_SURFACE, NAMES,
             PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR, PLANE, POINTS,
-            RECENT_NAMES, RECENT_PAIR, RECENT_SPHERES, RESTING, SIM_TIME, SPEED, STAGE, STAGES, STEP, TRAILS, VOLUME,
-            WORLD,
+            RECENT_NAMES, RECENT_PAIR, RECENT_SPHERES, RESTING, RESULTANTS, SIM_TIME, SPEED, STAGE, STAGES, STEP,
+            TRAILS, VOLUME, WORLD,
         },
         palette,
         parts::{
@@ -39,7 +39,7 @@ use crate::{
 pub const ENERGY: &str = "Energy";
 
 /// Upper limit on the number of bodies that are drawn transparent in views of forces.
-const MAX_SHEER: usize = 16;
+const MAX_SHEER: usize = 64;
 
 impl Layout {
     /// All tabs, of which `front` is shown first.
@@ -136,6 +136,7 @@ impl Layout {
             forces::NET_KINDS.iter().for_each(|(name, ..)| hide(&FORCE.of(&[name])));
         }
         if settings.detail != Detail::Surface {
+            hide(RESULTANTS.path);
             for term in schema.terms.iter().filter(|term| is_crowd || !term.is_shown) {
                 hide(&FORCE.of(&[term.name]));
             }
@@ -225,8 +226,8 @@ impl Layout {
         view
     }
 
-    /// A view of all forces and one for each that can act in the scene, of which one is in front, and the net force on each
-    /// body over time. All views have the same initial camera; Rerun 0.36 cannot link two of them.
+    /// Views of the resultant of each cause on each body, of all forces at vertices, and of each force that can act in the
+    /// scene, of which the first is in front, and the net force on each body over time. All views have the same initial camera; Rerun 0.36 cannot link two of them.
     pub fn forces_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         /// Plots upon one another, of more bodies, would have no room for numbers: they are tabs.
         const MOST_STACKED: usize = 3;
@@ -235,7 +236,9 @@ impl Layout {
         let sums = sums.chain(forces::NET_KINDS.map(|(name, ..)| name));
         let mut arrows: Vec<String> = sums.map(|name| format!("- {}", FORCE.of(&[name]))).collect();
         arrows.push(family(&FORCE));
-        let mut views = vec![self.forces_view(framing, "All", &arrows, schema, settings)];
+        let resultants = [including(RESULTANTS.path)];
+        let by_body = self.forces_view(framing, "By body", &resultants, schema, settings);
+        let mut views = vec![by_body, self.forces_view(framing, "All", &arrows, schema, settings)];
         for term in &schema.terms {
             if !term.can_act {
                 self.forces.push(None);

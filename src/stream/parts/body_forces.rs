@@ -1,34 +1,66 @@
-//! Plots of the net force on each body by each cause.
+//! The resultant force on each body by each cause: arrows at the centre, and plots.
 
 use glam::DVec3;
 
 use super::FrameView;
 use crate::{
-    observe::{Schema, frame::TermFrame, schema::TermSchema},
+    observe::{BodyFrame, Schema, frame::TermFrame, schema::TermSchema},
+    sdk::{self, Arrows3D},
     stream::{
-        chunks::Chunks,
-        contract::BODY_FORCE,
+        chunks::{Chunks, TrackId},
+        contract::{BODY_FORCE, RESULTANTS},
+        extract::Float3,
+        palette::color,
         series::{Interpolation, LineId, Series},
     },
+    text::significant,
 };
 
-/// Upper limit on the number of bodies with plots: of more, one would not find a tab.
+/// Upper limit on the number of bodies with plots and labels: of more, one would not find a tab.
 pub const MOST_BODIES: usize = 16;
 
-/// The plots, each from the first frame in which its force acts.
+/// Arrows, and plots, each from the first frame in which its force acts.
 pub struct BodyForces {
     /// By body and term; none if there are too many bodies.
     lines: Vec<Vec<Option<LineId>>>,
     /// Whether a term has acted on any body.
     has_acted: Vec<bool>,
+    arrows: TrackId,
+    last: Arrows,
 }
+
+/// The arrows of a frame: origins, vectors, colours and labels.
+#[derive(Default, PartialEq)]
+struct Arrows {
+    origins: Vec<Float3>,
+    vectors: Vec<Float3>,
+    colors: Vec<u32>,
+    labels: Vec<String>,
+}
+
+/// A resultant: body, term, and acceleration [scene unit/s²].
+type Resultant = (usize, usize, DVec3);
 
 impl BodyForces {
     /// Starts without lines.
-    pub fn new(schema: &Schema) -> BodyForces {
+    pub fn new(schema: &Schema, chunks: &mut Chunks) -> BodyForces {
         let terms = schema.terms.len();
         let bodies = if schema.bodies.len() <= MOST_BODIES { schema.bodies.len() } else { 0 };
-        BodyForces { lines: vec![vec![None; terms]; bodies], has_acted: vec![false; terms] }
+        let style = Arrows3D::update_fields().with_radii([sdk::Radius::new_ui_points(3.0)]).with_show_labels(true);
+        chunks.log_static(RESULTANTS.path, &style);
+        let components = [
+            Arrows3D::descriptor_origins(),
+            Arrows3D::descriptor_vectors(),
+            Arrows3D::descriptor_colors(),
+            Arrows3D::descriptor_labels(),
+        ];
+        let arrows = chunks.track(RESULTANTS.path, components);
+        BodyForces {
+            lines: vec![vec![None; terms]; bodies],
+            has_acted: vec![false; terms],
+            arrows,
+            last: Arrows::default(),
+        }
     }
 
     /// Whether each term of the schema has acted on any body so far.
@@ -38,18 +70,17 @@ impl BodyForces {
 
     /// Logs changed values.
     pub fn log(&mut self, view: FrameView<'_>, series: &mut Series, chunks: &mut Chunks) {
-        for now in &view.frame.bodies {
-            for (has_acted, term) in self.has_acted.iter_mut().zip(&now.terms) {
-                *has_acted |= !term.accelerations.is_empty();
-            }
-            now.point_forces.iter().for_each(|force| self.has_acted[force.term] = true);
-        }
-        for ((body, now), lines) in view.bodies().zip(&mut self.lines) {
-            for (index, line) in lines.iter_mut().enumerate() {
-                let term = &view.schema.terms[index];
-                let at_vertices = now.terms.get(index).map_or(DVec3::ZERO, |of| mean(term, of));
-                let at_points = now.point_forces.iter().filter(|force| force.term == index);
-                let strength = (at_vertices + at_points.map(|force| force.acceleration).sum::<DVec3>()).length();
+        let mut resultants: Vec<Resultant> = Vec::new();
+        for (index, (body, now)) in view.bodies().enumerate() {
+            for (number, term) in view.schema.terms.iter().enumerate() {
+                let acceleration = resultant(number, term, now);
+                self.has_acted[number] |= acceleration.is_some();
+                let acceleration = acceleration.unwrap_or_default();
+                if acceleration != DVec3::ZERO {
+                    resultants.push((index, number, acceleration));
+                }
+                let Some(line) = self.lines.get_mut(index).map(|lines| &mut lines[number]) else { continue };
+                let strength = acceleration.length();
                 if line.is_none() && strength > 0.0 {
                     let entity = BODY_FORCE.of(&[&body.name, term.name]);
                     Series::style(chunks, &entity, term.label, term.color, 1.5, Interpolation::Linear);
@@ -60,7 +91,45 @@ impl BodyForces {
                 }
             }
         }
+        let now = Arrows::of(view, &resultants, !self.lines.is_empty());
+        if now != self.last {
+            chunks.push(self.arrows, view.at, &[&now.origins, &now.vectors, &now.colors, &now.labels]);
+            self.last = now;
+        }
     }
+}
+
+impl Arrows {
+    /// Arrows from the centres, all on one scale, on which the longest is as long as the largest radius. With `are_named`,
+    /// that of the strongest cause on each body has its name and its value.
+    fn of(view: FrameView<'_>, resultants: &[Resultant], are_named: bool) -> Arrows {
+        let FrameView { schema, frame, .. } = view;
+        let longest = resultants.iter().map(|(.., acceleration)| acceleration.length()).fold(0.0, f64::max);
+        let scale = schema.largest_radius() / longest;
+        let mut arrows = Arrows::default();
+        for of_body in resultants.chunk_by(|one, other| one.0 == other.0) {
+            let causes = of_body.iter().filter(|(_, term, _)| !schema.terms[*term].is_sum);
+            let strongest = causes.max_by(|one, other| one.2.length_squared().total_cmp(&other.2.length_squared()));
+            for resultant @ &(body, number, acceleration) in of_body {
+                let term = &schema.terms[number];
+                arrows.origins.push(frame.bodies[body].centre.as_vec3().to_array());
+                arrows.vectors.push((scale * acceleration).as_vec3().to_array());
+                arrows.colors.push(color(term.color).to_u32());
+                arrows.labels.push(match strongest == Some(resultant) && are_named {
+                    true => format!("{} {}", term.name, significant(acceleration.length())),
+                    false => String::new(),
+                });
+            }
+        }
+        arrows
+    }
+}
+
+/// The acceleration of a body by one cause [scene unit/s²]; `None` if it acts nowhere.
+fn resultant(number: usize, term: &TermSchema, now: &BodyFrame) -> Option<DVec3> {
+    let at_vertices = now.terms.get(number).filter(|of| !of.accelerations.is_empty()).map(|of| mean(term, of));
+    let at_points = now.point_forces.iter().filter(|force| force.term == number).map(|force| force.acceleration);
+    at_vertices.into_iter().chain(at_points).reduce(|sum, acceleration| sum + acceleration)
 }
 
 /// The mean acceleration of the vertices of a body by one cause [scene unit/s²].
