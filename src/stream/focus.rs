@@ -35,15 +35,10 @@ impl Focus {
     fn on(view: FrameView<'_>, time: f64, pair: [usize; 2]) -> Focus {
         let FrameView { schema, frame, .. } = view;
         let bodies = || frame.bodies.iter().zip(&schema.bodies).enumerate();
-        let mut spheres: Vec<(DVec3, f64)> = match recent::is_drawn_alone(schema) {
-            true => corners(bounds(view)).to_vec(),
-            false => bodies()
-                .map(|(index, (now, body))| {
-                    let radius = if pair.contains(&index) { f64::max(body.reach, body.radius) } else { body.radius };
-                    (now.centre, radius)
-                })
-                .collect(),
-        };
+        let mut spheres = extent(view);
+        if !recent::is_drawn_alone(schema) {
+            spheres.extend(pair.map(|index| (frame.bodies[index].centre, schema.bodies[index].reach)));
+        }
         let points = schema.points.iter().filter_map(|point| point.sphere.at(view.at.time));
         let reached = |&(centre, reach): &(DVec3, f64)| {
             bodies().any(|(_, (now, body))| now.centre.distance(centre) < reach + body.radius)
@@ -59,18 +54,25 @@ impl Focus {
     }
 }
 
-/// The box around all bodies and the label above them.
-fn bounds(view: FrameView<'_>) -> [DVec3; 2] {
-    let [low, high] = view.bounds();
-    [low, high.with_z(recent::label_height(view))]
+/// What a camera must have in view to show all bodies: their spheres, or of many the corners of the box around them and
+/// the label above.
+fn extent(view: FrameView<'_>) -> Vec<(DVec3, f64)> {
+    let present = view.bodies().filter(|(_, now)| !now.is_absent);
+    if !recent::is_drawn_alone(view.schema) {
+        let spheres = present.map(|(body, now)| (now.centre, body.radius));
+        return spheres.filter(|(centre, _)| centre.is_finite()).collect();
+    }
+    let ([low, high], top) = (view.bounds(), recent::label_height(view));
+    let ends = [low, high.with_z(top)];
+    let corner = |number: usize| DVec3::from_array([0, 1, 2].map(|axis| ends[number >> axis & 1][axis]));
+    (0..8).map(|number| (corner(number), 0.0)).filter(|(corner, _)| corner.is_finite()).collect()
 }
 
-/// The corners of a box, to keep in view.
-fn corners([low, high]: [DVec3; 2]) -> [(DVec3, f64); 8] {
-    std::array::from_fn(|corner| {
-        let at = |axis: usize| if corner >> axis & 1 == 1 { high[axis] } else { low[axis] };
-        (DVec3::new(at(0), at(1), at(2)), 0.0)
-    })
+/// The diagonal of the box around spheres (centre and radius).
+fn width(spheres: &[(DVec3, f64)]) -> f64 {
+    let low = spheres.iter().fold(DVec3::INFINITY, |low, &(centre, radius)| low.min(centre - radius));
+    let high = spheres.iter().fold(DVec3::NEG_INFINITY, |high, &(centre, radius)| high.max(centre + radius));
+    low.distance(high)
 }
 
 /// Finds the focus of a run while it proceeds.
@@ -85,8 +87,13 @@ pub struct FocusFinder {
     /// The smallest q so far, if there was no event yet.
     nearest: Option<f64>,
     focus: Option<Focus>,
-    /// The box around all bodies in the whole run so far.
-    whole: Option<[DVec3; 2]>,
+    /// The time from which on the focus is extended by what follows [s].
+    next: f64,
+    /// The extents of the bodies in evenly spaced frames of the run so far.
+    run: Vec<Vec<(DVec3, f64)>>,
+    /// Number of frames so far, and from one of these extents to the next, as a power of two.
+    frames: u64,
+    spacing: u32,
 }
 
 impl FocusFinder {
@@ -112,18 +119,29 @@ impl FocusFinder {
 
     /// Adds a frame.
     pub fn frame(&mut self, view: FrameView<'_>) {
+        /// Upper limit on the number of extents that are kept of a run.
+        const MOST_EXTENTS: usize = 64;
+        /// Number of extents while the instant is shown.
+        const EXTENTS_AFTER: f64 = 8.0;
+
         let FrameView { schema, frame, at } = view;
-        let now @ [low, high] = bounds(view);
-        if !(low.is_finite() && high.is_finite()) {
-            return; // no body is there
+        if self.frames.is_multiple_of(1_u64 << self.spacing) {
+            self.run.push(extent(view));
         }
-        let whole = self.whole.get_or_insert(now);
-        *whole = [whole[0].min(low), whole[1].max(high)];
+        self.frames += 1;
+        if self.run.len() > MOST_EXTENTS {
+            let mut index = 0;
+            self.run.retain(|_| {
+                index += 1;
+                index % 2 == 1
+            });
+            self.spacing += 1;
+        }
         match self.event {
             Some((time, _)) if let Some(focus) = &mut self.focus => {
-                // what becomes of the bodies while the instant is shown
-                if at.time <= time + AFTER {
-                    focus.spheres.extend(corners(now));
+                if at.time <= time + AFTER && at.time >= self.next {
+                    focus.spheres.extend(extent(view));
+                    self.next = at.time + AFTER / EXTENTS_AFTER;
                 }
             }
             Some((time, pair)) => self.focus = Some(Focus::on(view, time, pair)),
@@ -145,13 +163,10 @@ impl FocusFinder {
         /// How much wider the box around the whole run may be than that around the instant.
         const WIDER: f64 = 1.3;
 
-        let (mut focus, whole @ [low, high]) = (self.focus.clone()?, self.whole?);
-        let [least, most] =
-            focus.spheres.iter().fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[least, most], sphere| {
-                [least.min(sphere.0 - sphere.1), most.max(sphere.0 + sphere.1)]
-            });
-        if low.distance(high) <= WIDER * least.distance(most) {
-            focus.spheres.extend(corners(whole));
+        let mut focus = self.focus.clone()?;
+        let whole = self.run.concat();
+        if width(&whole) <= WIDER * width(&focus.spheres) {
+            focus.spheres.extend(whole);
         }
         Some(focus)
     }

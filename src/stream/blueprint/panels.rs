@@ -60,7 +60,7 @@ pub fn arrows(schema: &Schema) -> String {
     }
     format!(
         "**By body**: what each cause does to a body as a whole, all on one scale; the strongest has its value \
-         [unit/s²].\n\n**Others**: an arrow is 1 R = {} unit long if: {}. Arrows begin at vertices{}.{}\n",
+         [unit/s²].\n\n**Others**: an arrow is **1 R = {} unit long** if: {}.\n\nArrows begin at vertices{}.{}\n",
         short(radius),
         lengths(schema, |_| true),
         if is_uniform { "; those that act on all alike, at the centre" } else { "" },
