@@ -124,7 +124,7 @@ impl Comparison {
             match plan.bodies.len() {
                 0 => "No body differs.".to_owned(),
                 n if n > MAX_BODIES => format!("The {MAX_BODIES} bodies that differ most are shown, of {n}."),
-                _ => "Bodies that do not differ are not shown.".to_owned(),
+                _ => "Bodies that never differ are not shown.".to_owned(),
             },
             plan.tolerance,
             if pairs.is_empty() { "" } else { " Below it, q of pairs whose events differ, in both runs." },

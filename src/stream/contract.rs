@@ -122,7 +122,7 @@ entities! {
     BODY_FORCE = "/forces/NAME/CAUSE" ["Scalars"]
         "Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, and of that by forces at points [scene unit/s²]; with at most 16 bodies, from the first frame in which it acts.";
     RESULTANTS = "/world/resultants" ["Arrows3D"]
-        "The mean acceleration of the vertices of each body by each cause, and by forces at points, as arrows at its centre; all on one scale, on which the longest of an instant is as long as the largest radius. The strongest of each body is labelled with its value [scene unit/s²], with at most 16 bodies.";
+        "The mean acceleration of the vertices of each body by each cause, and by forces at points, as arrows at its centre; all on one scale, on which the longest of an instant is as long as the largest radius. The strongest of each body is labelled with its value [scene unit/s²], unless it acts on all alike, with at most 16 bodies.";
     POINTS = "/world/points" ["Ellipsoids3D, Points3D"]
         "The influence spheres of force points, while they act, and above them their names.";
     SPRINGS = "/world/springs/NAME" ["LineStrips3D"]

@@ -161,7 +161,7 @@ impl FocusFinder {
     /// much smaller then.
     pub fn focus(&self) -> Option<Focus> {
         /// How much wider the box around the whole run may be than that around the instant.
-        const WIDER: f64 = 1.3;
+        const WIDER: f64 = 1.6;
 
         let mut focus = self.focus.clone()?;
         let whole = self.run.concat();

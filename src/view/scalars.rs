@@ -87,9 +87,9 @@ const TOTAL_ON_PATHS: &[Scalar] = &[
     smooth("energy", "energy [unit²/s²]", ON_PATHS, |state| state.energy.total()),
     smooth("energy_influence", "influence", ON_PATHS, |state| state.energy.influence),
 ];
-const ON_PATHS: &str = "Total [unit²/s²]: no balance, paths bring and take some uncounted";
+const ON_PATHS: &str = "Total with influence [unit²/s²]";
 
-const DEFORMED: &str = "Energy of deformation [unit²/s²]";
+const DEFORMED: &str = "Energy of deformation [unit²/s²]; no balance: paths bring and take energy uncounted";
 /// The plots of what free bodies conserve.
 pub const MOMENTUM: &str = "Momentum";
 pub const ANGULAR_MOMENTUM: &str = "Angular momentum";

@@ -101,7 +101,7 @@ impl BodyForces {
 
 impl Arrows {
     /// Arrows from the centres, all on one scale, on which the longest is as long as the largest radius. With `are_named`,
-    /// that of the strongest cause on each body has its name and its value.
+    /// that of the strongest cause on each body has its name and its value, unless it acts on all alike.
     fn of(view: FrameView<'_>, resultants: &[Resultant], are_named: bool) -> Arrows {
         let FrameView { schema, frame, .. } = view;
         let longest = resultants.iter().map(|(.., acceleration)| acceleration.length()).fold(0.0, f64::max);
@@ -116,8 +116,8 @@ impl Arrows {
                 arrows.vectors.push((scale * acceleration).as_vec3().to_array());
                 arrows.colors.push(color(term.color).to_u32());
                 arrows.labels.push(match strongest == Some(resultant) && are_named {
-                    true => format!("{} {}", term.name, significant(acceleration.length())),
-                    false => String::new(),
+                    true if !term.is_uniform => format!("{} {}", term.name, significant(acceleration.length())),
+                    _ => String::new(),
                 });
             }
         }
