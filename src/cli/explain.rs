@@ -190,11 +190,12 @@ impl Explained<'_> {
             short(body.radius),
             short(self.schema.reach(index, time))
         );
-        let _ = write!(text, "\n  centre {}", vector(now.centre));
+        let _ = write!(text, "\n  centre {}", vector(now.centre, body.radius));
         if let Some(motion) = now.motion {
-            let _ = write!(text, ", velocity {}, spin {}", vector(motion.velocity), vector(motion.spin));
+            let _ =
+                write!(text, ", velocity {}, spin {}", vector(motion.velocity, body.radius), vector(motion.spin, 1.0));
             if let Some(net) = now.net_force {
-                let _ = write!(text, "\n  acceleration of the centre {}", vector(net.force / body.mass));
+                let _ = write!(text, "\n  acceleration of the centre {}", vector(net.force / body.mass, body.radius));
             }
         }
         if now.is_absent {
@@ -238,16 +239,26 @@ impl Explained<'_> {
         let rest = now.centre + now.rotation * (body.radius * mesh.positions().get(i));
         let velocity = if now.is_at_rest { DVec3::ZERO } else { now.velocities.get(i) };
         let mut text = format!("\nvertex {}:{i}", body.name);
-        let _ = write!(text, "\n  position {}, at rest {}", vector(rest + displacement), vector(rest));
+        let _ = write!(
+            text,
+            "\n  position {}, at rest {}",
+            vector(rest + displacement, body.radius),
+            vector(rest, body.radius)
+        );
         let length = displacement.length();
         let _ = write!(
             text,
             "\n  displacement {}, length {} = {} R",
-            vector(displacement),
+            vector(displacement, body.radius),
             short(length),
             short(length / body.radius)
         );
-        let _ = write!(text, "\n  velocity of the displacement {}, {}", vector(velocity), short(velocity.length()));
+        let _ = write!(
+            text,
+            "\n  velocity of the displacement {}, {}",
+            vector(velocity, body.radius),
+            short(velocity.length())
+        );
         for (other, source) in self.schema.bodies.iter().enumerate().filter(|&(other, _)| other != index) {
             let distance = (rest + displacement - self.history.frame.bodies[other].centre).length();
             let reach = self.schema.reach(other, self.history.frame.at.time);
@@ -386,12 +397,11 @@ fn exact(x: f64) -> String {
     format!("{x:.9}").trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
-/// A vector; 0 where it is below the rounding of the arithmetic that made it.
-fn vector(of: DVec3) -> String {
-    /// The length below which a vector of a scene, in its units, is rounding, and the share below which a component is.
+/// A vector; 0 where it is below the rounding of the arithmetic that made it, from numbers of the size `usual`.
+fn vector(of: DVec3, usual: f64) -> String {
     const ROUNDING: f64 = 1e-12;
 
-    let least = ROUNDING * of.length().max(1.0);
+    let least = ROUNDING * of.length().max(usual);
     let [x, y, z] = of.to_array().map(|part| short(if part.abs() < least { 0.0 } else { part }));
     format!("({x}, {y}, {z})")
 }

@@ -30,7 +30,7 @@ use crate::{
         instant::Instant,
         light::Light,
         palette::{self, Rgb, color},
-        parts::{lines::MAX_NAMED, marks},
+        parts::{callout, lines::MAX_NAMED, marks},
         series::{Interpolation, Series},
         settings::file_stem,
         sinks::{Destinations, Saved, SinkError, Sinks},
@@ -165,16 +165,7 @@ impl Comparison {
                 chunks.log_static(&COMPARED_EVENTS.of(&[side]), &marks);
             }
         }
-        let worst = Points3D::update_fields()
-            .with_radii([5.0, 0.0].map(sdk::Radius::new_ui_points))
-            .with_colors([color(ERROR)])
-            .with_show_labels(true);
-        chunks.log_static(COMPARED_WORST.path, &worst);
-        let leader = LineStrips3D::update_fields()
-            .with_radii([sdk::Radius::new_ui_points(1.5)])
-            .with_colors([color(ERROR)])
-            .with_show_labels(false);
-        chunks.log_static(COMPARED_WORST.path, &leader);
+        callout::log_style(COMPARED_WORST.path, ERROR, &mut chunks);
         for (Worst { step, time, body, vertex, difference, .. }, what) in &plan.listed {
             let line = format!("{what}: {body}:{vertex}, {} R", short(*difference));
             let at = Instant { step: *step, time: *time };

@@ -5,6 +5,7 @@ use glam::DVec3;
 
 use super::{
     parts::{FrameView, recent},
+    series::halve,
     settings::{Around, Settings},
 };
 use crate::observe::{PairEvent, Schema};
@@ -130,11 +131,7 @@ impl FocusFinder {
         }
         self.frames += 1;
         if self.run.len() > MOST_EXTENTS {
-            let mut index = 0;
-            self.run.retain(|_| {
-                index += 1;
-                index % 2 == 1
-            });
+            halve(&mut self.run);
             self.spacing += 1;
         }
         match self.event {

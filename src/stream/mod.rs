@@ -8,7 +8,7 @@
 //! | the entities of a frame, and what is logged to each | [`parts`] |
 //! | the data of a step to be recorded | [`step`] |
 //! | states as meshes and arrows, in the precision of the viewer | [`extract`] |
-//! //! | the settings that determine a recording | [`settings`] |
+//! | the settings that determine a recording | [`settings`] |
 //! | prediction of the size of a recording | [`size`] |
 //! | every entity, component and property | [`contract`] |
 //! | plot lines | [`series`] |

@@ -35,10 +35,10 @@ pub const GROUND: Rgb = [0x24, 0x29, 0x31];
 /// Colour of selectable vertices.
 pub const DOT: Rgb = [0x8A, 0x92, 0x9C];
 
-/// Colours of q lines, in order: eight that differ from each other and from those of phases; then hues a golden angle
-/// apart, without those of phases, in three lightnesses of five hues each. Legible on dark and light backgrounds.
+/// Colours of q lines, in order: eight that differ from each other and from those of phases, the same paler, and darker.
+/// Legible on dark and light backgrounds.
 pub fn distance(index: usize) -> Rgb {
-    const FIRST: [Rgb; 8] = [
+    const HUES: [Rgb; 8] = [
         [0x3C, 0xB0, 0x50],
         [0xD8, 0x48, 0x58],
         [0x20, 0xA8, 0xA8],
@@ -48,26 +48,12 @@ pub fn distance(index: usize) -> Rgb {
         [0xB0, 0x7A, 0x50],
         [0x98, 0xC8, 0x30],
     ];
-    const GOLDEN: f64 = 0.618_033_988_749_894_8;
-    /// Hues beside orange, light blue and purple [sixths of a turn], and their sum.
-    const FREE: [[f64; 2]; 3] = [[1.0, 3.1], [3.7, 4.1], [4.8, 6.4]];
-    const SUM: f64 = 4.1;
-    /// The darkest and the brightest channel of the colours of a lightness.
-    const LIGHTNESSES: [[f64; 2]; 3] = [[168.0, 232.0], [48.0, 144.0], [96.0, 208.0]];
-    if let Some(rgb) = FIRST.get(index) {
-        return *rgb;
+    let hue = HUES[index % HUES.len()];
+    match index / HUES.len() % 3 {
+        0 => hue,
+        1 => hue.map(|channel| channel / 2 + 0x70),
+        _ => hue.map(|channel| channel / 5 * 3),
     }
-    let index = index - FIRST.len();
-    let [dark, bright] = LIGHTNESSES[index / 5 % LIGHTNESSES.len()];
-    let mut hue = SUM * (0.25 + index as f64 * GOLDEN).fract() + FREE[0][0];
-    for [before, after] in [[FREE[0][1], FREE[1][0]], [FREE[1][1], FREE[2][0]]] {
-        hue += if hue >= before { after - before } else { 0.0 };
-    }
-    std::array::from_fn(|channel| {
-        let wave = (hue + [0.0, 4.0, 2.0][channel]) % 6.0;
-        let pure = ((wave - 3.0).abs() - 1.0).clamp(0.0, 1.0);
-        (dark + (bright - dark) * pure) as u8
-    })
 }
 
 /// Neutral colours of bodies: hue is for phases and forces.
@@ -100,7 +86,7 @@ pub fn of_body(schema: &Schema, index: usize) -> Rgb {
     schema.bodies.get(index).and_then(|of| of.color).unwrap_or_else(|| body(index))
 }
 
-/// Colours of plot lines without other meaning, in order, all distinct.
+/// Colours of plot lines without other meaning, in order.
 pub fn line(index: usize) -> Rgb {
     const LINES: [Rgb; 10] = [SKY_BLUE, ORANGE, GREEN, VERMILION, PURPLE, SILVER, MAGENTA, LIME, BROWN, BLUE];
     LINES.get(index).copied().unwrap_or_else(|| distance(index - LINES.len()))

@@ -61,15 +61,20 @@ impl Outline {
             return;
         }
         if self.points.len() == Outline::MAX_POINTS {
-            let mut index = 0;
-            self.points.retain(|_| {
-                index += 1;
-                index % 2 == 1
-            });
+            halve(&mut self.points);
             self.spacing = 2 * self.spacing.max(1);
         }
         self.points.push((step, value));
     }
+}
+
+/// Drops every other element, the second first.
+pub fn halve<T>(of: &mut Vec<T>) {
+    let mut index = 0;
+    of.retain(|_| {
+        index += 1;
+        index % 2 == 1
+    });
 }
 
 /// The last value, when it was logged, and when it was last observed unchanged.

@@ -375,7 +375,6 @@ pub fn schema(scene: &Scene) -> Schema {
                     ScalarValue::SumOfSteps(_) => ScalarOf::SumOfSteps,
                     ScalarValue::MaxOfSteps(_) => ScalarOf::MaxOfSteps,
                 };
-                // energies jump with the phase: each phase has its own potential
                 ScalarSchema { name, label, plot, of, is_smooth, least_range: least_range(scene, plot) }
             })
             .collect(),

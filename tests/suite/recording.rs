@@ -878,7 +878,7 @@ impl Run {
             assert_same(&held.vectors("Arrows3D:origins"), &origins, &at);
             for (found, (.., mean)) in held.vectors("Arrows3D:vectors").iter().zip(&expected) {
                 let error = found.as_dvec3().distance(largest / longest * mean);
-                assert!(error <= 1e-6 * largest, "{at}: {found} is not {mean} over {longest}");
+                assert!(error <= 2e-7 * largest, "{at}: {found} is not {mean} over {longest}");
             }
             let labels = held.texts("Arrows3D:labels");
             assert_eq!(labels.len(), expected.len(), "{at}");
@@ -901,7 +901,7 @@ impl Run {
                         (mean.length() - strongest).abs() <= 1e-12 * strongest,
                         "{at}: {cause} is not the strongest"
                     );
-                    assert!((number - strongest).abs() <= 6e-3 * strongest.max(1e-2), "{at}: {label}, but {strongest}");
+                    assert!((number - strongest).abs() <= 6e-3 * strongest.max(1e-9), "{at}: {label}, but {strongest}");
                 }
             }
         });

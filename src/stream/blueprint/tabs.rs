@@ -38,6 +38,9 @@ use crate::{
 /// How the names of plots of energies begin: they are shown large, beside the others.
 pub const ENERGY: &str = "Energy";
 
+/// The title of plots of the stages of a step.
+const TIMINGS: &str = "Timings, ms per step: each stage upon those below it";
+
 /// Upper limit on the number of bodies that are drawn transparent in views of forces.
 const MAX_SHEER: usize = 64;
 
@@ -227,7 +230,8 @@ impl Layout {
     }
 
     /// Views of the resultant of each cause on each body, of all forces at vertices, and of each force that can act in the
-    /// scene, of which the first is in front, and the net force on each body over time. All views have the same initial camera; Rerun 0.36 cannot link two of them.
+    /// scene, of which the first is in front, and the net force on each body over time. All views have the same initial
+    /// camera; Rerun 0.36 cannot link two of them.
     pub fn forces_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         /// Plots upon one another, of more bodies, would have no room for numbers: they are tabs.
         const MOST_STACKED: usize = 3;
@@ -257,14 +261,14 @@ impl Layout {
             return causes;
         }
         let is_stacked = schema.bodies.len() <= MOST_STACKED;
-        let plots = schema.bodies.iter().map(|body| {
+        let plots = schema.bodies.iter().enumerate().map(|(index, body)| {
             let title = match is_stacked {
                 true => format!("Net force on {} by cause, over its mass [unit/s²]", body.name),
                 false => format!("{} [unit/s²]", body.name),
             };
             let contents = format!("+ {}/{}/**", BODY_FORCE.family(), body.name);
             let plot = self.plot(&title, "/", &[contents], Corner2D::RightTop);
-            if is_stacked && body.name != schema.bodies[0].name {
+            if is_stacked && index > 0 {
                 // the lines have the same colours in all plots; a legend covers half of a small one
                 self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
             }
@@ -359,14 +363,14 @@ impl Layout {
             schema,
             true,
         );
-        let title = "Timings, ms per step: each stage upon those below it; observe reads the state for the recording";
-        let parts = vec![self.stacked(title, schema, false), recording, self.speed()];
+        let title = format!("{TIMINGS}; observe reads the state for the recording");
+        let parts = vec![self.stacked(&title, schema, false), recording, self.speed()];
         self.container(ContainerKind::Vertical, "Timings", parts, &[1.6, 1.0, 1.0])
     }
 
     /// Without a legend, which would hide the lines of a small plot.
     fn small_timings(&mut self, schema: &Schema) -> Part {
-        let plot = self.stacked("Timings, ms per step: each stage upon those below it", schema, false);
+        let plot = self.stacked(TIMINGS, schema, false);
         self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
         plot
     }

@@ -26,12 +26,12 @@ pub struct BodyForces {
     /// Whether a term has acted on any body.
     has_acted: Vec<bool>,
     arrows: TrackId,
-    last: Arrows,
+    last: ResultantRows,
 }
 
 /// The arrows of a frame: origins, vectors, colours and labels.
 #[derive(Default, PartialEq)]
-struct Arrows {
+struct ResultantRows {
     origins: Vec<Float3>,
     vectors: Vec<Float3>,
     colors: Vec<u32>,
@@ -59,7 +59,7 @@ impl BodyForces {
             lines: vec![vec![None; terms]; bodies],
             has_acted: vec![false; terms],
             arrows,
-            last: Arrows::default(),
+            last: ResultantRows::default(),
         }
     }
 
@@ -91,7 +91,7 @@ impl BodyForces {
                 }
             }
         }
-        let now = Arrows::of(view, &resultants, !self.lines.is_empty());
+        let now = ResultantRows::of(view, &resultants, !self.lines.is_empty());
         if now != self.last {
             chunks.push(self.arrows, view.at, &[&now.origins, &now.vectors, &now.colors, &now.labels]);
             self.last = now;
@@ -99,14 +99,14 @@ impl BodyForces {
     }
 }
 
-impl Arrows {
+impl ResultantRows {
     /// Arrows from the centres, all on one scale, on which the longest is as long as the largest radius. With `are_named`,
     /// that of the strongest cause on each body has its name and its value, unless it acts on all alike.
-    fn of(view: FrameView<'_>, resultants: &[Resultant], are_named: bool) -> Arrows {
+    fn of(view: FrameView<'_>, resultants: &[Resultant], are_named: bool) -> ResultantRows {
         let FrameView { schema, frame, .. } = view;
         let longest = resultants.iter().map(|(.., acceleration)| acceleration.length()).fold(0.0, f64::max);
         let scale = schema.largest_radius() / longest;
-        let mut arrows = Arrows::default();
+        let mut arrows = ResultantRows::default();
         for of_body in resultants.chunk_by(|one, other| one.0 == other.0) {
             let causes = of_body.iter().filter(|(_, term, _)| !schema.terms[*term].is_sum);
             let strongest = causes.max_by(|one, other| one.2.length_squared().total_cmp(&other.2.length_squared()));

@@ -5,7 +5,7 @@
 
 use glam::DVec3;
 
-use super::FrameView;
+use super::{FrameView, callout};
 use crate::colors;
 use crate::sdk::{
     self, AnyValues, Image, LineStrips3D, Points2D, Points3D,
@@ -78,16 +78,7 @@ impl Heat {
             .with_colors([color(palette::DOT)])
             .with_show_labels(true);
         chunks.log_static(&LEGEND.of(&["ticks"]), &ticks);
-        let ends = Points3D::update_fields()
-            .with_radii([6.0, 0.0].map(sdk::Radius::new_ui_points))
-            .with_colors([color(MARK)])
-            .with_show_labels(true);
-        chunks.log_static(LARGEST.path, &ends);
-        let leader = LineStrips3D::update_fields()
-            .with_radii([sdk::Radius::new_ui_points(1.5)])
-            .with_colors([color(MARK)])
-            .with_show_labels(false);
-        chunks.log_static(LARGEST.path, &leader);
+        callout::log_style(LARGEST.path, MARK, chunks);
         let mark = [Points3D::descriptor_positions(), Points3D::descriptor_labels(), LineStrips3D::descriptor_strips()];
         Heat {
             ticks: chunks.track(&LEGEND.of(&["ticks"]), [Points2D::descriptor_labels()]),

@@ -7,7 +7,7 @@
 //! | `/world/resting/SHAPE`, `/world/deforming/surface` | [`batch`] |
 //! | `/world/influence` | [`spheres`] |
 //! | `/world/forces/TERM`, `…/net_force`, `…/torque` | [`forces`] |
-//! | `/forces/NAME/CAUSE` | [`body_forces`] |
+//! | `/forces/NAME/CAUSE`, `/world/resultants` | [`body_forces`] |
 //! | `/world/merged/surface`, `/world/merged/seams` | [`merged`] |
 //! | `/groups/A/…`, `/volume/…` | [`groups`] |
 //! | `/world/trails` | [`trails`] |
@@ -19,12 +19,14 @@
 //! | `/marks/…` | [`marks`] |
 //! | `/world/pairs`, `/world/names` | [`lines`] |
 //! | `/world/recent`, `/recent/pair` | [`recent`] |
+//! | style of `/largest`, and of `/world/worst` of a comparison | [`callout`] |
 //! | values of single vertices, on the entities of their surfaces | [`vertices`] |
 //! | `/diagnostics/…`, `/timings/…` | [`numbers`] |
 
 pub mod batch;
 pub mod bodies;
 pub mod body_forces;
+pub mod callout;
 pub mod forces;
 pub mod groups;
 pub mod heat;
