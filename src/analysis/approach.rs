@@ -60,6 +60,14 @@ impl NearPair {
         }
         [ends[0] + best_at * h, sign * best]
     }
+
+    /// A lower bound of the distance [scene unit] of bodies that are not both on paths, in a step of `h` [s] to `next`: a
+    /// cubic does not leave the convex hull of its Bézier points.
+    fn least_distance(&self, next: &NearPair, h: f64) -> f64 {
+        let along = next.apart.normalize_or_zero();
+        let points = [self.apart, self.apart + self.rate * (h / 3.0), next.apart - next.rate * (h / 3.0), next.apart];
+        points.map(|point| point.dot(along)).into_iter().fold(f64::INFINITY, f64::min)
+    }
 }
 
 /// The closest approaches of all pairs that came within reach and stayed in their first phase. They are found in the
@@ -123,7 +131,11 @@ impl Approaches {
             if closest.q < watched.closest.q {
                 watched.closest = closest;
             }
-            if let Some(before) = before {
+            let nearest = watched.closest.q * radii * (1.0 - 1e-12);
+            if let Some(before) = before
+                && (simulation.apart(pair.a, pair.b, time).is_some()
+                    || before.least_distance(pair, time - self.time) < nearest)
+            {
                 let [time, distance] = before.extremum(pair, simulation, [self.time, time], false);
                 if distance / radii < watched.closest.q {
                     // a distance below the threshold would have been an event: what is left is interpolation

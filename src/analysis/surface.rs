@@ -106,6 +106,13 @@ impl Closed {
         Body::new(self.topology(index)?, positions).ok()
     }
 
+    /// The measures of a pair whose vertices are at these positions [scene unit]; `None` if they cannot be computed.
+    pub fn measure(&self, schema: &Schema, pair: [usize; 2], positions: [&[DVec3]; 2]) -> Option<PairMeasures> {
+        let [a, b] = [0, 1].map(|k| self.body(pair[k], positions[k]));
+        let budget = Budget { work: FRAME_WORK, time: None, interrupt: self.interrupt };
+        measures(schema, pair, [&a?, &b?], &budget, &mut Hint::default())
+    }
+
     fn topology(&self, body: usize) -> Option<&Topology> {
         let own = || self.shapes.get(*self.of_body.get(body)?);
         let ClosedShape { mesh, topology } = self.torn.get(&body).or_else(own)?;
@@ -255,16 +262,6 @@ impl Merger {
         &self.merged
     }
 
-    /// The shapes of the bodies.
-    pub fn closed(&self) -> &Closed {
-        &self.closed
-    }
-
-    /// The shapes of the bodies, mutable to update bodies that have torn.
-    pub(super) fn closed_mut(&mut self) -> &mut Closed {
-        &mut self.closed
-    }
-
     /// The result of the last frame.
     pub fn merged(&self) -> &Merged {
         &self.merged
@@ -318,7 +315,7 @@ impl<'s, 'a> Scene<'s, 'a> {
         let Some(bodies) = self.bodies(group) else { return (None, None) };
         let Ok(united) = union::union(&bodies, budget) else { return (None, None) };
         let measures = match *group {
-            [a, b] if has_measures => self.measures([a, b], &united, budget, &mut Hint::default()),
+            [a, b] if has_measures => measures_of(self.schema, [a, b], &united, budget, &mut Hint::default()),
             _ => None,
         };
         (Group::new(self.schema, group, &united, budget.interrupt), measures)
@@ -326,34 +323,47 @@ impl<'s, 'a> Scene<'s, 'a> {
 
     /// The measures of a pair, and its nearest triangles.
     fn measure(self, pair: [usize; 2], budget: &Budget, mut hint: Hint) -> (Option<PairMeasures>, Hint) {
-        let mut measures = || {
-            let [a, b] = [self.body(pair[0])?, self.body(pair[1])?];
-            if let Some(apart) = union::measures_apart(a, b, budget, &mut hint).ok()? {
-                return Some(self.in_radii(pair, &apart, &[a, b]));
-            }
-            let bodies = [a.clone(), b.clone()];
-            self.measures(pair, &union::union(&bodies, budget).ok()?, budget, &mut hint)
-        };
-        (measures(), hint)
+        let bodies = self.body(pair[0]).zip(self.body(pair[1]));
+        (bodies.and_then(|(a, b)| measures(self.schema, pair, [a, b], budget, &mut hint)), hint)
     }
+}
 
-    fn measures(self, pair: [usize; 2], united: &Union, budget: &Budget, hint: &mut Hint) -> Option<PairMeasures> {
-        let measures = union::measures_of(united, budget, hint).ok()?;
-        Some(self.in_radii(pair, &measures, &united.bodies().iter().collect::<Vec<_>>()))
+/// The measures of a pair whose bodies are these; updates the nearest triangles.
+fn measures(
+    schema: &Schema,
+    pair: [usize; 2],
+    [a, b]: [&Body; 2],
+    budget: &Budget,
+    hint: &mut Hint,
+) -> Option<PairMeasures> {
+    match union::measures_apart(a, b, budget, hint).ok()? {
+        Some(apart) => Some(in_radii(schema, pair, &apart, &[a, b])),
+        None => measures_of(schema, pair, &union::union(&[a.clone(), b.clone()], budget).ok()?, budget, hint),
     }
+}
 
-    fn in_radii(self, pair: [usize; 2], measures: &union::PairMeasures, bodies: &[&Body]) -> PairMeasures {
-        let radius = pair.map(|body| self.schema.bodies[body].radius).into_iter().fold(f64::INFINITY, f64::min);
-        let is_overlap = measures.overlap > 0.0; // skips the volumes, which are sums over all triangles
-        let volume =
-            if is_overlap { bodies.iter().map(|body| body.volume()).fold(f64::INFINITY, f64::min) } else { 0.0 };
-        PairMeasures {
-            gap: measures.gap / radius,
-            overlap: measures.overlap / (radius * radius * radius),
-            share: if volume > 0.0 { measures.overlap / volume } else { 0.0 },
-            neck: measures.neck / radius,
-            perimeter: measures.perimeter / radius,
-        }
+/// The measures of a pair of which this is the union.
+fn measures_of(
+    schema: &Schema,
+    pair: [usize; 2],
+    united: &Union,
+    budget: &Budget,
+    hint: &mut Hint,
+) -> Option<PairMeasures> {
+    let measures = union::measures_of(united, budget, hint).ok()?;
+    Some(in_radii(schema, pair, &measures, &united.bodies().iter().collect::<Vec<_>>()))
+}
+
+fn in_radii(schema: &Schema, pair: [usize; 2], measures: &union::PairMeasures, bodies: &[&Body]) -> PairMeasures {
+    let radius = pair.map(|body| schema.bodies[body].radius).into_iter().fold(f64::INFINITY, f64::min);
+    let is_overlap = measures.overlap > 0.0; // skips the volumes, which are sums over all triangles
+    let volume = if is_overlap { bodies.iter().map(|body| body.volume()).fold(f64::INFINITY, f64::min) } else { 0.0 };
+    PairMeasures {
+        gap: measures.gap / radius,
+        overlap: measures.overlap / (radius * radius * radius),
+        share: if volume > 0.0 { measures.overlap / volume } else { 0.0 },
+        neck: measures.neck / radius,
+        perimeter: measures.perimeter / radius,
     }
 }
 

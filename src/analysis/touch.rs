@@ -14,7 +14,7 @@ use std::{
 
 use glam::DVec3;
 
-use super::surface::Merger;
+use super::surface::{Closed, for_all};
 use crate::{
     geometry::{
         Vectors,
@@ -44,7 +44,7 @@ const MAX_CHANGES: usize = 16;
 /// Watches the surfaces of pairs over successive steps.
 pub struct Touches {
     schema: Schema,
-    merger: Merger,
+    closed: Closed,
     pairs: BTreeMap<[usize; 2], Known>,
     /// State before the step.
     before: Frame,
@@ -76,7 +76,7 @@ impl Touches {
     pub fn new(simulation: &dyn Simulation) -> Touches {
         let schema = simulation.schema();
         let mut touches = Touches {
-            merger: Merger::new(&schema, simulation.interrupt()),
+            closed: Closed::new(&schema, simulation.interrupt()),
             interrupt: simulation.interrupt(),
             pairs: BTreeMap::new(),
             before: Frame::default(),
@@ -91,11 +91,12 @@ impl Touches {
         let mut now = Frame::default();
         simulation.observe(Want::default(), &mut now);
         touches.step(simulation, &now, &[], &mut Vec::new());
+        touches.keep(&mut now);
         touches
     }
 
-    /// Finds the events of the last step, given its phase changes and the state `now` after it. Must be called after
-    /// every step.
+    /// Finds the events of the last step, given its phase changes and the state `now` after it, which is then to be kept.
+    /// Must be called after every step.
     ///
     /// Whether surfaces touch is examined at the end of the step and, for a visit that is shorter than a step, at the
     /// extremum of the centre distance within it, and at more instants if the bodies move far in it.
@@ -178,42 +179,73 @@ impl Touches {
             pairs.insert(bodies, known);
         }
         take(own.unwrap_or_default(), &mut pairs, found);
-        for change in changes.iter().filter(|_| is_next && !is_raised(self.interrupt)).take(MAX_CHANGES) {
-            let bodies = [change.a, change.b];
-            let known = self.pairs.get(&bodies).copied().unwrap_or_default();
-            // what the last contact event before the change says
-            let is_before =
-                |event: &&SurfaceEvent| [event.a, event.b] == bodies && event.is_contact() && event.time <= change.time;
-            let last = found.iter().filter(is_before).max_by(|x, y| x.time.total_cmp(&y.time));
-            let (is_touching, touched) = match last {
-                Some(last) if last.what == Finding::Touch => (true, Some(last.time)),
-                Some(_) => (false, None),
-                None => (known.is_touching, known.touched),
-            };
-            state_within(simulation, &self.schema, [&self.before, now], change.time, &bodies, &mut self.inside);
-            let measures = match self.schema.surfaces.get() {
-                Some(own) => own.measure(&self.schema, &self.inside, bodies, self.interrupt),
-                None => self.merger.merge(&self.schema, &self.inside, &[bodies]).pairs.first().copied().flatten(),
-            };
-            let what = Finding::Phase { name: change.name, is_touching, touched, measures };
-            let PairEvent { time, step, a, b, q, .. } = *change;
-            found.push(SurfaceEvent { what, time, step, a, b, q });
+        if is_next {
+            self.compare(simulation, now, &changes[..changes.len().min(MAX_CHANGES)], found);
         }
         if self.has_own {
             found.retain(|event| !event.is_contact());
         }
         found.sort_by(|x, y| x.time.total_cmp(&y.time));
         self.pairs = pairs;
+        self.near = near;
+    }
+
+    /// Keeps the state after a step as that before the next one; `now` becomes scratch storage.
+    pub fn keep(&mut self, now: &mut Frame) {
+        std::mem::swap(&mut self.before, now);
+    }
+
+    /// Like [`Touches::keep`], of a state that is needed elsewhere, too.
+    pub fn keep_copy(&mut self, now: &Frame) {
         self.before.at = now.at;
         self.before.pairs.clone_from(&now.pairs);
-        self.near = near;
         self.before.bodies.resize_with(now.bodies.len(), Default::default);
         for (from, to) in now.bodies.iter().zip(&mut self.before.bodies) {
             (to.centre, to.rotation, to.motion) = (from.centre, from.rotation, from.motion);
-            to.is_at_rest = from.is_at_rest;
+            (to.is_at_rest, to.max_displacement) = (from.is_at_rest, from.max_displacement);
             to.mesh.clone_from(&from.mesh);
             to.displacements.copy_from(&from.displacements);
             to.velocities.copy_from(&from.velocities);
+        }
+    }
+
+    /// Compares the surfaces of pairs at their changes of phase.
+    fn compare(
+        &mut self,
+        simulation: &dyn Simulation,
+        now: &Frame,
+        changes: &[PairEvent],
+        found: &mut Vec<SurfaceEvent>,
+    ) {
+        let (mut measures, mut placed) = (Vec::new(), Vec::new());
+        for change in changes {
+            if is_raised(self.interrupt) {
+                return;
+            }
+            let Touches { schema, closed, local, inside, before, .. } = self;
+            let bodies = [change.a, change.b];
+            state_within(simulation, schema, [before, now], change.time, &bodies, inside);
+            match schema.surfaces.get() {
+                Some(own) => measures.push(own.measure(schema, inside, bodies, self.interrupt)),
+                None => placed.push((bodies, bodies.map(|body| positions(schema, closed, body, inside, local)))),
+            }
+        }
+        let Touches { schema, closed, .. } = &*self;
+        measures.extend(for_all(&placed, |(bodies, [a, b])| closed.measure(schema, *bodies, [a, b])));
+        for (change, measures) in changes.iter().zip(measures) {
+            let PairEvent { time, step, a, b, q, name, .. } = *change;
+            let known = self.pairs.get(&[a, b]).copied().unwrap_or_default();
+            // what the last contact event before the change says
+            let is_before =
+                |event: &&SurfaceEvent| [event.a, event.b] == [a, b] && event.is_contact() && event.time <= time;
+            let last = found.iter().filter(is_before).max_by(|x, y| x.time.total_cmp(&y.time));
+            let (is_touching, touched) = match last {
+                Some(last) if last.what == Finding::Touch => (true, Some(last.time)),
+                Some(_) => (false, None),
+                None => (known.is_touching, known.touched),
+            };
+            let what = Finding::Phase { name, is_touching, touched, measures };
+            found.push(SurfaceEvent { what, time, step, a, b, q });
         }
     }
 
@@ -328,13 +360,8 @@ impl Touches {
 
     /// Computes the positions of a body in the world, unless they are known.
     fn place(&mut self, body: usize, frame: &Frame) {
-        let Touches { schema, local, placed, merger, .. } = self;
-        placed.entry(body).or_insert_with(|| {
-            let now = &frame.bodies[body];
-            merger.closed_mut().tear(body, now.mesh.as_ref());
-            now.local_positions(now.rest_of(&schema.bodies[body]), local);
-            local.iter().map(|position| position + now.centre).collect()
-        });
+        let Touches { schema, local, placed, closed, .. } = self;
+        placed.entry(body).or_insert_with(|| positions(schema, closed, body, frame, local));
     }
 
     /// Whether a body has another mesh than before the step.
@@ -367,7 +394,7 @@ impl Touches {
             (known.is_touching, known.crossing) = (false, None);
             return;
         }
-        let closed = self.merger.closed();
+        let closed = &self.closed;
         let bodies = (closed.body(a, first), closed.body(b, second));
         let found = if let (Some(a), Some(b)) = bodies { contact(&a, &b) } else { None };
         known.is_touching = found.is_some();
@@ -376,6 +403,14 @@ impl Touches {
             _ => None,
         };
     }
+}
+
+/// The positions of a body in the world.
+fn positions(schema: &Schema, closed: &mut Closed, body: usize, frame: &Frame, local: &mut Vectors) -> Vec<DVec3> {
+    let now = &frame.bodies[body];
+    closed.tear(body, now.mesh.as_ref());
+    now.local_positions(now.rest_of(&schema.bodies[body]), local);
+    local.iter().map(|position| position + now.centre).collect()
 }
 
 /// Adds touch and part events that the simulation found itself.
@@ -407,6 +442,7 @@ mod tests {
             Simulation::step(&mut world, &mut summary);
             world.observe(Want::default(), &mut frame);
             touches.step(&world, &frame, &summary.events, &mut of_step);
+            touches.keep(&mut frame);
             all.append(&mut of_step);
         }
         all
@@ -473,6 +509,7 @@ mod tests {
                 simulation.step(&mut summary);
                 simulation.observe(Want::default(), &mut frame);
                 touches.step(&*simulation, &frame, &summary.events, &mut of_step);
+                touches.keep(&mut frame);
                 all.extend(of_step.drain(..).filter(SurfaceEvent::is_contact));
             }
             let [touch, part] = all[..] else { panic!("{model}: {all:?}") };

@@ -87,19 +87,20 @@ impl StepWatch {
         record.pairs.clear();
         let schema = &self.schema;
         if let Some(PairWatch { touches, approaches, frame: own }) = &mut self.pairs {
-            let frame = match frame {
-                Some(frame) => frame,
-                None => {
-                    simulation.observe(Want::default(), own);
-                    verify::frame(schema, own, Want::default())?;
-                    own
-                }
-            };
+            if frame.is_none() {
+                simulation.observe(Want::default(), own);
+                verify::frame(schema, own, Want::default())?;
+            }
+            let now = frame.as_deref().unwrap_or(own);
             if settings.frames != Frames::Thin {
-                let of_pair = |event: &PairEvent| [event.a, event.b].map(|body| frame.bodies[body].clone());
+                let of_pair = |event: &PairEvent| [event.a, event.b].map(|body| now.bodies[body].clone());
                 record.pairs.extend(record.summary.events.iter().map(of_pair));
             }
-            touches.step(simulation, frame, &record.summary.events, &mut record.surfaces);
+            touches.step(simulation, now, &record.summary.events, &mut record.surfaces);
+            match frame {
+                Some(frame) => touches.keep_copy(frame),
+                None => touches.keep(own),
+            }
             approaches.step(simulation, schema, &record.summary.events);
         }
         record.checksum = simulation.checksum();

@@ -263,6 +263,7 @@ impl<'a> Run<'a> {
                 view::summarise(&self.world, &mut summary);
                 self.world.observe(Want::default(), frame);
                 touches.step(&self.world, frame, &summary.events, &mut found);
+                touches.keep(frame);
                 for found in found.drain(..) {
                     if let Finding::Phase { measures, .. } = found.what
                         && self.surfaces[0].len() < MAX_EVENTS
