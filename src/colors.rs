@@ -45,7 +45,7 @@ pub fn name(rgb: Rgb) -> &'static str {
         BLUE => "blue",
         GREEN => "green",
         YELLOW => "yellow",
-        VERMILION => "red",
+        VERMILION => "red-orange",
         PURPLE => "purple",
         LIME => "lime",
         PINK => "pink",

@@ -122,7 +122,12 @@ impl Approaches {
             let watched = match self.pairs.get_mut(&key) {
                 Some(watched) => watched,
                 None if is_full => continue,
-                None => self.pairs.entry(key).or_insert(Watched { closest, first: f64::INFINITY, has_changed }),
+                None => {
+                    // a pair that has just been noticed, because one of them woke, did not come nearer
+                    let is_still = pair.rate.length() * (time - self.time) < STILL * radii;
+                    let first = if is_still { closest.q } else { f64::INFINITY };
+                    self.pairs.entry(key).or_insert(Watched { closest, first, has_changed })
+                }
             };
             watched.has_changed |= has_changed;
             if watched.has_changed {
@@ -164,7 +169,7 @@ impl Approach {
     pub fn describe(&self, schema: &Schema) -> String {
         let first = schema.thresholds.first().zip(schema.level(0, [self.a, self.b], self.time));
         let missed = first.map_or(String::new(), |(threshold, level)| {
-            format!(", {:.4} short of {} = {level}", self.q - level, threshold.name)
+            format!(", {:.4} short of {} = {}", self.q - level, threshold.name, (1e4 * level).round() / 1e4)
         });
         let (pair, Approach { q, time, .. }) = (schema.pair_name(self.a, self.b), self);
         format!("{pair} came to q = {q:.4} at t = {time:.4} s{missed}")

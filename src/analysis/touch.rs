@@ -91,12 +91,11 @@ impl Touches {
         let mut now = Frame::default();
         simulation.observe(Want::default(), &mut now);
         touches.step(simulation, &now, &[], &mut Vec::new());
-        touches.keep(&mut now);
         touches
     }
 
-    /// Finds the events of the last step, given its phase changes and the state `now` after it, which is then to be kept.
-    /// Must be called after every step.
+    /// Finds the events of the last step, given its phase changes and the state `now` after it. Must be called after
+    /// every step.
     ///
     /// Whether surfaces touch is examined at the end of the step and, for a visit that is shorter than a step, at the
     /// extremum of the centre distance within it, and at more instants if the bodies move far in it.
@@ -107,6 +106,32 @@ impl Touches {
         changes: &[PairEvent],
         found: &mut Vec<SurfaceEvent>,
     ) {
+        self.find(simulation, now, changes, found);
+        self.before.at = now.at;
+        self.before.pairs.clone_from(&now.pairs);
+        self.before.bodies.resize_with(now.bodies.len(), Default::default);
+        for (from, to) in now.bodies.iter().zip(&mut self.before.bodies) {
+            (to.centre, to.rotation, to.motion) = (from.centre, from.rotation, from.motion);
+            (to.is_at_rest, to.max_displacement) = (from.is_at_rest, from.max_displacement);
+            to.mesh.clone_from(&from.mesh);
+            to.displacements.copy_from(&from.displacements);
+            to.velocities.copy_from(&from.velocities);
+        }
+    }
+
+    /// Like [`Touches::step`], but takes the state instead of a copy: `now` becomes scratch storage.
+    pub fn step_and_take(
+        &mut self,
+        simulation: &dyn Simulation,
+        now: &mut Frame,
+        changes: &[PairEvent],
+        found: &mut Vec<SurfaceEvent>,
+    ) {
+        self.find(simulation, now, changes, found);
+        std::mem::swap(&mut self.before, now);
+    }
+
+    fn find(&mut self, simulation: &dyn Simulation, now: &Frame, changes: &[PairEvent], found: &mut Vec<SurfaceEvent>) {
         found.clear();
         let is_next = self.has_begun && now.at.step == self.before.at.step + 1;
         self.has_begun = true;
@@ -188,25 +213,6 @@ impl Touches {
         found.sort_by(|x, y| x.time.total_cmp(&y.time));
         self.pairs = pairs;
         self.near = near;
-    }
-
-    /// Keeps the state after a step as that before the next one; `now` becomes scratch storage.
-    pub fn keep(&mut self, now: &mut Frame) {
-        std::mem::swap(&mut self.before, now);
-    }
-
-    /// Like [`Touches::keep`], of a state that is needed elsewhere, too.
-    pub fn keep_copy(&mut self, now: &Frame) {
-        self.before.at = now.at;
-        self.before.pairs.clone_from(&now.pairs);
-        self.before.bodies.resize_with(now.bodies.len(), Default::default);
-        for (from, to) in now.bodies.iter().zip(&mut self.before.bodies) {
-            (to.centre, to.rotation, to.motion) = (from.centre, from.rotation, from.motion);
-            (to.is_at_rest, to.max_displacement) = (from.is_at_rest, from.max_displacement);
-            to.mesh.clone_from(&from.mesh);
-            to.displacements.copy_from(&from.displacements);
-            to.velocities.copy_from(&from.velocities);
-        }
     }
 
     /// Compares the surfaces of pairs at their changes of phase.
@@ -442,7 +448,6 @@ mod tests {
             Simulation::step(&mut world, &mut summary);
             world.observe(Want::default(), &mut frame);
             touches.step(&world, &frame, &summary.events, &mut of_step);
-            touches.keep(&mut frame);
             all.append(&mut of_step);
         }
         all
@@ -509,7 +514,6 @@ mod tests {
                 simulation.step(&mut summary);
                 simulation.observe(Want::default(), &mut frame);
                 touches.step(&*simulation, &frame, &summary.events, &mut of_step);
-                touches.keep(&mut frame);
                 all.extend(of_step.drain(..).filter(SurfaceEvent::is_contact));
             }
             let [touch, part] = all[..] else { panic!("{model}: {all:?}") };

@@ -106,7 +106,7 @@ entities! {
     PAIR_LINES = "/world/pairs" ["LineStrips3D; with more than 64 bodies Ellipsoids3D"]
         "Lines between the centres of the closest pairs within reach, up to three labelled with the pair and q; with many bodies also the influence spheres that reach another body.";
     RECENT = "/world/recent" ["LineStrips3D, Points3D"]
-        "The pair that had the last event, labelled with the event and q: for 24 frames, with more than 8 bodies until the next event, and then with a line up to the label, above all bodies.";
+        "The pair that had the last event, labelled with the event and q: for 24 frames, with more than 8 bodies until the next event. The label is above all bodies, on a line that leads to the pair.";
     RECENT_PAIR = "/recent/pair" ["Mesh3D, lit_colors, unlit_normals"]
         "With more than 8 bodies: the two of the last event alone, about the point midway between them [radii of the larger].";
     RECENT_SPHERES = "/recent/spheres" ["Ellipsoids3D"]
@@ -122,7 +122,7 @@ entities! {
     BODY_FORCE = "/forces/NAME/CAUSE" ["Scalars"]
         "Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, and of that by forces at points [scene unit/s²]; with at most 16 bodies, from the first frame in which it acts.";
     RESULTANTS = "/world/resultants" ["Arrows3D"]
-        "The mean acceleration of the vertices of each body by each cause, and by forces at points, as arrows at its centre; all on one scale, on which the longest of an instant is as long as the largest radius. The strongest of each body is labelled with its value [scene unit/s²], unless it acts on all alike, with at most 16 bodies.";
+        "The mean acceleration of the vertices of each body by each cause, and by forces at points, as arrows at its centre; all on one scale, on which the longest of an instant is 1.5 times as long as the largest radius. With at most 16 bodies, the strongest of each body is labelled with the body, and with its cause and value [scene unit/s²] unless it acts on all alike; bodies on which nothing acts have arrows of no length with their names.";
     POINTS = "/world/points" ["Ellipsoids3D, Points3D"]
         "The influence spheres of force points, while they act, and above them their names.";
     SPRINGS = "/world/springs/NAME" ["LineStrips3D"]
@@ -187,8 +187,10 @@ entities! {
         "The colour scale of displacements, and its numbers at the instant.";
     LARGEST = "/largest" ["Points3D, LineStrips3D"]
         "The vertex with the largest displacement of those that lie in no other body, and above it its label, also with the largest of all.";
+    LARGEST_OF_BODIES = "/largest/bodies" ["Points3D"]
+        "The names of the bodies, each with its largest displacement [radii]; of at most 16.";
     STAGES = "/stages" ["TextLog"]
-        "One line per stage of the steps recorded in detail, with the largest displacement and how far vertices moved since the stage before, on the timeline stage, which the entities under /world have too.";
+        "One line per stage of the steps recorded in detail, with the largest displacement and how far vertices moved since the stage before, on the timeline stage, which the entities under /world have too, and on that of steps.";
     CHECKSUM = "/checksum" ["checksum"]
         "A hash of the exact state after every step; a thin recording has several steps per row, at the time of the last one.";
     ABOUT = "/about" ["TextDocument"]

@@ -16,7 +16,7 @@ use super::{
     chunks::{Audience, Chunks},
     contract::{
         self, ABOUT, ACCURACY, ARROWS, BODY_EVENTS, Component, DIGEST, EVENTS, Entity, FAILED, FAILURE, INTEGRATOR,
-        MACHINE, MODEL, OVERRIDES, PAIR_PHASE, PROPERTIES, RECORDING_INFO, SCENE, SETTINGS, STAGES, STEPS,
+        MACHINE, MODEL, OVERRIDES, PAIR_PHASE, PROPERTIES, RECORDING_INFO, SCENE, SETTINGS, STAGE, STAGES, STEPS,
         SURFACE_EVENTS, VERSION, WORLD, path_of,
     },
     extract::Extractor,
@@ -42,7 +42,7 @@ use crate::{
     observe::{Frame, Schema, Simulation, StageFrame, StepSummary, row::rows, verify},
     sdk::{
         self, AnyValues, ApplicationId, AsComponents, LogMsg, Scalars, StoreId, StoreKind, TextDocument, TextLog,
-        ViewCoordinates,
+        Timeline, ViewCoordinates,
         components::{MediaType, Scalar, Text},
     },
     text::counted,
@@ -50,6 +50,9 @@ use crate::{
 
 /// Upper limit on the number of near misses listed.
 pub const MOST_APPROACHES: usize = 5;
+
+/// A move between two stages that is rounding [radii].
+const STILL: f64 = 1e-9;
 
 /// What a flight recorder writes whether or not a trigger fires.
 /// Not the marks of events, which would make plots as long as the run.
@@ -158,7 +161,7 @@ impl Recorder {
             // a thin recording would open an empty 3D view
             chunks.log_static(WORLD.path, &ViewCoordinates::RIGHT_HAND_Z_UP());
         }
-        log_about(blueprint::about(&schema, &settings, simulation.steps_taken(), &frame), &mut chunks);
+        log_about(blueprint::about(&schema, &settings, simulation.steps_taken(), &frame, ""), &mut chunks);
         if settings.frames != Frames::Thin && settings.detail != Detail::Surface {
             log_text(&ARROWS, blueprint::arrows(&schema), &mut chunks);
         }
@@ -350,15 +353,17 @@ impl Recorder {
         let mut before: Option<&StageFrame> = None;
         for stage in stages {
             self.chunks.set_stage(Some(self.stage_count));
-            self.stage_count += 1;
             let bodies = self.schema.bodies.iter().zip(&stage.frame.bodies);
             let largest = bodies.map(|(body, now)| now.max_displacement / body.radius).fold(0.0, f64::max);
             let moved = before.map_or(0.0, |before| furthest_move(&self.schema, [&before.frame, &stage.frame]));
-            let moved = if moved > 0.0 { format!("moved {moved:.1e} R, ") } else { String::new() };
+            let moved = if moved > STILL { format!("moved {moved:.1e} R, ") } else { String::new() };
             let line = format!("step {}: {} — {moved}displaced {largest:.4} R", at.step, stage.name);
             before = Some(stage);
-            self.chunks.log(STAGES.path, at, &TextLog::new(line).with_level("stage"));
+            // also by step, where it says when there are stages
+            let when = at.time_point().with(Timeline::new_sequence(STAGE), self.stage_count as i64);
+            self.chunks.row(STAGES.path, when, &TextLog::new(line).with_level("stage"));
             state.log(FrameView { schema: &self.schema, frame: &stage.frame, at }, &[], &mut self.chunks);
+            self.stage_count += 1;
         }
         self.chunks.set_stage(None);
     }
@@ -482,7 +487,7 @@ impl Recorder {
         let kept = match (&self.flight, self.kept) {
             (None, _) => String::new(),
             (Some(_), Some([first, last])) => format!(
-                "**Frames: only between steps {} and {}.** At other steps, 3D views show the one before, or a part of it.\n\n",
+                "**Frames: only between steps {} and {}.** At other steps, the 3D views show the last recorded frame, possibly incomplete.\n\n",
                 first.step, last.step
             ),
             (Some(_), None) => {
@@ -495,8 +500,8 @@ impl Recorder {
             nearest += &format!("{head}- {line}\n");
         }
         if !(kept.is_empty() && nearest.is_empty()) {
-            let about = blueprint::about(&self.schema, &self.settings, self.first, &self.frame);
-            log_about(kept + &about + &nearest, &mut self.chunks);
+            let about = blueprint::about(&self.schema, &self.settings, self.first, &self.frame, &nearest);
+            log_about(kept + &about, &mut self.chunks);
         }
         self.checksums.log(&mut self.chunks, true);
         self.log_property(DIGEST, &format!("{:016x}", self.checksums.digest()));
@@ -527,7 +532,7 @@ impl FrameParts {
             focus: FocusFinder::new(settings),
             body_forces: (settings.detail != Detail::Surface).then(|| BodyForces::new(schema, chunks)),
             heat: (settings.detail != Detail::Surface)
-                .then(|| Heat::new(&blueprint::surfaces(schema, settings), chunks)),
+                .then(|| Heat::new(schema, &blueprint::surfaces(schema, settings), chunks)),
         }
     }
 

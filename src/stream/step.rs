@@ -96,10 +96,10 @@ impl StepWatch {
                 let of_pair = |event: &PairEvent| [event.a, event.b].map(|body| now.bodies[body].clone());
                 record.pairs.extend(record.summary.events.iter().map(of_pair));
             }
-            touches.step(simulation, now, &record.summary.events, &mut record.surfaces);
+            let (changes, surfaces) = (&record.summary.events, &mut record.surfaces);
             match frame {
-                Some(frame) => touches.keep_copy(frame),
-                None => touches.keep(own),
+                Some(frame) => touches.step(simulation, frame, changes, surfaces),
+                None => touches.step_and_take(simulation, own, changes, surfaces),
             }
             approaches.step(simulation, schema, &record.summary.events);
         }

@@ -86,14 +86,14 @@ impl Outcome {
         }
     }
 
-    /// What it says of a pair, as a sentence.
+    /// What it says of a run, as a sentence.
     pub fn about(self) -> &'static str {
         match self {
-            Outcome::Apart => "It never merged, and did not turn back.",
-            Outcome::Bounced => "It never merged, and turned back.",
-            Outcome::Split => "It merged and split, on the side from which the bodies came.",
-            Outcome::Passed => "It merged, the bodies passed through each other, and it split.",
-            Outcome::Merged => "It is merged at the end.",
+            Outcome::Apart => "No pair merged, and the bodies did not turn back.",
+            Outcome::Bounced => "No pair merged, and the bodies turned back.",
+            Outcome::Split => "Bodies merged and split, on the side from which they came.",
+            Outcome::Passed => "Bodies merged, passed through each other, and split.",
+            Outcome::Merged => "A pair is merged at the end.",
         }
     }
 }
@@ -262,8 +262,7 @@ impl<'a> Run<'a> {
                 summary.clear();
                 view::summarise(&self.world, &mut summary);
                 self.world.observe(Want::default(), frame);
-                touches.step(&self.world, frame, &summary.events, &mut found);
-                touches.keep(frame);
+                touches.step_and_take(&self.world, frame, &summary.events, &mut found);
                 for found in found.drain(..) {
                     if let Finding::Phase { measures, .. } = found.what
                         && self.surfaces[0].len() < MAX_EVENTS

@@ -78,7 +78,7 @@ const OF_FREE: &str = "Energy [mass·unit²/s²] by kind";
 
 /// The energy of the deformation of bodies on paths, which have no masses [scene unit²/s²].
 const DEFORMATION: &[Scalar] = &[
-    smooth("energy_vibration", "kinetic [unit²/s²]", DEFORMED, |state| state.energy.kinetic),
+    smooth("energy_vibration", "vibration [unit²/s²]", DEFORMED, |state| state.energy.kinetic),
     smooth("energy_elastic", "elastic", DEFORMED, |state| state.energy.elastic),
 ];
 /// Their energy with that of the influence, which is thousands of times as large, mostly from vertices that no sphere
@@ -131,7 +131,7 @@ const LEDGER: &[Scalar] = &[
 
 /// Only in scenes with force points.
 const BY_POINTS: &str = "brought_by_points";
-const BROUGHT: &str = "Energy brought since t = 0 [mass·unit²/s²], by cause";
+const BROUGHT: &str = "Energy added since t = 0 [mass·unit²/s²], by cause";
 const UNACCOUNTED: &str = "Energy not accounted for [mass·unit²/s²]";
 
 const SCALARS: &[Scalar] = &[

@@ -106,7 +106,7 @@ fn law_at_start(scene: &Scene) -> String {
         },
         match scene.model {
             Model::Oscillators =>
-                " Nothing joins neighbouring vertices: spikes after a split are how they swing, no error.",
+                " Nothing joins neighbouring vertices: spikes after a split are vertices swinging back, not an error.",
             Model::Metaballs | Model::Lattice | Model::Fem => "",
         },
     )

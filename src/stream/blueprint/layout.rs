@@ -27,7 +27,7 @@ use crate::{
     },
     stream::{
         chunks::{Chunks, blueprint_time},
-        contract::{DRAWN, Entity, MARKS_ON_AXIS, RESTING, SIM_TIME, WORLD},
+        contract::{DRAWN, Entity, MARKS_ON_AXIS, RESTING, SIM_TIME, STAGE, WORLD},
         light, palette,
         settings::{Entities, Settings},
     },
@@ -157,10 +157,10 @@ impl Layout {
         for (panel, state) in [("blueprint_panel", PanelState::Collapsed), ("selection_panel", self.selection)] {
             self.log(panel, &PanelBlueprint::new().with_state(state));
         }
-        self.log(
-            "time_panel",
-            &TimePanelBlueprint::new().with_state(PanelState::Collapsed).with_timeline(self.timeline),
-        );
+        let time_panel = TimePanelBlueprint::new().with_state(PanelState::Collapsed).with_timeline(self.timeline);
+        // stages are looked at one by one
+        let is_paused = self.timeline == STAGE;
+        self.log("time_panel", &if is_paused { time_panel.with_play_state(PlayState::Paused) } else { time_panel });
 
         let messages = self.chunks.take();
         self.activate(messages)

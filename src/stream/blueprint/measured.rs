@@ -63,7 +63,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             let end = if longest <= WHOLE * typical { longest } else { HEADROOM * typical };
             let [low, high] = readable([0.0, end]);
             if longest > high {
-                let title = format!("{title}; at most {}", significant(longest));
+                let title = format!("{title}; peak {}", significant(longest));
                 layout.log(&plot, &ViewBlueprint::update_fields().with_display_name(title));
             }
             layout.set_range(&plot, [low, high]);
@@ -84,9 +84,8 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     }
     if let Some([low, high]) = measured.distances {
         // an automatic axis would begin at 0
-        let margin = 0.05 * (high - low);
         for plot in layout.distances.clone() {
-            layout.set_range(&plot, [low - margin, high + margin]);
+            layout.set_range(&plot, readable([low, high]));
         }
     }
     let owned = || subject.schema.body_scalars.iter().chain(&subject.schema.pair_scalars);
@@ -117,7 +116,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             contents.retain(|line| !left_out.contains(line));
             layout.set_contents(&plot, contents);
             let labels: Vec<&str> = zero.iter().map(|scalar| scalar.label).collect();
-            let title = format!("{name}; 0 throughout: {}", labels.join(", "));
+            let title = format!("{name}; always 0: {}", labels.join(", "));
             layout.log(&plot, &ViewBlueprint::update_fields().with_display_name(title));
         }
         let range = if high - low < least { [-0.5 * least, 0.5 * least] } else { readable([low, high]) };

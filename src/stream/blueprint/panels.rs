@@ -44,7 +44,7 @@ fn at_centres(schema: &Schema) -> String {
     let radius = schema.largest_radius();
     let of = forces::NET_KINDS.map(|(name, rgb, _)| format!("{} {}", colors::name(rgb), name.replace('_', " ")));
     format!(
-        "- **At the centres** of free bodies: {} (over M, and over M R), 1 R long if {} unit/s², at most {} R\n",
+        "- **At the centres** of free bodies: {} (over M, and over M R), {} unit/s² is 1 R long; at most {} R\n",
         of.join(", "),
         short(radius / schema.net_force_scale),
         forces::LONGEST_NET,
@@ -60,7 +60,7 @@ pub fn arrows(schema: &Schema) -> String {
     }
     format!(
         "**By body**: what each cause does to a body as a whole, all on one scale; the strongest has its value \
-         [unit/s²].\n\n**Others**: an arrow is **1 R = {} unit long** if: {}.\n\nArrows begin at vertices{}.{}\n",
+         [unit/s²].\n\n**Others**: an arrow of **1 R = {} unit** means: {}.\n\nArrows begin at vertices{}.{}\n",
         short(radius),
         lengths(schema, |_| true),
         if is_uniform { "; those that act on all alike, at the centre" } else { "" },
@@ -72,8 +72,8 @@ pub fn arrows(schema: &Schema) -> String {
 }
 
 /// The text of the panel: what the colours mean, the scene, integrator, step and settings. The recording begins with
-/// step `first`; `frame` is one of its states.
-pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame) -> String {
+/// step `first`; `frame` is one of its states, and `nearest` the closest approaches, once they are known.
+pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame, nearest: &str) -> String {
     let program = text::program();
     let frames = match (&settings.frames, settings.every) {
         (Frames::Thin, _) => "no frames".to_owned(),
@@ -114,7 +114,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame) ->
              - `{program} replay F.rrd --save full.rrd`: all frames, to be opened here\n\
              - `… --from STEP --to STEP`: those of some steps\n\
              - `{program} replay F.rrd`: verifies every step\n\
-             - `{program} explain F.rrd --step N`: forces and phases in numbers\n\n{head}{warnings}"
+             - `{program} explain F.rrd --step N`: forces and phases in numbers\n\n{head}{warnings}{nearest}"
         );
     }
     let phases = schema.phases.iter().map(|phase| format!("{} {}", colors::name(phase.color), phase.name));
@@ -137,7 +137,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame) ->
             let hidden = |term: &&TermSchema| term.can_act && !term.is_shown && !is_crowd;
             let hidden: Vec<String> = schema.terms.iter().filter(hidden).map(called).collect();
             let hidden = (!hidden.is_empty()).then(|| format!("hidden at first: {}", hidden.join(", ")));
-            let shown = (!shown.is_empty()).then(|| format!("1 R long if: {shown}"));
+            let shown = (!shown.is_empty()).then(|| format!("1 R means: {shown}"));
             let parts: Vec<String> = shown.into_iter().chain(hidden).collect();
             let place = if is_crowd { " (in Forces; here hidden at first)" } else { "" };
             if parts.is_empty() { String::new() } else { format!("- **Arrows**{place}, {}\n", parts.join("; ")) }
@@ -177,11 +177,11 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame) ->
     };
     let springs = match draws_springs(schema, settings) {
         true => format!(
-            "- **Springs**: blue shorter, white as long, orange longer than at rest (full colour: {} %)\n",
+            "- **Springs**: blue shorter, white as long, red-orange longer than at rest (full colour: {} %)\n",
             100.0 * palette::MAX_STRAIN
         ),
         false => String::new(),
     };
     let credit = if schema.credit.is_empty() { String::new() } else { format!("\nAfter {}.\n", schema.credit) };
-    head + &spheres + &springs + &merged + &arrows + &net_forces + &trails + &bound + &warnings + &credit
+    head + &spheres + &springs + &merged + &arrows + &net_forces + &trails + &bound + &warnings + nearest + &credit
 }

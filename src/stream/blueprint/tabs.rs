@@ -39,7 +39,7 @@ use crate::{
 pub const ENERGY: &str = "Energy";
 
 /// The title of plots of the stages of a step.
-const TIMINGS: &str = "Timings, ms per step: each stage upon those below it";
+const TIMINGS: &str = "Timings, ms per step: stages stacked";
 
 /// Upper limit on the number of bodies that are drawn transparent in views of forces.
 const MAX_SHEER: usize = 64;
@@ -179,18 +179,18 @@ impl Layout {
         let view = self.surface_view((framing, NARROW), schema, settings);
         let mut parts = Vec::new();
         if pairs::has_named_pairs(schema) {
-            let measures: [(&str, &[&Entity]); 2] = [
-                ("Gap and neck (thin) [R of the smaller]", &[&PAIR_GAP, &PAIR_NECK]),
-                ("Overlap [R³ of the smaller]", &[&PAIR_OVERLAP]),
+            let measures = [
+                ("Gap [R of the smaller]", &PAIR_GAP),
+                ("Neck [R of the smaller]", &PAIR_NECK),
+                ("Overlap [R³ of the smaller]", &PAIR_OVERLAP),
             ];
-            let plots = measures.map(|(title, measures)| {
-                let lines = measures.iter().flat_map(|measure| pairs::named(schema, measure));
-                let contents: Vec<String> = lines.map(|line| including(&line)).collect();
+            let plots = measures.map(|(title, measure)| {
+                let contents: Vec<String> = pairs::named(schema, measure).map(|line| including(&line)).collect();
                 self.plot(title, "/", &contents, Corner2D::RightTop)
             });
             parts.push(self.container(ContainerKind::Tabs, "Pairs", plots.into(), &[]));
         }
-        let title = "Do surfaces touch? (red: joined, not touching; yellow: touching, not joined)";
+        let title = "Touching? Red-orange: only joined; yellow: only touching";
         let mut contents: Vec<String> = pairs::named(schema, &PAIR_PHASE).map(|lane| format!("- {lane}")).collect();
         contents.push(family(&PAIR_PHASE));
         let contacts = self.lanes(title, PAIR_PHASE.family(), &contents);
@@ -198,7 +198,7 @@ impl Layout {
         parts.push(contacts);
         if pairs::has_named_pairs(schema) {
             // no marks of events, which are at 0: a change of a hundredth is visible
-            let title = "Volume [unit³]: what merging loses lies between the lines";
+            let title = "Volume [unit³]: the space between the lines is lost by merging";
             parts.push(self.time_series(title, "/", &[family(&VOLUME)], Corner2D::LeftBottom));
         } else {
             let plot = self.plot("Groups: volume, bodies, genus", "/", &[family(&GROUP_LINE)], Corner2D::RightTop);
@@ -240,8 +240,11 @@ impl Layout {
         let sums = sums.chain(forces::NET_KINDS.map(|(name, ..)| name));
         let mut arrows: Vec<String> = sums.map(|name| format!("- {}", FORCE.of(&[name]))).collect();
         arrows.push(family(&FORCE));
-        let resultants = [including(RESULTANTS.path)];
-        let by_body = self.forces_view(framing, "By body", &resultants, schema, settings);
+        let resultants = [including(RESULTANTS.path), format!("- {}", NAMES.path)];
+        // a resultant is labelled with its body
+        let arrows_by_body =
+            if schema.bodies.len() > body_forces::MOST_BODIES { &resultants[..1] } else { &resultants };
+        let by_body = self.forces_view(framing, "By body", arrows_by_body, schema, settings);
         let mut views = vec![by_body, self.forces_view(framing, "All", &arrows, schema, settings)];
         for term in &schema.terms {
             if !term.can_act {
@@ -306,7 +309,8 @@ impl Layout {
 
     /// Surfaces coloured by displacement, with selectable vertices, above the colour scale.
     pub fn displacement_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
-        let contents = [&BODY, &DEFORMING, &PLANE, &LARGEST, &NAMES].map(family);
+        let names = if heat::are_bodies_labelled(schema) { &LARGEST } else { &NAMES };
+        let contents = [&BODY, &DEFORMING, &PLANE, &LARGEST, names].map(family);
         let title = "Displacement from rest; select a vertex to see its numbers";
         let view = self.space((framing, WIDE), title, &contents);
         let white = sdk::Rgba32::WHITE;
@@ -436,7 +440,12 @@ impl Layout {
 
     /// The stages inside steps, on the timeline `stage`.
     fn stages_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
-        let view = self.scene_view((framing, NARROW), schema, "Inside of a step (timeline: stage)", settings);
+        let view = self.scene_view(
+            (framing, NARROW),
+            schema,
+            "Inside a step (choose the timeline stage, bottom left)",
+            settings,
+        );
         let lines = self.lines("Stages", STAGES.path);
         self.container(ContainerKind::Horizontal, "Stages", vec![view, lines], &[1.3, 1.0])
     }

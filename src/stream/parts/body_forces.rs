@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use super::FrameView;
 use crate::{
+    colors::SILVER,
     observe::{BodyFrame, Schema, frame::TermFrame, schema::TermSchema},
     sdk::{self, Arrows3D},
     stream::{
@@ -18,6 +19,12 @@ use crate::{
 
 /// Upper limit on the number of bodies with plots and labels: of more, one would not find a tab.
 pub const MOST_BODIES: usize = 16;
+
+/// With more bodies, labels leave out the cause.
+const MOST_CAUSES: usize = 4;
+
+/// Length of the longest arrow [largest radius]: it ends outside of its body.
+const LONGEST: f64 = 1.5;
 
 /// Arrows, and plots, each from the first frame in which its force acts.
 pub struct BodyForces {
@@ -100,12 +107,12 @@ impl BodyForces {
 }
 
 impl ResultantRows {
-    /// Arrows from the centres, all on one scale, on which the longest is as long as the largest radius. With `are_named`,
-    /// that of the strongest cause on each body has its name and its value, unless it acts on all alike.
+    /// Arrows from the centres, all on one scale, on which the longest has this length. With `are_named`, that of the strongest
+    /// cause on each body has its body, its name and its value; without these if it acts on all alike.
     fn of(view: FrameView<'_>, resultants: &[Resultant], are_named: bool) -> ResultantRows {
         let FrameView { schema, frame, .. } = view;
         let longest = resultants.iter().map(|(.., acceleration)| acceleration.length()).fold(0.0, f64::max);
-        let scale = schema.largest_radius() / longest;
+        let scale = LONGEST * schema.largest_radius() / longest;
         let mut arrows = ResultantRows::default();
         for of_body in resultants.chunk_by(|one, other| one.0 == other.0) {
             let causes = of_body.iter().filter(|(_, term, _)| !schema.terms[*term].is_sum);
@@ -115,11 +122,25 @@ impl ResultantRows {
                 arrows.origins.push(frame.bodies[body].centre.as_vec3().to_array());
                 arrows.vectors.push((scale * acceleration).as_vec3().to_array());
                 arrows.colors.push(color(term.color).to_u32());
+                let name = &schema.bodies[body].name;
+                let value = significant(acceleration.length());
                 arrows.labels.push(match strongest == Some(resultant) && are_named {
-                    true if !term.is_uniform => format!("{} {}", term.name, significant(acceleration.length())),
-                    _ => String::new(),
+                    true if term.is_uniform => name.clone(),
+                    // the colour says the cause, too, and long labels would cover each other
+                    true if schema.bodies.len() > MOST_CAUSES => format!("{name} {value}"),
+                    true => format!("{name}: {} {value}", term.name),
+                    false => String::new(),
                 });
             }
+        }
+        // the others have their names alone, on arrows of no length
+        let is_idle = |index: usize| !resultants.iter().any(|(body, ..)| *body == index);
+        let idle = view.bodies().enumerate().filter(|(index, (_, now))| are_named && !now.is_absent && is_idle(*index));
+        for (_, (body, now)) in idle {
+            arrows.origins.push(now.centre.as_vec3().to_array());
+            arrows.vectors.push([0.0; 3]);
+            arrows.colors.push(color(SILVER).to_u32());
+            arrows.labels.push(body.name.clone());
         }
         arrows
     }

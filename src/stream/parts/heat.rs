@@ -5,8 +5,9 @@
 
 use glam::DVec3;
 
-use super::{FrameView, callout};
+use super::{FrameView, body_forces, callout, lines};
 use crate::colors;
+use crate::observe::Schema;
 use crate::sdk::{
     self, AnyValues, Image, LineStrips3D, Points2D, Points3D,
     components::{ImageBuffer, ImageFormat},
@@ -14,7 +15,7 @@ use crate::sdk::{
 use crate::stream::{
     blueprint::Mapping,
     chunks::{Chunks, TrackId},
-    contract::{HEAT_FORMAT, HEAT_PLACES, HEAT_TEXTURE, LARGEST, LEGEND},
+    contract::{HEAT_FORMAT, HEAT_PLACES, HEAT_TEXTURE, LARGEST, LARGEST_OF_BODIES, LEGEND},
     extract::Float3,
     light,
     palette::{self, color},
@@ -51,6 +52,11 @@ pub fn place(displacement: f32, end: f64) -> [f32; 2] {
     [0.5 * (displacement / end as f32).min(1.0), 0.5]
 }
 
+/// Whether each body is labelled with its largest displacement: more labels would cover each other.
+pub fn are_bodies_labelled(schema: &Schema) -> bool {
+    schema.bodies.len() <= body_forces::MOST_BODIES && !schema.bodies.iter().any(|body| body.can_be_absent)
+}
+
 /// The numbers of the colour scale, and the mark at the largest displacement.
 pub struct Heat {
     ticks: TrackId,
@@ -58,11 +64,15 @@ pub struct Heat {
     last_ticks: Vec<String>,
     mark: TrackId,
     last: Option<([DVec3; 2], String)>,
+    /// The labels of bodies, if they have any.
+    bodies: Option<TrackId>,
+    /// Their positions and texts, as they were logged last.
+    last_bodies: (Vec<Float3>, Vec<String>),
 }
 
 impl Heat {
     /// Logs static data, and the texture of each of these surfaces.
-    pub fn new(surfaces: &[String], chunks: &mut Chunks) -> Heat {
+    pub fn new(schema: &Schema, surfaces: &[String], chunks: &mut Chunks) -> Heat {
         let texel = |i: usize| palette::heat((i as f64 + 0.5) / WIDTH as f64);
         let row: Vec<u8> = (0..WIDTH).flat_map(texel).collect();
         let bar = Image::from_rgb24(row.repeat(HEIGHT), [WIDTH as u32, HEIGHT as u32]);
@@ -85,6 +95,8 @@ impl Heat {
             last_ticks: Vec::new(),
             mark: chunks.track(LARGEST.path, mark),
             last: None,
+            bodies: are_bodies_labelled(schema).then(|| lines::track_labels(LARGEST_OF_BODIES.path, schema, chunks)),
+            last_bodies: Default::default(),
         }
     }
 
@@ -112,10 +124,20 @@ impl Heat {
         if mark != self.last {
             let ends: Vec<_> = mark.iter().flat_map(|(ends, _)| ends.map(|end| end.as_vec3().to_array())).collect();
             let labels: Vec<_> = mark.iter().flat_map(|(_, label)| [String::new(), label.clone()]).collect();
-            let leader: Vec<[Float3; 2]> =
-                mark.iter().map(|(ends, _)| ends.map(|end| end.as_vec3().to_array())).collect();
+            let leader: Vec<[Float3; 2]> = mark.iter().map(|([from, to], _)| callout::leader(*from, *to)).collect();
             chunks.push(self.mark, view.at, &[&ends, &labels, &leader]);
             self.last = mark;
+        }
+        let Some(bodies) = self.bodies else { return };
+        let places = (0..view.schema.bodies.len()).map(|body| lines::name_place(view, body)).collect();
+        let labels = view.bodies().map(|(body, now)| match now.max_displacement {
+            0.0 => body.name.clone(),
+            largest => format!("{} {:.3} R", body.name, largest / body.radius),
+        });
+        let of_bodies = (places, labels.collect());
+        if of_bodies != self.last_bodies {
+            chunks.push(bodies, view.at, &[&of_bodies.0, &of_bodies.1]);
+            self.last_bodies = of_bodies;
         }
     }
 }

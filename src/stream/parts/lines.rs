@@ -161,24 +161,36 @@ impl Names {
             chunks.log(NAMES.path, view.at, &labelled(Points3D::update_fields(), view.schema, &named));
             self.named = named;
         }
-        for (index, (body, now)) in view.bodies().enumerate().filter(|(_, (_, now))| !now.is_absent) {
-            let met = view.frame.pairs.iter().filter_map(|pair| match (pair.a == index, pair.b == index) {
-                (true, _) => Some(view.frame.bodies[pair.b].centre),
-                (_, true) => Some(view.frame.bodies[pair.a].centre),
-                _ => None,
-            });
-            let away: DVec3 = met.map(|other| (now.centre - other).normalize_or_zero()).sum();
-            // for bodies at the same position, every other name is on the left
-            let aside = if index.is_multiple_of(2) { DVec3::NEG_X } else { DVec3::X };
-            let direction = (away + 0.05 * aside).normalize_or(DVec3::Z);
-            let position = now.centre + body.radius * (0.9 * direction + 0.35 * DVec3::Z);
-            self.next.push(position.as_vec3().to_array());
-        }
+        self.next.extend(self.named.iter().map(|&body| name_place(view, body)));
         if self.next != self.last {
             std::mem::swap(&mut self.next, &mut self.last);
             chunks.push(self.track, view.at, &[&self.last]);
         }
     }
+}
+
+/// A track of the positions and texts of labels of all bodies, in their colours.
+pub fn track_labels(entity: &str, schema: &Schema, chunks: &mut Chunks) -> TrackId {
+    let colors = (0..schema.bodies.len()).map(|body| color(palette::of_body(schema, body)));
+    let style = Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.5)]).with_show_labels(true);
+    chunks.log_static(entity, &style.with_colors(colors));
+    chunks.track(entity, [Points3D::descriptor_positions(), Points3D::descriptor_labels()])
+}
+
+/// Where the name of a body stands [scene unit]: off its centre, away from the bodies near it.
+pub fn name_place(view: FrameView<'_>, index: usize) -> Float3 {
+    let (body, now) = (&view.schema.bodies[index], &view.frame.bodies[index]);
+    let met = view.frame.pairs.iter().filter_map(|pair| match (pair.a == index, pair.b == index) {
+        (true, _) => Some(view.frame.bodies[pair.b].centre),
+        (_, true) => Some(view.frame.bodies[pair.a].centre),
+        _ => None,
+    });
+    let away: DVec3 = met.map(|other| (now.centre - other).normalize_or_zero()).sum();
+    // for bodies at the same position, every other name is on the left
+    let aside = if index.is_multiple_of(2) { DVec3::NEG_X } else { DVec3::X };
+    let direction = (away + 0.05 * aside).normalize_or(DVec3::Z);
+    let position = now.centre + body.radius * (0.9 * direction + 0.35 * DVec3::Z);
+    position.as_vec3().to_array()
 }
 
 /// Points with the names and colours of these bodies.

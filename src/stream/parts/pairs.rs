@@ -433,8 +433,7 @@ impl PairPlot {
         let measures = MEASURES.map(|(measure, label, of_measure)| {
             // of several pairs, each has the colour of its q
             let rgb = if schema.bodies.len() > 2 { rgb } else { of_measure };
-            let width = if std::ptr::eq(measure, &PAIR_NECK) { 1.0 } else { 2.0 };
-            Series::style(chunks, &entity(measure), &format!("{label} {name}"), rgb, width, Interpolation::Linear);
+            Series::style(chunks, &entity(measure), &format!("{label} {name}"), rgb, 2.0, Interpolation::Linear);
             if !has_named_pairs(schema) {
                 chunks.log_static(&entity(measure), &SeriesLines::update_fields().with_visible_series([false]));
             }
@@ -529,7 +528,7 @@ fn log_surface_event(schema: &Schema, event: &SurfaceEvent, chunks: &mut Chunks)
 }
 
 fn contact_color(event: &SurfaceEvent) -> palette::Rgb {
-    CONTACTS[if event.what == Finding::Touch { TOGETHER } else { APART }].1
+    if event.what == Finding::Touch { CONTACTS[TOGETHER].1 } else { colors::SILVER }
 }
 
 /// Logs the line of a body event.

@@ -1,9 +1,9 @@
-//! The pair that had the last event: a thick line between its centres, labelled with the event. Among many bodies the label
-//! stands above all of them, at the end of a line that leads to the pair, and the pair is drawn once more, alone.
+//! The pair that had the last event: a thick line between its centres, labelled with the event. The label stands above all
+//! bodies, on a line that leads to the pair. Among many bodies, the pair is drawn once more, alone.
 
 use glam::DVec3;
 
-use super::{FrameView, MAX_LABELS, spheres};
+use super::{FrameView, MAX_LABELS, callout, spheres};
 use crate::{
     observe::{BodyFrame, PairEvent, Schema, schema::titled},
     sdk::{self, Ellipsoids3D, LineStrips3D, Mesh3D, Points3D},
@@ -24,7 +24,7 @@ const SELDOM: u64 = 8;
 /// How far above all bodies the label is [diagonals of the box around them].
 const ABOVE: f64 = 0.12;
 
-/// The height at which the label of an event stands among many bodies [scene unit].
+/// The height at which the label of an event stands [scene unit].
 pub fn label_height(view: FrameView<'_>) -> f64 {
     let [low, high] = view.bounds();
     high.z + ABOVE * low.distance(high)
@@ -40,7 +40,7 @@ pub struct Recent {
     track: TrackId,
     event: Option<RecentEvent>,
     last: Rows,
-    /// Height of the label among many bodies, above those of the last frame [scene unit].
+    /// Height of the label, above the bodies of the last frame [scene unit].
     top: f64,
     alone: Option<Alone>,
 }
@@ -75,7 +75,9 @@ struct Alone {
 impl Recent {
     /// Logs static data.
     pub fn new(schema: &Schema, chunks: &mut Chunks) -> Recent {
-        let lines = LineStrips3D::update_fields().with_radii([sdk::Radius::new_ui_points(3.0)]).with_show_labels(false);
+        // that between the centres, and that up to the label
+        let radii = [3.0, 1.0].map(sdk::Radius::new_ui_points);
+        let lines = LineStrips3D::update_fields().with_radii(radii).with_show_labels(false);
         chunks.log_static(RECENT.path, &lines);
         let label = Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.0)]).with_show_labels(true);
         chunks.log_static(RECENT.path, &label);
@@ -138,9 +140,7 @@ impl Recent {
 
     /// Logs changed values.
     pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
-        if self.alone.is_some() {
-            self.top = label_height(view);
-        }
+        self.top = label_height(view);
         let Some(event) = &mut self.event else { return self.push(Rows::default(), view.at, chunks) };
         event.age += 1;
         let bodies = event.pair.map(|body| &view.frame.bodies[body]);
@@ -154,26 +154,25 @@ impl Recent {
         let centres = bodies.map(|body| body.centre);
         let middle = 0.5 * (centres[0] + centres[1]);
         let label = format!("{label}, q = {q:.3}");
-        let mut rows = Rows { strips: vec![strip(centres)], colors: vec![color(*rgb).to_u32()], ..Rows::default() };
-        let mut place = middle;
-        if let Some(alone) = &mut self.alone {
+        let place = middle.with_z(f64::max(self.top, middle.z));
+        let rows = Rows {
+            strips: vec![centres.map(|centre| centre.as_vec3().to_array()), callout::leader(middle, place)],
+            colors: vec![color(*rgb).to_u32()],
+            places: vec![place.as_vec3().to_array()],
+            labels: vec![label],
+        };
+        if let Some(alone) = &mut self.alone
+            && (*age < FRAMES || age.is_multiple_of(SELDOM))
+        {
             let radius = pair.map(|body| schema.bodies[body].radius).into_iter().fold(0.0, f64::max);
-            place = middle.with_z(f64::max(self.top, middle.z));
-            rows.strips.push(strip([middle, place]));
-            rows.colors.push(color(*rgb).to_u32());
-            if *age < FRAMES || age.is_multiple_of(SELDOM) {
-                alone.log(schema, (*pair, *rgb), bodies, (middle, radius), at, chunks);
-            }
+            alone.log(schema, (*pair, *rgb), bodies, (middle, radius), at, chunks);
         }
-        rows.places.push(place.as_vec3().to_array());
-        rows.labels.push(label);
         self.push(rows, at, chunks);
     }
 
     fn push(&mut self, rows: Rows, at: Instant, chunks: &mut Chunks) {
         if rows != self.last {
-            let of_label: Vec<u32> = rows.colors.last().copied().into_iter().collect();
-            chunks.push(self.track, at, &[&rows.strips, &rows.colors, &rows.places, &of_label, &rows.labels]);
+            chunks.push(self.track, at, &[&rows.strips, &rows.colors, &rows.places, &rows.colors, &rows.labels]);
             self.last = rows;
         }
     }
@@ -233,8 +232,4 @@ impl Alone {
             self.last = positions;
         }
     }
-}
-
-fn strip(ends: [DVec3; 2]) -> [Float3; 2] {
-    ends.map(|end| end.as_vec3().to_array())
 }
