@@ -115,9 +115,9 @@ impl Comparison {
         let name = format!("{}: {} and {}", schema.name, plan.labels[0], plan.labels[1]);
         chunks.log_static(RECORDING_INFO.path, &sdk::RecordingInfo::new().with_name(name));
         let about = format!(
-            "**{}**: the blue surface is {}, orange dots are the vertices of {}. Red arrows lead from the one to the other; the \
-             longest of an instant has a length of at least {LONGEST} radii. {}  \nThe plot has the largest distance of each body; \
-             grey: the tolerance, {:e}.{}",
+            "**{}**: the blue, translucent surface is {}, orange dots are the vertices of {}. Red arrows lead from the one to \
+             the other; the longest of an instant has a length of at least {LONGEST} radii. {}  \nThe plot has the largest \
+             distance of each body; grey: the tolerance, {:e}.{}",
             schema.name,
             plan.labels[0],
             plan.labels[1],
@@ -134,7 +134,7 @@ impl Comparison {
             for (side, rgb) in SIDES.into_iter().zip(COLORS) {
                 let mesh = Mesh3D::update_fields()
                     .with_triangle_indices(mesh.drawn_triangles().iter().copied())
-                    .with_albedo_factor(color(rgb).0);
+                    .with_albedo_factor(palette::translucent(rgb));
                 chunks.log_static(&COMPARED_SURFACE.of(&[side, name]), &mesh);
             }
         }
