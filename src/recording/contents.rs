@@ -13,7 +13,7 @@ use super::{
 };
 use crate::{
     observe::simulation::ReadExperiment,
-    stream::contract::{CHECKSUM, EVENTS, PROPERTIES},
+    stream::contract::{CHECKSUM, EVENTS, PROPERTIES, SURFACE_EVENTS},
 };
 
 /// The recordings in a file, whose scenes are not parsed yet.
@@ -40,9 +40,8 @@ impl Contents {
         let (path, name) = file_and_name(path);
         let mut reader = Reader::open(path)?;
         let (mut found, mut indices) = (Vec::<Found>::new(), HashMap::new());
-        while let Some(chunk) =
-            reader.next(|entity| [&PROPERTIES, &CHECKSUM, &EVENTS].iter().any(|wanted| wanted.is(entity)))?
-        {
+        let wanted = [&PROPERTIES, &CHECKSUM, &EVENTS, &SURFACE_EVENTS];
+        while let Some(chunk) = reader.next(|entity| wanted.iter().any(|wanted| wanted.is(entity)))? {
             let id = reader.id().unwrap_or_default();
             let index = *indices.entry(id.to_owned()).or_insert_with(|| {
                 found.push(Found::new(id, reader.application().unwrap_or_default()));

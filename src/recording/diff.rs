@@ -2,6 +2,9 @@
 //!
 //! Surfaces are read from the recordings, so that recordings of older program versions can be compared, at the recorded
 //! precision of about 1e-7 of a radius. A recording without surfaces is run again.
+//!
+//! The events are phase changes, and surfaces that touch or part. Near misses are not compared: they are extrema of a
+//! distance, so all runs that differ at all differ in them.
 
 use std::fmt;
 
@@ -10,11 +13,11 @@ use super::{
     comparison::{Comparison, MAX_PAIRS, Plan},
     events::{self, Change},
     frames::{FrameReader, RecordedFrame},
-    quantities::{self, Deviation, Deviations},
+    quantities::{self, Deviation, Deviations, SENSITIVITY},
     recorded::RecordedEvent,
 };
 use crate::{
-    analysis::Worst,
+    analysis::{Worst, touch::Touches},
     observe::{Frame, Run, Schema, Want},
     stream::{
         settings::Frames,
@@ -110,7 +113,7 @@ impl fmt::Display for Difference {
 /// Frames from a file or from a new run of the scene.
 enum FrameSource {
     Stored(Box<FrameReader>),
-    Replayed { run: Box<Run>, has_begun: bool, events: Vec<RecordedEvent> },
+    Replayed { run: Box<Run>, touches: Box<Touches>, has_begun: bool, events: Vec<RecordedEvent> },
 }
 
 impl FrameSource {
@@ -119,31 +122,40 @@ impl FrameSource {
             return Ok(FrameSource::Stored(Box::new(FrameReader::open(recorded)?)));
         }
         let run = Box::new(Run::again(recorded.start()?, recorded.last()));
-        Ok(FrameSource::Replayed { run, has_begun: false, events: Vec::new() })
+        let touches = Box::new(Touches::new(&*run.simulation));
+        Ok(FrameSource::Replayed { run, touches, has_begun: false, events: Vec::new() })
     }
 
     fn next(&mut self, recorded: &Recorded) -> Result<Option<RecordedFrame>, ReadError> {
         match self {
             FrameSource::Stored(frames) => frames.next(),
-            FrameSource::Replayed { run, has_begun, events } => {
-                if std::mem::replace(has_begun, true) {
-                    if !super::replay::step(run, &recorded.path)? {
-                        return Ok(None);
-                    }
-                    events.extend(run.summary.events.iter().map(|event| RecordedEvent::of(&recorded.schema, event)));
+            FrameSource::Replayed { run, touches, has_begun, events } => {
+                let (schema, mut frame) = (&recorded.schema, Frame::default());
+                let is_first = !std::mem::replace(has_begun, true);
+                if !is_first && !super::replay::step(run, &recorded.path)? {
+                    return Ok(None);
                 }
-                let mut frame = Frame::default();
                 run.simulation.observe(Want::default(), &mut frame);
-                Ok(Some(RecordedFrame::of(&recorded.schema, &frame)))
+                if !is_first {
+                    let mut contacts = Vec::new();
+                    touches.step(&*run.simulation, &frame, &run.summary.events, &mut contacts);
+                    let contacts = contacts.iter().filter(|event| event.is_contact());
+                    events.extend(contacts.map(|event| RecordedEvent::of_contact(schema, event)));
+                    events.extend(run.summary.events.iter().map(|event| RecordedEvent::of(schema, event)));
+                }
+                Ok(Some(RecordedFrame::of(schema, &frame)))
             }
         }
     }
 
+    /// All events in order of time: surfaces that touch or part, and phase changes.
     fn events(self, recorded: &Recorded) -> Vec<RecordedEvent> {
-        match self {
-            FrameSource::Stored(_) => recorded.events.clone(),
+        let mut events = match self {
+            FrameSource::Stored(_) => [&recorded.contacts[..], &recorded.events].concat(),
             FrameSource::Replayed { events, .. } => events,
-        }
+        };
+        events.sort_by(|x, y| x.time.total_cmp(&y.time));
+        events
     }
 }
 
@@ -204,15 +216,28 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
     bodies.sort_by(|x, y| y.difference.total_cmp(&x.difference));
     let has_bits = a.schema.dt == b.schema.dt;
     let mut common = (a.first.max(b.first)..=a.last().min(b.last())).filter(|_| has_bits);
-    // events after the end of the shorter recording do not count as differences
-    let end = (a.last() as f64 * a.schema.dt).min(b.last() as f64 * b.schema.dt);
-    let events = events.map(|events| events.map(|list| list.into_iter().filter(|e| e.time <= end).collect::<Vec<_>>()));
+    // events before the start of the later recording or after the end of the shorter one do not count as differences
+    let (steps, dt) = ([a.first, b.first, a.last(), b.last()], [a.schema.dt, b.schema.dt]);
+    let [from_a, from_b, to_a, to_b] = std::array::from_fn(|i| steps[i] as f64 * dt[i % 2]);
+    let (start, end) = (from_a.max(from_b), to_a.min(to_b));
+    let is_common = |event: &RecordedEvent| (start..=end).contains(&event.time);
+    let events = events.map(|events| events.map(|list| list.into_iter().filter(is_common).collect::<Vec<_>>()));
     let [quantities_a, quantities_b] = [quantities::Recorded::read(a)?, quantities::Recorded::read(b)?];
     let surfaces = (!quantities_a.is_empty() && !quantities_b.is_empty()).then(|| {
         let mut deviations = Deviations::new(tolerance, 1.0);
         quantities_a.compare(&quantities_b, &instants, a.schema.dt, &mut deviations);
         deviations.finish()
     });
+    // surfaces that differ within the tolerance touch and part earlier or later
+    let is_tolerable = |change: &Change| {
+        let Change::Moved(was, is) = change else { return false };
+        let change_in = |of: &quantities::Recorded, dt: f64| of.change_of_gap(&was.pair, [was.time / dt, is.time / dt]);
+        let change = change_in(&quantities_a, a.schema.dt).or_else(|| change_in(&quantities_b, b.schema.dt));
+        was.phases[0].is_empty() && change.is_some_and(|change| change <= SENSITIVITY * tolerance)
+    };
+    let event_count = events.as_ref().map_or(0, |[first, _]| first.len());
+    let mut changes = events.map(|[first, second]| events::compare(&first, &second)).unwrap_or_default();
+    changes.retain(|change| !is_tolerable(change));
     Ok(Difference {
         tolerance,
         dt: a.schema.dt,
@@ -222,8 +247,8 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
         has_bits,
         bodies,
         first_beyond,
-        event_count: events.as_ref().map_or(0, |[first, _]| first.len()),
-        events: events.map(|[first, second]| events::compare(&first, &second)).unwrap_or_default(),
+        event_count,
+        events: changes,
         run_again: recorded.map(|recorded| recorded.settings.frames == Frames::Thin),
     })
 }

@@ -5,11 +5,12 @@ use std::fmt;
 
 use super::recorded::RecordedEvent;
 use crate::{
-    observe::{PairEvent, Schema, schema::titled},
+    observe::{PairEvent, Schema, SurfaceEvent, schema::titled},
     text::significant,
 };
 
-/// Times of an event that are at most this far apart are equal [s].
+/// Times of an event that are at most this far apart are equal [s]. Those at which surfaces touch or part are found to a
+/// tenth of it.
 pub const SAME_TIME: f64 = 1e-6;
 
 /// How an event differs between two runs.
@@ -66,6 +67,18 @@ impl RecordedEvent {
             name: event.name.to_owned(),
             pair: schema.pair_name(event.a, event.b),
             phases: [event.from, event.to].map(|phase| schema.phases[phase].name.to_owned()),
+            q: event.q,
+            time: event.time,
+            step: event.step,
+        }
+    }
+
+    /// Converts an event of surfaces that touch or part to its recorded form.
+    pub fn of_contact(schema: &Schema, event: &SurfaceEvent) -> RecordedEvent {
+        RecordedEvent {
+            name: event.name().to_owned(),
+            pair: schema.pair_name(event.a, event.b),
+            phases: Default::default(),
             q: event.q,
             time: event.time,
             step: event.step,

@@ -12,14 +12,14 @@ use crate::{
     observe::Schema,
     sdk::{Scalars, datatypes::Float64},
     stream::{
-        contract::{GROUP_LINE, PAIR_NECK, STAGE, path_of},
+        contract::{GROUP_LINE, PAIR_GAP, PAIR_NECK, STAGE, path_of},
         parts::{groups, pairs::MEASURES},
     },
 };
 
 /// Volumes, areas and distances of surfaces differ by a small multiple of the difference of their vertices: the volume
 /// of a unit sphere by three times, its area by twice. This multiple is allowed.
-const SENSITIVITY: f64 = 10.0;
+pub const SENSITIVITY: f64 = 10.0;
 
 /// Quantities by the entity that plots each, such as `/pairs/a~b/gap`.
 pub type Values = BTreeMap<String, f64>;
@@ -180,6 +180,22 @@ impl Recorded {
                 }
             }
         }
+    }
+
+    /// The most by which the gap of a pair can change between two steps, at its fastest in the frames around them [radii of
+    /// the smaller body]; infinite where it is interrupted, `None` if it is not recorded.
+    pub fn change_of_gap(&self, pair: &str, [from, to]: [f64; 2]) -> Option<f64> {
+        let line = self.lines.get(&PAIR_GAP.of(&[pair]))?;
+        let steps = |ends: &[(i64, Option<f64>)]| [ends[0].0, ends[1].0];
+        // values that did not change are not recorded again: frames are as far apart as the closest points
+        let every = line.windows(2).map(|ends| steps(ends)[1] - steps(ends)[0]).min()?.max(1);
+        let is_around = |ends: &&[(i64, Option<f64>)]| {
+            let [start, end] = steps(ends).map(|step| step as f64);
+            start <= from.max(to) && from.min(to) <= end
+        };
+        let change = |ends: &[(i64, Option<f64>)]| Some((ends[0].1? - ends[1].1?).abs());
+        let changes = line.windows(2).filter(is_around).map(|ends| change(ends).unwrap_or(f64::INFINITY));
+        Some(changes.reduce(f64::max)? / every as f64 * (to - from).abs())
     }
 
     /// Whether there is nothing to compare.

@@ -20,7 +20,7 @@ use crate::{
     stream::{
         contract::{
             self, BLESSED, BODIES, CHECKSUM, CHECKSUMS, COUNTS, Component, DIGEST, FAILURE, MACHINE, OVERRIDES, PHASES,
-            PROPERTIES, Q, SCENE, SETTINGS, STEP, TIME, VERSION, path_of,
+            PROPERTIES, Q, SCENE, SETTINGS, SIM_TIME, STEP, SURFACE_EVENTS, TIME, VERSION, path_of,
         },
         settings::{FORMAT, Settings, application, recording_id},
     },
@@ -67,8 +67,10 @@ pub struct Recorded {
     pub first: u64,
     /// Checksums of every step from `first` on.
     pub checksums: Vec<u64>,
-    /// All events, in the order of the file.
+    /// All phase changes, in the order of the file.
     pub events: Vec<RecordedEvent>,
+    /// When surfaces touch and part, in the order of the file; empty for a thin recording, which can be run again.
+    pub contacts: Vec<RecordedEvent>,
     /// Whether the file is complete.
     pub end: End,
 }
@@ -80,7 +82,7 @@ pub struct RecordedEvent {
     pub name: String,
     /// The pair, as `A~B`.
     pub pair: String,
-    /// The phases before and after the event.
+    /// The phases before and after the event; empty if surfaces touch or part, which changes none.
     pub phases: [String; 2],
     /// Centre distance over the sum of the radii at the event [–].
     pub q: f64,
@@ -107,6 +109,7 @@ pub(super) struct Found {
     format: Option<f64>,
     sums: ReadChecksums,
     events: Vec<RecordedEvent>,
+    contacts: Vec<RecordedEvent>,
 }
 
 impl Recorded {
@@ -206,6 +209,8 @@ impl Found {
             self.take_properties(chunk, read)?;
         } else if CHECKSUM.is(&entity) {
             self.sums.take(chunk, read)?;
+        } else if SURFACE_EVENTS.is(&entity) {
+            self.contacts.extend(contacts_of(chunk)?);
         } else {
             self.events.extend(events_of(chunk)?);
         }
@@ -244,7 +249,7 @@ impl Found {
 
     /// Recreates the experiment.
     pub fn into_recorded(self, path: &Path, read: &ReadExperiment<'_>, end: End) -> Result<Recorded, ReadError> {
-        let Found { id, sums, events, .. } = self;
+        let Found { id, sums, events, contacts, .. } = self;
         let foreign = |what: &str| ReadError::Foreign { path: path.to_owned(), what: what.to_owned() };
         let unsupported = |what: String| ReadError::Unsupported { path: path.to_owned(), what };
         let scene_error = |what: String| ReadError::Scene { path: path.to_owned(), what };
@@ -323,6 +328,7 @@ impl Found {
             first: sums.first,
             checksums: sums.values,
             events,
+            contacts,
             end,
         })
     }
@@ -390,11 +396,31 @@ fn events_of(chunk: &Chunk) -> Result<Vec<RecordedEvent>, String> {
     Ok(events)
 }
 
+/// The events of a chunk of `/events/surfaces`. Their pair and q are in their texts alone.
+fn contacts_of(chunk: &Chunk) -> Result<Vec<RecordedEvent>, String> {
+    let contact = |row| {
+        let step = u64::try_from(step_of(chunk, row)?).map_err(|_| "an event of a negative step".to_owned())?;
+        let time = time_of(chunk, row, SIM_TIME)? as f64 * 1e-9;
+        let text = cell::<Utf8>(chunk, &TextLog::descriptor_text(), row).pop();
+        let parts: Vec<&str> = text.iter().flat_map(|text| text.as_str().split([' ', ','])).collect();
+        let [name, pair, ..] = parts[..] else { return Err("an event without a pair".to_owned()) };
+        let q = parts.iter().skip_while(|part| **part != "q").nth(2).and_then(|q| q.parse().ok());
+        let q = q.ok_or("an event without q")?;
+        Ok(RecordedEvent { name: name.to_owned(), pair: pair.to_owned(), phases: Default::default(), q, time, step })
+    };
+    (0..chunk.num_rows()).map(contact).collect()
+}
+
 /// The value of the timeline `step` in a row.
 pub(super) fn step_of(chunk: &Chunk, row: usize) -> Result<i64, String> {
-    let column = chunk.timelines().values().find(|column| column.timeline().name().as_str() == STEP);
-    let step = column.and_then(|column| column.times_raw().get(row));
-    step.copied().ok_or_else(|| format!("{} has rows without {STEP}", chunk.entity_path()))
+    time_of(chunk, row, STEP)
+}
+
+/// The value of a timeline in a row.
+fn time_of(chunk: &Chunk, row: usize, timeline: &str) -> Result<i64, String> {
+    let column = chunk.timelines().values().find(|column| column.timeline().name().as_str() == timeline);
+    let time = column.and_then(|column| column.times_raw().get(row));
+    time.copied().ok_or_else(|| format!("{} has rows without {timeline}", chunk.entity_path()))
 }
 
 /// A component of a row as stored in the file.

@@ -607,12 +607,11 @@ fn diff_compares_two_runs_of_a_scene() {
     assert!(output.contains("run again") && output.contains("no body differs"), "{output}");
 
     let output = fails(&dir, 1, &["diff", "a.rrd", "b.rrd", "--save", "d.rrd"]);
-    for part in
-        ["151 instants", "body \"a\": up to 1.4", "first beyond tolerance: step 52", "events: the same", "saved d.rrd"]
-    {
+    for part in ["151 instants", "body \"a\": up to 1.4", "first beyond tolerance: step 52", "saved d.rrd"] {
         assert!(output.contains(part), "{part}: {output}");
     }
-    succeeds(&dir, &["diff", "a.rrd", "b.rrd", "--within", "0.1"]);
+    let output = succeeds(&dir, &["diff", "a.rrd", "b.rrd", "--within", "0.1"]);
+    assert!(output.contains("events: the same"), "{output}");
     let both = Recording::open(&dir.file("d.rrd"));
     assert_eq!(both.changes("/world/a/a").len(), 151);
     assert_eq!(both.changes("/difference/b").len(), 151);
@@ -642,6 +641,39 @@ fn diff_compares_two_runs_of_a_scene() {
     let events = Recording::open(&dir.file("moved.rrd")).rows(&"/events".into());
     let is_there = |part: &str| events.iter().any(|(_, row)| row.text("TextLog:text").contains(part));
     assert!(is_there("s earlier: merge a~b at t = ") && is_there("gap of a~b: "), "{events:?}");
+}
+
+/// Surfaces may touch and part at other times though all phases change at the same.
+#[test]
+fn diff_compares_when_surfaces_touch_and_part() {
+    let dir = Dir::new();
+    let run = |save: &str, how: &[&str]| {
+        succeeds(&dir, &[&["run", "two", "--quiet", "--save", save], how].concat());
+    };
+    let stronger = ["--set", "influence.alpha=221"];
+    run("a.rrd", &[]);
+    run("thin.rrd", &["--thin"]);
+    run("kept.rrd", &["--keep", "3", "--on", "merge"]);
+    run("dt.rrd", &["--set", "dt=0.01"]);
+    run("strong.rrd", &stronger);
+    run("strong-thin.rrd", &[&stronger[..], &["--thin"]].concat());
+    succeeds(&dir, &["replay", "a.rrd", "--from", "100", "--to", "250", "--save", "slice.rrd"]);
+
+    // times are found to 1e-7 s in steps of any size; a recording that begins later has only the later events
+    for other in ["thin.rrd", "kept.rrd", "dt.rrd", "slice.rrd"] {
+        let output = succeeds(&dir, &["diff", "a.rrd", other]);
+        assert!(output.contains("events: the same"), "{other}: {output}");
+    }
+    for (one, other) in [("a.rrd", "strong.rrd"), ("a.rrd", "strong-thin.rrd"), ("thin.rrd", "strong-thin.rrd")] {
+        let output = fails(&dir, 1, &["diff", one, other, "--save", "moved.rrd"]);
+        let moved: Vec<&str> = output.lines().filter(|line| line.starts_with("event")).collect();
+        let [touch, part] = moved[..] else { panic!("{one}, {other}: {output}") };
+        assert!(touch.starts_with("event moved: touch a~b at t = 1.48017") && touch.ends_with(" s earlier"), "{touch}");
+        assert!(part.starts_with("event moved: part a~b at t = 3.38924") && part.ends_with(" s later"), "{part}");
+        let rows = Recording::open(&dir.file("moved.rrd")).rows(&"/events".into());
+        let is_there = |part: &str| rows.iter().any(|(_, row)| row.text("TextLog:text").contains(part));
+        assert!(is_there("s earlier: touch a~b at t = 1.48017") && !is_there("the same: "), "{rows:?}");
+    }
 }
 
 /// Every line has a point in every kept frame, and no line connects one window to the next.
