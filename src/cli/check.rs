@@ -21,7 +21,7 @@ use crate::{
     atomic::{self, AtomicFile},
     observe::Experiment,
     recording::{
-        ReadError,
+        ReadError, events,
         existing::{Existing, Kind, REASONS, replace},
         golden::{self, Blessed, GoldenDifference, GoldenOutcome},
     },
@@ -206,7 +206,7 @@ fn report(name: &str, difference: &GoldenDifference, is_accepted: bool) {
         None if difference.first.is_some() => print("  no state of the golden recording shows the difference"),
         None => {}
     }
-    for change in difference.events.iter().take(LISTED) {
+    for change in events::listed(&difference.events, LISTED) {
         print(&format!("  event {change}"));
     }
     if difference.events.len() > LISTED {

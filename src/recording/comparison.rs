@@ -6,7 +6,7 @@ use std::{path::Path, sync::Arc};
 use glam::DVec3;
 
 use super::{
-    events::Change,
+    events::{self, Change},
     existing::{self, Existing},
     quantities::Deviation,
 };
@@ -53,12 +53,16 @@ const LABEL_HEIGHT: f32 = 1.8;
 
 /// Upper limit on the number of pairs whose distances are plotted.
 pub const MAX_PAIRS: usize = 4;
+/// If more events differ, this many are named that differ most.
+const FEW: usize = 5;
 /// The two runs, in the names of entities.
 const SIDES: [&str; 2] = ["a", "b"];
 
 /// What a comparison shows, known before it is written.
 #[derive(Clone, Debug)]
-pub struct Plan {
+pub struct Plan<'a> {
+    /// Differences between the events.
+    pub changes: &'a [Change],
     /// Display names of the two runs.
     pub labels: [String; 2],
     /// Bodies to show, in descending order of difference.
@@ -80,8 +84,6 @@ pub struct Comparison {
     /// Radius of the largest body shown [scene unit].
     radius: f64,
     frames: u64,
-    /// Number of differences between events.
-    changes: u64,
 }
 
 impl Comparison {
@@ -89,7 +91,12 @@ impl Comparison {
     ///
     /// # Errors
     /// The file cannot be written.
-    pub fn new(schema: &Schema, spheres: &[(DVec3, f64)], plan: &Plan, path: &Path) -> Result<Comparison, SinkError> {
+    pub fn new(
+        schema: &Schema,
+        spheres: &[(DVec3, f64)],
+        plan: &Plan<'_>,
+        path: &Path,
+    ) -> Result<Comparison, SinkError> {
         existing::replace(path, &Existing::comparison())?;
         let destinations = Destinations { save: Some(path.to_owned()), ..Destinations::default() };
         let mut sinks = Sinks::open(&destinations)?;
@@ -117,7 +124,7 @@ impl Comparison {
         let about = format!(
             "**{}**: the blue, translucent surface is {}, orange dots are the vertices of {}. Red arrows lead from the one to \
              the other; the longest of an instant has a length of at least {LONGEST} radii. {}  \nThe plot has the largest \
-             distance of each body; grey: the tolerance, {:e}.{}",
+             distance of each body; grey: the tolerance, {:e}.{}{}",
             schema.name,
             plan.labels[0],
             plan.labels[1],
@@ -128,6 +135,7 @@ impl Comparison {
             },
             plan.tolerance,
             if pairs.is_empty() { "" } else { " Below it, q of pairs whose events differ, in both runs." },
+            differ_most(plan.changes),
         );
         chunks.log_static(ABOUT.path, &TextDocument::new(about).with_media_type(MediaType::MARKDOWN));
         for (_, name, mesh) in &shown {
@@ -171,7 +179,8 @@ impl Comparison {
             let at = Instant { step: *step, time: *time };
             chunks.log(EVENTS.path, at, &TextLog::new(line).with_color(color(ERROR)));
         }
-        let mut comparison = Comparison { chunks, sinks, shown, pairs, radius, frames: 0, changes: 0 };
+        let mut comparison = Comparison { chunks, sinks, shown, pairs, radius, frames: 0 };
+        plan.changes.iter().for_each(|change| comparison.change(schema, change));
         comparison.send()?;
         Ok(comparison)
     }
@@ -261,7 +270,7 @@ impl Comparison {
     }
 
     /// Logs a difference between the events of the two runs.
-    pub fn change(&mut self, schema: &Schema, change: &Change) {
+    fn change(&mut self, schema: &Schema, change: &Change) {
         let time = change.event().time;
         let at = Instant { step: (time / schema.dt).ceil().max(0.0) as u64, time };
         let rgb = match change {
@@ -271,7 +280,9 @@ impl Comparison {
         };
         let line = match change {
             // what differs first: long lines are cut
-            Change::Moved(was, is) => format!("{}: {was}, now at {:.9} s", is.delay(was), is.time),
+            Change::Moved(was, is) => {
+                format!("{}: {} at t = {:.9} s, now at {:.9} s", is.delay(was), was.what(), was.time, is.time)
+            }
             _ => change.to_string(),
         };
         self.chunks.log(EVENTS.path, at, &TextLog::new(line).with_color(color(rgb)));
@@ -288,24 +299,21 @@ impl Comparison {
             let at = Instant { step: event.step, time: event.time };
             self.chunks.log(&COMPARED_EVENTS.of(&[side]), at, &Scalars::single(event.q));
         }
-        self.changes += 1;
     }
 
     /// Logs a difference between quantities of the surfaces, where it begins.
     pub fn deviation(&mut self, deviation: &Deviation) {
         let at = Instant { step: deviation.step, time: deviation.time };
-        self.chunks.log(EVENTS.path, at, &TextLog::new(deviation.to_string()));
+        self.chunks.log(EVENTS.path, at, &TextLog::new(deviation.line("")));
     }
 
-    /// Logs that the events are equal, if no change was logged.
-    pub fn events_compared(&mut self, events: usize) {
-        if self.changes == 0 {
-            let line = match events {
-                0 => "the same: neither run has events".to_owned(),
-                n => format!("the same: {} in both runs", counted(n as u64, "event")),
-            };
-            self.chunks.log(EVENTS.path, Instant::default(), &TextLog::new(line));
-        }
+    /// Logs that the events are equal.
+    pub fn same_events(&mut self, events: usize) {
+        let line = match events {
+            0 => "the same: neither run has events".to_owned(),
+            n => format!("the same: {} in both runs", counted(n as u64, "event")),
+        };
+        self.chunks.log(EVENTS.path, Instant::default(), &TextLog::new(line));
     }
 
     fn send(&mut self) -> Result<(), SinkError> {
@@ -321,6 +329,21 @@ impl Comparison {
         self.send()?;
         Ok(self.sinks.finish()?.save)
     }
+}
+
+/// A paragraph that names the events that differ most, if there are many: their list is in order of time.
+fn differ_most(changes: &[Change]) -> String {
+    if changes.len() <= FEW {
+        return String::new();
+    }
+    let most = events::listed(changes, FEW).into_iter().map(|change| match change {
+        Change::Moved(was, is) => format!("{} at {:.3} s: {}", was.what(), was.time, is.delay(was)),
+        Change::Vanished(event) => format!("{} at {:.3} s: vanished", event.what(), event.time),
+        Change::Appeared(event) => format!("{} at {:.3} s: appeared", event.what(), event.time),
+        Change::Reordered(event) => format!("{} at {:.3} s: in another order", event.what(), event.time),
+    });
+    let most: Vec<String> = most.collect();
+    format!("\n\n**{} events differ**, most of all: {}.", changes.len(), most.join("; "))
 }
 
 fn log_difference(chunks: &mut Chunks, name: &str, difference: f64, at: Instant) {

@@ -94,7 +94,7 @@ impl fmt::Display for Difference {
         if self.events.is_empty() {
             write!(f, "\nevents: the same")?;
         }
-        self.events.iter().take(LISTED).try_for_each(|change| write!(f, "\nevent {change}"))?;
+        events::listed(&self.events, LISTED).iter().try_for_each(|change| write!(f, "\nevent {change}"))?;
         if self.events.len() > LISTED {
             write!(f, "\n… and {}", counted((self.events.len() - LISTED) as u64, "more event"))?;
         }
@@ -270,12 +270,13 @@ pub fn save(
         bodies = (0..schema.bodies.len()).collect();
     }
     let mut pairs: Vec<[usize; 2]> = Vec::new();
-    for change in &difference.events {
+    for change in events::listed(&difference.events, LISTED) {
         let body = |name: &str| schema.bodies.iter().position(|body| body.name == name);
         let pair = change.event().pair.split_once('~').and_then(|(a, b)| Some([body(a)?, body(b)?]));
         pairs.extend(pair.filter(|pair| pairs.len() < MAX_PAIRS && !pairs.contains(pair)));
     }
     let plan = Plan {
+        changes: &difference.events,
         pairs,
         labels: [[recorded[0], recorded[1]], [recorded[1], recorded[0]]].map(|[recorded, other]| {
             let name = recorded.path.file_name().unwrap_or_default().to_string_lossy();
@@ -294,10 +295,9 @@ pub fn save(
         Ok(comparison) => comparison,
         Err(error) => return Ok(Err(error)),
     };
-    for change in &difference.events {
-        comparison.change(schema, change);
+    if difference.events.is_empty() {
+        comparison.same_events(difference.event_count);
     }
-    comparison.events_compared(difference.event_count);
     for deviation in difference.surfaces.iter().flatten().take(LISTED) {
         comparison.deviation(deviation);
     }

@@ -37,6 +37,21 @@ impl Change {
     }
 }
 
+/// The changes to list first, at most `most`: all in order of time, or else what only one run has, and the largest moves.
+pub fn listed(changes: &[Change], most: usize) -> Vec<&Change> {
+    let mut listed: Vec<&Change> = changes.iter().collect();
+    if listed.len() > most {
+        let size = |change: &Change| match change {
+            Change::Moved(was, is) => (is.time - was.time).abs(),
+            Change::Vanished(_) | Change::Appeared(_) => f64::INFINITY,
+            Change::Reordered(_) => 0.0,
+        };
+        listed.sort_by(|x, y| size(y).total_cmp(&size(x)));
+        listed.truncate(most);
+    }
+    listed
+}
+
 impl fmt::Display for Change {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -50,11 +65,16 @@ impl fmt::Display for Change {
 
 impl fmt::Display for RecordedEvent {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} at t = {:.9} s (step {})", titled(&self.name, &self.pair), self.time, self.step)
+        write!(f, "{} at t = {:.9} s (step {})", self.what(), self.time, self.step)
     }
 }
 
 impl RecordedEvent {
+    /// Its kind and pair, in words.
+    pub fn what(&self) -> String {
+        titled(&self.name, &self.pair)
+    }
+
     /// How much later or earlier it is than another event, in words.
     pub fn delay(&self, than: &RecordedEvent) -> String {
         let later = self.time - than.time;

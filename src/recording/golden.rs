@@ -424,6 +424,7 @@ fn show(
         }
     }
     let plan = Plan {
+        changes: &difference.events,
         labels: ["the golden recording".to_owned(), "this run".to_owned()],
         listed: worst.map(|worst| (worst.clone(), "largest")).into_iter().collect(),
         bodies,
@@ -431,7 +432,6 @@ fn show(
         tolerance: schema.tolerance,
     };
     let mut comparison = Comparison::new(schema, &simulation.framing(false), &plan, path)?;
-    difference.events.iter().for_each(|change| comparison.change(schema, change));
     let (mut frame, mut local) = (Frame::default(), Vectors::default());
     let mut run = Run::again(simulation, schema.steps);
     for (&step, state) in details.states.iter().take_while(|(step, _)| **step <= schema.steps) {

@@ -62,14 +62,21 @@ pub struct Deviation {
 
 impl fmt::Display for Deviation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Deviation { what, step, time, values: [first, second], largest: (largest, at), .. } = self;
+        f.write_str(&self.line(&format!(" at step {} (t = {:.6} s)", self.step, self.time)))
+    }
+}
+
+impl Deviation {
+    /// Describes it; `at` tells when it begins.
+    pub fn line(&self, at: &str) -> String {
+        let Deviation { what, step, values: [first, second], largest: (largest, last), .. } = self;
         // as many digits as show the difference
         let is_whole = [first, second].iter().all(|value| !(value.fract().abs() > 0.0));
         let digits = if is_whole { 0.0 } else { 1.0 - (first - second).abs().log10().floor() };
         let digits = if digits.is_finite() { digits.clamp(0.0, 17.0) as usize } else { 6 };
         let value = |value: &f64| if value.is_nan() { "none".to_owned() } else { format!("{value:.digits$}") };
-        write!(f, "{what}: {} and {} at step {step} (t = {time:.6} s)", value(first), value(second))?;
-        if at == step { Ok(()) } else { write!(f, ", up to {largest:.3e} apart, at step {at}") }
+        let later = if last == step { String::new() } else { format!(", up to {largest:.3e} apart, at step {last}") };
+        format!("{what}: {} and {}{at}{later}", value(first), value(second))
     }
 }
 
