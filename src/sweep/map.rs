@@ -266,41 +266,24 @@ pub fn ramp(share: f64) -> [u8; 3] {
     palette::heat((share.clamp(0.0, 1.0) * 31.0).round() / 31.0)
 }
 
-/// The boundary between points of different outcomes, as line segments in fractions of the axes.
+/// The boundary between cells of different outcomes, as line segments in fractions of the axes.
 pub fn boundary(slice: &Slice) -> Vec<[[f64; 2]; 2]> {
     let [width, height] = slice.size;
-    let middle = |side: usize, k: usize| {
-        let edges = &slice.edges[side];
-        // the first and last cell of a range are half cells: return the point at the end, not the middle
-        match k {
-            0 if edges.len() > 2 && edges[1] < 1.0 / (edges.len() - 1) as f64 => 0.0,
-            k if k + 2 == edges.len() && edges.len() > 2 && edges[1] < 1.0 / (edges.len() - 1) as f64 => 1.0,
-            k => 0.5 * (edges[k] + edges[k + 1]),
-        }
-    };
-    let mut lines = Vec::new();
     let class = |i: usize, j: usize| slice.classes[j * width + i];
-    for j in 0..height.saturating_sub(1) {
-        for i in 0..width.saturating_sub(1) {
-            let corners = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)];
-            if corners.iter().all(|&(x, y)| class(x, y) == class(i, j)) {
-                continue;
-            }
-            let position = |(x, y): (usize, usize)| [middle(0, x), middle(1, y)];
-            let between = |a: [f64; 2], b: [f64; 2]| [0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])];
-            let crossings: Vec<[f64; 2]> = (0..4)
-                .map(|k| (corners[k], corners[(k + 1) % 4]))
-                .filter(|&((ax, ay), (bx, by))| class(ax, ay) != class(bx, by))
-                .map(|(a, b)| between(position(a), position(b)))
-                .collect();
-            match crossings[..] {
-                [a, b] => lines.push([a, b]),
-                _ => {
-                    let centre = between(position(corners[0]), position(corners[2]));
-                    lines.extend(crossings.iter().map(|&crossing| [crossing, centre]));
-                }
-            }
-        }
+    let mut lines: Vec<[[f64; 2]; 2]> = Vec::new();
+    let mut add = |from: [f64; 2], to: [f64; 2]| match lines.last_mut() {
+        // a segment that goes on where the last one ended is part of it
+        Some([first, last]) if *last == from && (first[0] == to[0] || first[1] == to[1]) => *last = to,
+        _ => lines.push([from, to]),
+    };
+    let [x, y] = &slice.edges;
+    for i in 1..width {
+        let differ = (0..height).filter(|&j| class(i - 1, j) != class(i, j));
+        differ.for_each(|j| add([x[i], y[j]], [x[i], y[j + 1]]));
+    }
+    for j in 1..height {
+        let differ = (0..width).filter(|&i| class(i, j - 1) != class(i, j));
+        differ.for_each(|i| add([x[i], y[j]], [x[i + 1], y[j]]));
     }
     lines
 }

@@ -20,17 +20,22 @@ use crate::{
         blueprint,
         chunks::Chunks,
         contract::{ABOUT, MAP, MEASURE, RECORDING_INFO, SLICE},
-        palette::{self, color},
+        palette::{self, Rgb, color},
         settings::{application, file_stem},
         sinks::{Destinations, Saved, SinkError, Sinks},
     },
     svg,
-    text::counted,
+    text::{counted, short},
 };
 
 /// Size of the map [px].
 const WIDTH: usize = 840;
 const HEIGHT: usize = 600;
+/// Height of a line of text in a diagram, and how far below its point a label stands, in a window of usual size [px of the
+/// map].
+const LINE: f32 = 44.0;
+const LABEL_BELOW: f32 = 24.0;
+const AXIS: Rgb = [120, 120, 120];
 /// Measures to plot, if the sweep has them.
 const MEASURES: [&str; 5] = ["closest", "time_merged", "first_merge", "energy_by_events", "max_displacement"];
 
@@ -93,7 +98,7 @@ pub fn save(
     };
     let recorded = if sweep.experiment.is_none() { format!(", and record it: `{open}`") } else { String::new() };
     let about = format!(
-        "**{title}**: {}; {}. Select a point to see its row{recorded}\n\n{colored}{outcomes}\n{lines}{dots}Note: {MISSABLE}.",
+        "**{title}**: {}; {}. Point at a run to see its row{recorded}\n\n{colored}{outcomes}\n{lines}{dots}Note: {MISSABLE}.",
         counted(map.rows, "run"),
         axes.join(", "),
     );
@@ -162,37 +167,59 @@ fn log_slice(chunks: &mut Chunks, map: &Map, slice: &Slice, at: &TimePoint) {
 fn log_ticks(chunks: &mut Chunks, map: &Map) {
     let of = |side: usize| map.axes.get(side).map_or_else(Vec::new, ticks);
     let label = |side: usize| map.axes.get(side).map_or_else(String::new, Axis::label);
-    log_axes(chunks, &MAP.of(&["ticks"]), [of(0), of(1)], [&label(0), &label(1)]);
+    log_axes(chunks, &MAP.of(&["ticks"]), [of(0), of(1)], [&label(0), &upwards(&label(1))]);
 }
 
-/// Logs the ticks of two axes as labelled points, below and on the left, and the names of the axes, the second one on top.
+/// The name of a vertical axis that stands above it.
+fn upwards(name: &str) -> String {
+    if name.is_empty() { String::new() } else { format!("↑ {name}") }
+}
+
+/// Logs the ticks of two axes with their numbers, below and on the left, and the names of the axes, the second one on top.
 fn log_axes(chunks: &mut Chunks, entity: &str, ticks: [Vec<(f64, String)>; 2], names: [&str; 2]) {
+    /// Length of a tick [px].
+    const TICK: f32 = 7.0;
+
+    let [[left, bottom], [right, top]] = [[0.0, 0.0], [1.0, 1.0]].map(pixel);
+    let mut lines = vec![vec![[left, top], [left, bottom], [right, bottom]]];
     let (mut positions, mut labels) = (Vec::new(), Vec::new());
     for (side, ticks) in ticks.into_iter().enumerate() {
         for (share, number) in ticks {
             let [x, y] = pixel(if side == 0 { [share, 0.0] } else { [0.0, share] });
-            positions.push(if side == 0 { [x, y + 12.0] } else { [x - 24.0, y] });
+            lines.push(vec![[x, y], if side == 0 { [x, y + TICK] } else { [x - TICK, y] }]);
+            positions.push(if side == 0 { [x, y + 12.0] } else { [x - 42.0, y - LABEL_BELOW] });
             labels.push(number);
         }
     }
-    for (name, at) in names.into_iter().zip([[0.5 * WIDTH as f32, HEIGHT as f32 + 48.0], [0.25 * WIDTH as f32, -50.0]])
-    {
+    let above = names[1].split('\n').count();
+    // one line near its axis, several in the middle of the view, which they fill
+    let at = [if above > 1 { 0.47 * right } else { 0.25 * right }, top - 8.0 - above as f32 * LINE];
+    for (name, at) in names.into_iter().zip([[0.5 * right, bottom + 48.0], at]) {
         if !name.is_empty() {
             positions.push(at);
-            labels.push(name.replacen(", ", ",\n", 1));
+            labels.push(name.to_owned());
         }
     }
     let ticks = Points2D::new(positions)
         .with_labels(labels)
         .with_show_labels(true)
-        .with_colors([color([120, 120, 120])])
+        .with_colors([color(AXIS)])
         .with_radii([Radius::new_ui_points(0.1)]);
     chunks.log_static(entity, &ticks);
-    let [[left, bottom], [right, top]] = [[0.0, 0.0], [1.0, 1.0]].map(pixel);
-    let frame = LineStrips2D::new([[[left, top], [left, bottom], [right, bottom]]])
-        .with_colors([color([120, 120, 120])])
-        .with_radii([Radius::new_ui_points(0.8)]);
-    chunks.log_static(entity, &frame);
+    let lines = LineStrips2D::new(lines).with_colors([color(AXIS)]).with_radii([Radius::new_ui_points(0.8)]);
+    chunks.log_static(entity, &lines);
+}
+
+/// A value in few digits.
+fn brief(value: &Setting) -> String {
+    match value {
+        Setting::Number(number) => {
+            let text = short(*number);
+            let is_plain = text.contains('.') && !text.contains('e');
+            if is_plain { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+        }
+        Setting::Text(_) => value.to_string(),
+    }
 }
 
 /// Logs measures along the first axis, for three values of the second and the first value of all others.
@@ -232,11 +259,9 @@ fn log_along(
         let all = || values.iter().filter_map(|(.., cells)| known(cells));
         let [low, high] = [all().fold(f64::INFINITY, f64::min), all().fold(f64::NEG_INFINITY, f64::max)];
         let share = |value: f64| if high > low { (value - low) / (high - low) } else { 0.5 };
-        for (line, index) in lines.iter().enumerate() {
-            let name = second.map_or_else(
-                || (*measure).to_owned(),
-                |axis| format!("{} = {}", design.axes[axis].label(), design.axes[axis].value(0, *index)),
-            );
+        // what each line has at its right end
+        let mut ends: Vec<(f32, usize)> = Vec::new();
+        for line in 0..lines.len() {
             // a run without a value interrupts the line
             let of_line: Vec<&(usize, f64, Vec<Cell>)> = values.iter().filter(|(of, ..)| *of == line).collect();
             let parts = of_line.split(|(.., cells)| known(cells).is_none()).filter(|part| !part.is_empty());
@@ -245,13 +270,27 @@ fn log_along(
                     part.iter().map(|(_, at, cells)| pixel([*at, share(known(cells).unwrap_or(low))])).collect()
                 })
                 .collect();
-            let labels = vec![name; parts.len().min(1)];
+            ends.extend(parts.last().and_then(|part| part.last()).map(|[_, y]| (*y, line)));
             let lines = LineStrips2D::new(parts)
-                .with_labels(labels)
-                .with_show_labels(true)
                 .with_colors([color(palette::line(line))])
                 .with_radii([Radius::new_ui_points(1.2)]);
             chunks.log_static(&MEASURE.of(&[measure, &line.to_string()]), &lines);
+        }
+        let mut above = column.about.replacen(", ", ",\n", 1);
+        if let Some(axis) = second.map(|axis| &design.axes[axis]) {
+            above += &format!("\nnumbers at the right: {}", axis.label());
+            // labels of lines that end close together stand one above the other
+            ends.sort_by(|x, y| y.0.total_cmp(&x.0));
+            let mut lowest = f32::INFINITY;
+            for (y, line) in ends {
+                lowest = f32::min(y, lowest - LINE);
+                let label = Points2D::new([[WIDTH as f32 + 44.0, lowest - LABEL_BELOW]])
+                    .with_labels([brief(&axis.value(0, lines[line]))])
+                    .with_show_labels(true)
+                    .with_colors([color(palette::line(line))])
+                    .with_radii([Radius::new_ui_points(0.1)]);
+                chunks.log_static(&MEASURE.of(&[measure, &line.to_string()]), &label);
+            }
         }
         let heights = svg::ticks([low, high], false).into_iter().map(|value| (share(value), written(value)));
         let across = ticks(&design.axes[first]);
@@ -259,7 +298,7 @@ fn log_along(
             chunks,
             &MEASURE.of(&[measure, "ticks"]),
             [across, heights.collect()],
-            [&design.axes[first].label(), &column.about],
+            [&design.axes[first].label(), &upwards(&above)],
         );
     }
     Ok(())

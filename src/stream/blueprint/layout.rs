@@ -89,8 +89,6 @@ pub struct Layout {
     pub ground: Option<Ground>,
     /// The timeline that the viewer opens with.
     pub timeline: &'static str,
-    /// The state of the panel that shows what is selected.
-    pub selection: PanelState,
 }
 
 /// A horizontal grid below everything visible.
@@ -134,7 +132,6 @@ impl Layout {
             spaces: Vec::new(),
             ground: None,
             timeline: SIM_TIME,
-            selection: PanelState::Collapsed,
         }
     }
 
@@ -154,8 +151,8 @@ impl Layout {
             "viewport",
             &ViewportBlueprint::new().with_root_container(root.id).with_auto_layout(false).with_auto_views(false),
         );
-        for (panel, state) in [("blueprint_panel", PanelState::Collapsed), ("selection_panel", self.selection)] {
-            self.log(panel, &PanelBlueprint::new().with_state(state));
+        for panel in ["blueprint_panel", "selection_panel"] {
+            self.log(panel, &PanelBlueprint::new().with_state(PanelState::Collapsed));
         }
         let time_panel = TimePanelBlueprint::new().with_state(PanelState::Collapsed).with_timeline(self.timeline);
         // stages are looked at one by one

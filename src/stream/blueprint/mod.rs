@@ -37,7 +37,7 @@ use crate::{
         self, AsComponents, LogMsg, Points3D, StoreId,
         blueprint::{
             archetypes::{TimePanelBlueprint, VisualBounds2D},
-            components::{ContainerKind, Corner2D, PanelState, PlayState},
+            components::{ContainerKind, Corner2D, PlayState},
         },
         datatypes,
     },
@@ -131,19 +131,23 @@ pub fn of_comparison(
     layout.finish(root)
 }
 
-/// The layout of the map of a sweep: the map, its legend, and measures along a line, one at a time. What is selected is
-/// shown beside it. `picture` is the size of the map and of the diagrams [px].
+/// The layout of the map of a sweep: the map, its legend, and measures along a line, one at a time. `picture` is the size of the map and of the diagrams [px].
 pub fn of_map(measures: &[&str], recording: &StoreId, picture: [f64; 2]) -> Vec<LogMsg> {
     let mut layout = Layout::of(recording);
-    (layout.timeline, layout.selection) = (SLICE, PanelState::Expanded);
+    layout.timeline = SLICE;
     let [x, y] = picture;
-    let bounds = VisualBounds2D::new(datatypes::Range2D {
-        x_range: [-0.11 * x, 1.05 * x].into(),
-        y_range: [-0.14 * y, 1.12 * y].into(),
-    });
-    let bounds: [(&str, &dyn AsComponents); 1] = [("VisualBounds2D", &bounds)];
+    // from the numbers on the left to those at the ends of lines; above are the names of vertical axes, of up to three lines
+    let bounds = |right: f64, top: f64| {
+        VisualBounds2D::new(datatypes::Range2D {
+            x_range: [-0.12 * x, right * x].into(),
+            y_range: [-top * y, 1.14 * y].into(),
+        })
+    };
+    let [of_map, of_measures] = [bounds(1.05, 0.14), bounds(1.12, 0.26)];
+    let bounds: [(&str, &dyn AsComponents); 1] = [("VisualBounds2D", &of_map)];
     let map = layout.view("2D", "Map", MAP.family(), &[family(&MAP)], &bounds);
     let about = layout.view("TextDocument", "What is what", ABOUT.path, &[including(ABOUT.path)], &[]);
+    let bounds: [(&str, &dyn AsComponents); 1] = [("VisualBounds2D", &of_measures)];
     let plots = measures.iter().map(|measure| {
         let entity = format!("{}/{measure}", MEASURE.family());
         layout.view("2D", &capitalized(&measure.replace('_', " ")), &entity, &[format!("+ {entity}/**")], &bounds)
