@@ -20,9 +20,10 @@ mod tabs;
 
 use glam::DVec3;
 
+pub(crate) use self::layout::Layout;
 use self::{
     camera::WIDE,
-    layout::{Ground, Layout, Part, VERTICES, family, including},
+    layout::{Ground, Part, VERTICES, family, including},
     tabs::{capitalized, scene_title},
 };
 pub use self::{
@@ -90,20 +91,22 @@ pub fn beside_controls(subject: &Subject<'_>, recording: &StoreId) -> Vec<LogMsg
 /// The layout of a comparison of two runs: surfaces and error arrows, differences over time, events.
 ///
 /// `second` are the surfaces of the second run, drawn as dots of the colour `rgb`; `has_pairs`: whether q is compared; the
-/// viewer opens at `first` [s], if there is one.
+/// viewer opens at `first` [s], if there is one. Returns the layout too, whose legends [move](Layout::move_legends) once the
+/// lines are known.
 pub fn of_comparison(
+    schema: &Schema,
     spheres: &[(DVec3, f64)],
     (second, rgb): (&[String], palette::Rgb),
     has_pairs: bool,
     first: Option<f64>,
     recording: &StoreId,
-) -> Vec<LogMsg> {
+) -> (Layout, Vec<LogMsg>) {
     /// What is repeated around that instant [s].
     const BEFORE: f64 = 0.2;
     const AFTER: f64 = 1.0;
 
     let mut layout = Layout::of(recording);
-    layout.ground = Ground::under(spheres);
+    layout.ground = Ground::under(spheres).filter(|_| schema.planes.is_empty());
     let surfaces = layout.space((spheres, WIDE), "Both surfaces, and arrows between them", &[family(&WORLD)]);
     let dots =
         Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(2.0)]).with_colors([palette::color(rgb)]);
@@ -128,7 +131,8 @@ pub fn of_comparison(
     if let Some(first) = first {
         layout.open_at([(first - BEFORE).max(0.0), first + AFTER]);
     }
-    layout.finish(root)
+    let messages = layout.finish(root);
+    (layout, messages)
 }
 
 /// The layout of the map of a sweep: the map, its legend, and measures along a line, one at a time. `picture` is the size of the map and of the diagrams [px].

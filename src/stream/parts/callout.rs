@@ -26,7 +26,7 @@ pub fn log_style(entity: &str, rgb: Rgb, chunks: &mut Chunks) {
         .with_show_labels(true);
     chunks.log_static(entity, &ends);
     let leader = LineStrips3D::update_fields()
-        .with_radii([Radius::new_ui_points(1.5)])
+        .with_radii([Radius::new_ui_points(0.75)])
         .with_colors([color(rgb)])
         .with_show_labels(false);
     chunks.log_static(entity, &leader);
