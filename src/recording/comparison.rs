@@ -1,7 +1,7 @@
 //! A recording that visualises the difference between two runs: both surfaces, error arrows between them, and plots of
 //! their distance.
 
-use std::{collections::BTreeMap, path::Path, sync::Arc};
+use std::{path::Path, sync::Arc};
 
 use glam::DVec3;
 
@@ -21,7 +21,7 @@ use crate::{
         components::{MarkerShape, MediaType},
     },
     stream::{
-        blueprint::{self, Layout},
+        blueprint,
         chunks::Chunks,
         contract::{
             ABOUT, COMPARED_DISTANCE, COMPARED_ERROR, COMPARED_EVENTS, COMPARED_SURFACE, COMPARED_WORST, DIFFERENCE,
@@ -32,7 +32,7 @@ use crate::{
         light::Light,
         palette::{self, Rgb, color},
         parts::{callout, lines::MAX_NAMED, marks, planes},
-        series::{Interpolation, Outline, Series},
+        series::{Interpolation, Series},
         settings::file_stem,
         sinks::{Destinations, Saved, SinkError, Sinks},
     },
@@ -80,9 +80,6 @@ pub struct Plan<'a> {
 pub struct Comparison {
     chunks: Chunks,
     sinks: Sinks,
-    layout: Layout,
-    /// The outlines of the lines of plots, by entity.
-    outlines: BTreeMap<String, Outline>,
     shown: Vec<(usize, String, Arc<Mesh>)>,
     pairs: Vec<(String, [usize; 2])>,
     /// Radius of the largest body shown [scene unit].
@@ -118,9 +115,10 @@ impl Comparison {
         let second: Vec<_> = shown.iter().map(|(_, name, _)| COMPARED_SURFACE.of(&[SIDES[1], name])).collect();
         let first = plan.listed.first().map(|(first, _)| first.time);
         let pairs: Vec<_> = plan.pairs.iter().map(|&[a, b]| (schema.pair_name(a, b), [a, b])).collect();
-        let (layout, messages) =
-            blueprint::of_comparison(schema, spheres, (&second, COLORS[1]), !pairs.is_empty(), first, &store);
-        messages.into_iter().try_for_each(|message| sinks.send(message))?;
+        let names: Vec<String> = pairs.iter().map(|(name, _)| name.clone()).collect();
+        for message in blueprint::of_comparison(schema, spheres, (&second, COLORS[1]), &names, first, &store) {
+            sinks.send(message)?;
+        }
         let mut chunks = Chunks::new(store);
         chunks.log_static(WORLD.path, &ViewCoordinates::RIGHT_HAND_Z_UP());
         planes::log(schema, spheres, Instant::default(), &mut chunks);
@@ -139,7 +137,12 @@ impl Comparison {
                 _ => "Bodies that never differ are not shown.".to_owned(),
             },
             plan.tolerance,
-            if pairs.is_empty() { "" } else { " Below it, q of pairs whose events differ, in both runs." },
+            if pairs.is_empty() {
+                ""
+            } else {
+                " Below it, q of pairs whose events differ: \
+                 the first run thick and blue, the second thin and orange; diamonds are events that differ."
+            },
             differ_most(plan.changes),
         );
         chunks.log_static(ABOUT.path, &TextDocument::new(about).with_media_type(MediaType::MARKDOWN));
@@ -169,7 +172,7 @@ impl Comparison {
             Series::style(&mut chunks, &line.of(&[TOLERANCE]), TOLERANCE, LIMIT, 1.0, Interpolation::Linear);
         }
         // where the lines coincide, both are visible: the second is drawn last
-        for ((side, rgb), (run, width)) in SIDES.into_iter().zip(COLORS).zip([("first", 4.0), ("second", 1.5)]) {
+        for ((side, rgb), (run, width)) in SIDES.into_iter().zip(COLORS).zip([("first", 6.0), ("second", 2.0)]) {
             for (pair, _) in &pairs {
                 let entity = COMPARED_DISTANCE.of(&[side, pair]);
                 Series::style(&mut chunks, &entity, &format!("q {pair}, {run} run"), rgb, width, Interpolation::Linear);
@@ -186,8 +189,7 @@ impl Comparison {
             let at = Instant { step: *step, time: *time };
             chunks.log(EVENTS.path, at, &TextLog::new(line).with_color(color(ERROR)));
         }
-        let outlines = BTreeMap::new();
-        let mut comparison = Comparison { chunks, sinks, layout, outlines, shown, pairs, radius, frames: 0 };
+        let mut comparison = Comparison { chunks, sinks, shown, pairs, radius, frames: 0 };
         plan.changes.iter().for_each(|change| comparison.change(schema, change));
         comparison.send()?;
         Ok(comparison)
@@ -233,14 +235,14 @@ impl Comparison {
                     origins.push(a.as_vec3());
                     apart.push(b - a);
                 }
-                log_difference(&mut self.chunks, &mut self.outlines, name, largest, at);
+                log_difference(&mut self.chunks, name, largest, at);
             }
         }
         for (pair, [a, b]) in &self.pairs {
             for (side, centres) in SIDES.into_iter().zip(centres) {
                 let (Some(from), Some(to)) = (centres.get(*a), centres.get(*b)) else { continue };
                 let q = f64::from(from.distance(*to)) / (schema.bodies[*a].radius + schema.bodies[*b].radius);
-                log_value(&mut self.chunks, &mut self.outlines, COMPARED_DISTANCE.of(&[side, pair]), Some(q), at);
+                self.chunks.log(&COMPARED_DISTANCE.of(&[side, pair]), at, &Scalars::single(q));
             }
         }
         let above = |index: usize, radii: f32| {
@@ -272,7 +274,7 @@ impl Comparison {
             worst.into_iter().flat_map(|(ends, labels)| ends.into_iter().zip(labels)).unzip();
         let worst = Points3D::update_fields().with_positions(ends).with_labels(labels);
         self.chunks.log(COMPARED_WORST.path, at, &worst);
-        log_difference(&mut self.chunks, &mut self.outlines, TOLERANCE, tolerance, at);
+        log_difference(&mut self.chunks, TOLERANCE, tolerance, at);
         self.frames += 1;
         if self.frames.is_multiple_of(64) { self.send() } else { Ok(()) }
     }
@@ -335,8 +337,6 @@ impl Comparison {
     /// The file cannot be written.
     pub fn finish(mut self) -> Result<Option<Saved>, SinkError> {
         self.send()?;
-        let lines: Vec<_> = self.outlines.iter().map(|(entity, outline)| (entity.as_str(), outline)).collect();
-        self.layout.move_legends(&lines).into_iter().try_for_each(|message| self.sinks.send(message))?;
         Ok(self.sinks.finish()?.save)
     }
 }
@@ -356,29 +356,9 @@ fn differ_most(changes: &[Change]) -> String {
     format!("\n\n**{} events differ**, most of all: {}.", changes.len(), most.join("; "))
 }
 
-fn log_difference(
-    chunks: &mut Chunks,
-    outlines: &mut BTreeMap<String, Outline>,
-    name: &str,
-    difference: f64,
-    at: Instant,
-) {
-    log_value(chunks, outlines, DIFFERENCE.of(&[name]), Some(difference), at);
+fn log_difference(chunks: &mut Chunks, name: &str, difference: f64, at: Instant) {
+    chunks.log(&DIFFERENCE.of(&[name]), at, &Scalars::single(difference));
     // a difference of 0 is a gap in the line
     let logarithm = (difference > 0.0).then(|| difference.log10());
-    log_value(chunks, outlines, LOG_DIFFERENCE.of(&[name]), logarithm, at);
-}
-
-/// Logs a value of a line, or a gap in it.
-fn log_value(
-    chunks: &mut Chunks,
-    outlines: &mut BTreeMap<String, Outline>,
-    entity: String,
-    value: Option<f64>,
-    at: Instant,
-) {
-    chunks.log(&entity, at, &Scalars::new(value));
-    if let Some(value) = value {
-        outlines.entry(entity).or_default().add(at.step, value);
-    }
+    chunks.log(&LOG_DIFFERENCE.of(&[name]), at, &Scalars::new(logarithm));
 }

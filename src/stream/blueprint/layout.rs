@@ -29,7 +29,6 @@ use crate::{
         chunks::{Chunks, blueprint_time},
         contract::{DRAWN, Entity, MARKS_ON_AXIS, RESTING, SIM_TIME, STAGE, WORLD},
         light, palette,
-        series::Outline,
         settings::{Entities, Settings},
     },
 };
@@ -162,19 +161,6 @@ impl Layout {
 
         let messages = self.chunks.take();
         self.activate(messages)
-    }
-
-    /// Moves the legends of plots to where they cover no lines: entities with their outlines. The messages of all changes
-    /// since the layout was sent.
-    pub fn move_legends(&mut self, lines: &[(&str, &Outline)]) -> Vec<LogMsg> {
-        for plot in std::mem::take(&mut self.plots) {
-            let corner = plot.emptiest_corner(lines);
-            if corner != plot.corner {
-                self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::update_fields().with_corner(corner));
-            }
-        }
-        let messages = self.chunks.take();
-        if messages.is_empty() { messages } else { self.activate(messages) }
     }
 
     /// Adds the command that makes the layout the active one.

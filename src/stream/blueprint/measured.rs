@@ -8,7 +8,10 @@ use super::{
 };
 use crate::{
     observe::schema::ScalarSchema,
-    sdk::{LogMsg, SeriesLines, StoreId, blueprint::archetypes::ViewBlueprint},
+    sdk::{
+        LogMsg, SeriesLines, StoreId,
+        blueprint::archetypes::{PlotLegend, ViewBlueprint},
+    },
     stream::{
         contract::{DIAGNOSTIC, Entity, GROUP_LINE, MARKS_AT_Q, PAIR_CONTACT, PAIR_DISTANCE, PAIR_LEVEL, PAIR_PHASE},
         focus::Focus,
@@ -186,7 +189,14 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     let ranges = ranges.filter_map(|plot| Some((plot.path.clone(), readable(plot.values(&measured.lines)?))));
     let ranges: Vec<(String, [f64; 2])> = ranges.filter(|(_, [low, high])| low < high).collect();
     ranges.into_iter().for_each(|(plot, range)| layout.set_range(&plot, range));
-    layout.move_legends(&measured.lines)
+    for plot in std::mem::take(&mut layout.plots) {
+        let corner = plot.emptiest_corner(&measured.lines);
+        if corner != plot.corner {
+            layout.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::update_fields().with_corner(corner));
+        }
+    }
+    let messages = layout.chunks.take();
+    if messages.is_empty() { messages } else { layout.activate(messages) }
 }
 
 /// The range of an axis that has numbers: the viewer labels the multiples of a power of ten, unless they are dense. Some

@@ -20,10 +20,9 @@ mod tabs;
 
 use glam::DVec3;
 
-pub(crate) use self::layout::Layout;
 use self::{
     camera::WIDE,
-    layout::{Ground, Part, VERTICES, family, including},
+    layout::{Ground, Layout, Part, VERTICES, family, including},
     tabs::{capitalized, scene_title},
 };
 pub use self::{
@@ -37,7 +36,7 @@ use crate::{
     sdk::{
         self, AsComponents, LogMsg, Points3D, StoreId,
         blueprint::{
-            archetypes::{TimePanelBlueprint, VisualBounds2D},
+            archetypes::{PlotLegend, TimePanelBlueprint, VisualBounds2D},
             components::{ContainerKind, Corner2D, PlayState},
         },
         datatypes,
@@ -90,17 +89,16 @@ pub fn beside_controls(subject: &Subject<'_>, recording: &StoreId) -> Vec<LogMsg
 
 /// The layout of a comparison of two runs: surfaces and error arrows, differences over time, events.
 ///
-/// `second` are the surfaces of the second run, drawn as dots of the colour `rgb`; `has_pairs`: whether q is compared; the
-/// viewer opens at `first` [s], if there is one. Returns the layout too, whose legends [move](Layout::move_legends) once the
-/// lines are known.
+/// `second` are the surfaces of the second run, drawn as dots of the colour `rgb`; `pairs`: those of which q is compared; the
+/// viewer opens at `first` [s], if there is one.
 pub fn of_comparison(
     schema: &Schema,
     spheres: &[(DVec3, f64)],
     (second, rgb): (&[String], palette::Rgb),
-    has_pairs: bool,
+    pairs: &[String],
     first: Option<f64>,
     recording: &StoreId,
-) -> (Layout, Vec<LogMsg>) {
+) -> Vec<LogMsg> {
     /// What is repeated around that instant [s].
     const BEFORE: f64 = 0.2;
     const AFTER: f64 = 1.0;
@@ -120,10 +118,13 @@ pub fn of_comparison(
     let plot = layout.time_series(title, "/", &[family(&LOG_DIFFERENCE)], Corner2D::LeftTop);
     let events = layout.lines("Events", EVENTS.path);
     let (mut parts, mut shares) = (vec![plot, events], vec![1.5, 1.0]);
-    if has_pairs {
-        let distances = "Pair distances q in both runs";
+    if !pairs.is_empty() {
+        let distances = format!("q in both runs: {}", pairs.join(", "));
         let contents = [&COMPARED_DISTANCE, &COMPARED_EVENTS].map(family);
-        parts.insert(1, layout.time_series(distances, "/", &contents, Corner2D::RightBottom));
+        let plot = layout.time_series(&distances, "/", &contents, Corner2D::RightBottom);
+        // it would cover a third of the lines, whose colours are those of the surfaces
+        layout.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
+        parts.insert(1, plot);
         shares.insert(1, 1.0);
     }
     let right = layout.container(ContainerKind::Vertical, "Differences", parts, &shares);
@@ -131,8 +132,7 @@ pub fn of_comparison(
     if let Some(first) = first {
         layout.open_at([(first - BEFORE).max(0.0), first + AFTER]);
     }
-    let messages = layout.finish(root);
-    (layout, messages)
+    layout.finish(root)
 }
 
 /// The layout of the map of a sweep: the map, its legend, and measures along a line, one at a time. `picture` is the size of the map and of the diagrams [px].
@@ -144,7 +144,7 @@ pub fn of_map(measures: &[&str], recording: &StoreId, picture: [f64; 2]) -> Vec<
     let bounds = |right: f64, top: f64| {
         VisualBounds2D::new(datatypes::Range2D {
             x_range: [-0.12 * x, right * x].into(),
-            y_range: [-top * y, 1.14 * y].into(),
+            y_range: [-top * y, 1.16 * y].into(),
         })
     };
     let [of_map, of_measures] = [bounds(1.05, 0.14), bounds(1.12, 0.26)];
