@@ -194,7 +194,7 @@ fn log_axes(chunks: &mut Chunks, entity: &str, ticks: [Vec<(f64, String)>; 2], n
     let above = names[1].split('\n').count();
     // one line near its axis, several in the middle of the view, which they fill
     let at = [if above > 1 { 0.47 * right } else { 0.25 * right }, top - 8.0 - above as f32 * LINE];
-    for (name, at) in names.into_iter().zip([[0.5 * right, bottom + 48.0], at]) {
+    for (name, at) in names.into_iter().zip([[0.5 * right, bottom + 56.0], at]) {
         if !name.is_empty() {
             positions.push(at);
             labels.push(name.to_owned());
