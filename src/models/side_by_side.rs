@@ -15,15 +15,19 @@ use crate::{
     observe::{
         BodyEvent, BodyFrame, Experiment, Frame, Instant, NearPair, PairEvent, PairFrame, Refusal, Schema, Simulation,
         StepFailure, StepSummary, SurfaceEvent, Want,
-        schema::{BodySchema, OwnLevels, OwnSurfaces, ScalarOf, ScalarSchema, TermSchema},
+        schema::{BodySchema, OwnLevels, OwnSurfaces, ScalarOf, ScalarSchema, TermSchema, VariantSchema},
         surface::{Finding, Group, Surfaced, Surfaces},
     },
     scene::{Model, Scene},
     sim::Options,
 };
 
-/// Gap between neighbours [extents of the scene].
-const SPACING: f64 = 1.05;
+/// Distance between neighbours [extents of the scene].
+const SPACING: f64 = 1.1;
+/// Height of the name of a model above its middle [half extents of the scene].
+const ABOVE: f64 = 1.15;
+/// How much of its depth a scene seems higher, seen slightly from above.
+const DEPTH_SEEN: f64 = 0.4;
 
 /// Several models of a scene. The scene's own model is included only if it is listed.
 #[derive(Clone, Debug)]
@@ -51,26 +55,30 @@ impl SideBySide {
 
     /// Positions of the models, given the spheres that a camera should see of one model.
     fn places(&self, spheres: &[(DVec3, f64)]) -> Vec<Place> {
-        let extent = |axis: DVec3| {
-            let ends = spheres.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), (centre, radius)| {
-                let at = centre.dot(axis);
-                (f64::min(low, at - radius), f64::max(high, at + radius))
-            });
-            if ends.0 < ends.1 { SPACING * (ends.1 - ends.0) } else { 0.0 }
+        let low = spheres.iter().fold(DVec3::INFINITY, |low, &(centre, radius)| low.min(centre - radius));
+        let high = spheres.iter().fold(DVec3::NEG_INFINITY, |high, &(centre, radius)| high.max(centre + radius));
+        let (low, high) = if low.is_finite() && high.is_finite() { (low, high) } else { Default::default() };
+        let extent = SPACING * (high - low);
+        // two per row, rows from top to bottom as the camera sees them: from high above, if the scene is deeper than high, or
+        // else from the front. All stand on the same planes.
+        let is_flat = extent.z < extent.y;
+        let (columns, down) = match (is_flat, self.scene.planes.is_empty()) {
+            (true, _) => (2, -ABOVE * extent.y * DVec3::Y),
+            (false, true) => (2, -(extent.z + DEPTH_SEEN * extent.y) * DVec3::Z),
+            (false, false) => (self.models.len().max(1), DVec3::ZERO),
         };
-        // two per row, rows from top to bottom as the camera sees them
-        let (right, down) = (extent(DVec3::X) * DVec3::X, -extent(DVec3::Z) * DVec3::Z);
+        let top = if is_flat { extent.y * DVec3::Y } else { extent.z * DVec3::Z };
+        let top = 0.5 * (low + high) + 0.5 * ABOVE * top;
         let bodies = self.scene.bodies.len();
-        let place = |(k, run): (usize, SceneRun)| Place {
-            schema: run.schema(),
-            first: k * bodies,
-            offset: (k % 2) as f64 * right + (k / 2) as f64 * down,
+        let place = |(k, run): (usize, SceneRun)| {
+            let offset = (k % columns) as f64 * extent.x * DVec3::X + (k / columns) as f64 * down;
+            Place { schema: run.schema(), first: k * bodies, offset, heading: top + offset }
         };
         self.runs().enumerate().map(place).collect()
     }
 
     fn spheres(&self) -> Vec<(DVec3, f64)> {
-        self.runs().next().and_then(|run| run.start().ok()).map(|run| run.framing(false)).unwrap_or_default()
+        self.runs().next().and_then(|run| run.start().ok()).map(|run| run.framing(true)).unwrap_or_default()
     }
 
     fn combined(&self, places: &[Place]) -> Schema {
@@ -94,12 +102,15 @@ impl SideBySide {
                 place.schema.level(threshold, [a - place.first, b.checked_sub(place.first)?], time)
             })
         };
+        let variants = self.models.iter().zip(places);
+        let variants = variants.map(|(model, place)| VariantSchema { name: model.name(), heading: place.heading });
         Schema {
             name: format!("{}-models", self.scene.name),
             run: first.run.clone() + &format!("models = [{}]\n", names.join(", ")),
             model: self.models.iter().map(|model| model.name()).collect::<Vec<_>>().join("+"),
-            law: places.iter().map(|place| format!("**{}**: {}  \n", place.schema.model, place.schema.law)).collect(),
+            law: laws(places),
             bodies: bodies.collect(),
+            variants: variants.collect(),
             terms: vec![net],
             labels: vec!["as in its own recording"],
             own_levels: if self.scene.has_one_law() { OwnLevels::default() } else { own_levels },
@@ -110,6 +121,24 @@ impl SideBySide {
             ..first.clone()
         }
     }
+}
+
+/// The laws of the models: what they share once.
+fn laws(places: &[Place]) -> String {
+    let sentences = |place: &Place| -> Vec<String> {
+        place.schema.law.split(". ").map(|sentence| sentence.trim().trim_end_matches('.').to_owned()).collect()
+    };
+    let laws: Vec<Vec<String>> = places.iter().map(sentences).collect();
+    let is_shared = |sentence: &&String| laws.iter().all(|law| law.contains(sentence));
+    let of = |name: &str, sentences: Vec<&str>| match sentences.is_empty() {
+        true => String::new(),
+        false => format!("**{name}**: {}.  \n", sentences.join(". ")),
+    };
+    let own = places.iter().zip(&laws).map(|(place, law)| {
+        of(&place.schema.model, law.iter().filter(|sentence| !is_shared(sentence)).map(String::as_str).collect())
+    });
+    let shared = laws.iter().take(1).flatten().filter(is_shared).map(String::as_str).collect();
+    own.collect::<String>() + &of("All", shared)
 }
 
 /// The scalar of a model.
@@ -130,6 +159,8 @@ struct Place {
     /// Index of its first body.
     first: usize,
     offset: DVec3,
+    /// Where its name stands.
+    heading: DVec3,
 }
 
 impl Place {
@@ -365,13 +396,12 @@ impl Simulation for SideBySideRun {
         Some(&self.contacts)
     }
 
-    fn framing(&self, only_what_happens: bool) -> Vec<(DVec3, f64)> {
-        let of = |part: &Part| {
-            let offset = part.place.offset;
-            part.simulation
-                .framing(only_what_happens)
-                .into_iter()
-                .map(move |(centre, radius)| (centre + offset, radius))
+    /// Only what happens: with all of their paths in view, the bodies of several models would be tiny.
+    fn framing(&self, _: bool) -> Vec<(DVec3, f64)> {
+        let of = |Part { simulation, place, .. }: &Part| {
+            let offset = place.offset;
+            let spheres = simulation.framing(true).into_iter().map(move |(centre, radius)| (centre + offset, radius));
+            spheres.chain([(place.heading, 0.0)])
         };
         self.parts.iter().flat_map(of).collect()
     }

@@ -37,6 +37,9 @@ pub struct Schema {
     pub blend: f64,
     /// The bodies: at least one, with unique names.
     pub bodies: Vec<BodySchema>,
+    /// The variants of one scene that run side by side, if it is several: each has as many bodies, one variant's after the
+    /// other's.
+    pub variants: Vec<VariantSchema>,
     /// Planes that bodies cannot pass.
     pub planes: Vec<PlaneSchema>,
     /// Length per acceleration of the net force arrows of free bodies [scene unit per scene unit/s²].
@@ -72,6 +75,15 @@ pub struct Schema {
     pub stages: Vec<&'static str>,
     /// Warnings about the scene, one sentence each.
     pub warnings: Vec<String>,
+}
+
+/// One of several variants of a scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VariantSchema {
+    /// Its name, as one word. The names of its bodies begin with it and a hyphen.
+    pub name: &'static str,
+    /// Where its name stands [scene unit].
+    pub heading: DVec3,
 }
 
 /// Influence spheres and planes from an instant on.
@@ -316,6 +328,7 @@ impl Default for Schema {
             credit: "",
             blend: fairing::BLEND,
             bodies: Vec::new(),
+            variants: Vec::new(),
             planes: Vec::new(),
             points: Vec::new(),
             changes: Vec::new(),
@@ -423,6 +436,18 @@ impl Schema {
         let names = [self.non_default_model().unwrap_or_default(), &self.integrator];
         let names: Vec<&str> = names.into_iter().filter(|name| !name.is_empty()).collect();
         if names.is_empty() { String::new() } else { format!(" with {}", names.join(", ")) }
+    }
+
+    /// Number of bodies of a variant; of all, if there are no variants.
+    pub fn variant_size(&self) -> usize {
+        (self.bodies.len() / self.variants.len().max(1)).max(1)
+    }
+
+    /// The name of a body within its variant.
+    pub fn plain_name(&self, body: usize) -> &str {
+        let name = self.bodies[body].name.as_str();
+        let variant = self.variants.get(body / self.variant_size());
+        variant.and_then(|variant| name.strip_prefix(variant.name)?.strip_prefix('-')).unwrap_or(name)
     }
 
     /// The largest radius of a body [scene unit].

@@ -128,6 +128,9 @@ impl Mistakes {
             format!("schema.dt is {:?}, expected a time > 0 s", schema.dt)
         });
         self.ensure(!bodies.is_empty(), || "schema.bodies is empty, expected at least one body".to_owned());
+        self.ensure(bodies.len().is_multiple_of(schema.variants.len().max(1)), || {
+            format!("schema.variants has {} variants, of which not all have as many bodies", schema.variants.len())
+        });
         self.ensure(!phases.is_empty(), || "schema.phases is empty, expected at least one phase".to_owned());
         self.ensure(schema.labels.len() <= 256, || {
             format!("schema.labels has {} labels, expected at most 256", schema.labels.len())

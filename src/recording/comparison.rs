@@ -268,7 +268,8 @@ impl Comparison {
             let (position, height) = (position.as_vec3(), heights.fold(f32::NEG_INFINITY, f32::max));
             ([position, position.with_z(height)], ["".to_owned(), label])
         });
-        let leader = LineStrips3D::update_fields().with_strips(worst.iter().map(|(ends, _)| *ends));
+        let leader = LineStrips3D::update_fields()
+            .with_strips(worst.iter().map(|([from, to], _)| callout::leader(from.as_dvec3(), to.as_dvec3())));
         self.chunks.log(COMPARED_WORST.path, at, &leader);
         let (ends, labels): (Vec<_>, Vec<_>) =
             worst.into_iter().flat_map(|(ends, labels)| ends.into_iter().zip(labels)).unzip();

@@ -114,7 +114,7 @@ entities! {
     RECENT_NAMES = "/recent/names" ["Points3D"]
         "Their names.";
     NAMES = "/world/names" ["Points3D"]
-        "The names of up to 16 bodies.";
+        "The names of up to 16 bodies; with several models side by side, of those of the first, and the names of the models.";
     FORCES = "/world/forces" ["AnnotationContext"]
         "Names of the pairs of bodies between which forces act, as classes of arrows.";
     FORCE = "/world/forces/CAUSE" ["Arrows3D"]
@@ -147,6 +147,8 @@ entities! {
         "Radius of the seam [radii of the smaller body].";
     PAIR_CONTACT = "/pairs/A~B/contact" ["StateChange, StateConfiguration"]
         "Whether the bodies are joined by their phase, and whether their surfaces touch.";
+    TOUCHING = "/touching/MODEL" ["StateChange, StateConfiguration"]
+        "With several models side by side: the pairs of bodies whose surfaces touch, of those with plots.";
     PAIR_SCALAR = "/between/SCALAR/A~B" ["Scalars"]
         "A scalar of a pair that the simulation names, for the same pairs.";
     BODY_SCALAR = "/bodies/SCALAR/NAME" ["Scalars"]
@@ -180,7 +182,7 @@ entities! {
     DIAGNOSTIC = "/diagnostics/SCALAR" ["Scalars"]
         "Energy, error, counts.";
     VOLUME = "/volume/OF" ["Scalars"]
-        "The volume that all surfaces enclose, of each group that of its sharp union, and the sum of the volumes of the bodies one by one [scene unit³]; with at most 16 bodies.";
+        "The volume that all surfaces enclose, of each group that of its sharp union, and the sum of the volumes of the bodies one by one [scene unit³]; with at most 16 bodies. With several models side by side, the volume of the surfaces of each.";
     OVERLAPPING = "/diagnostics/overlapping_groups" ["Scalars"]
         "Groups that could not be united in time and are drawn as overlapping meshes.";
     LEGEND = "/legend/PART" ["Image; Points2D"]

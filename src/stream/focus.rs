@@ -37,7 +37,7 @@ impl Focus {
         let FrameView { schema, frame, .. } = view;
         let bodies = || frame.bodies.iter().zip(&schema.bodies).enumerate();
         let mut spheres = extent(view);
-        if !recent::is_drawn_alone(schema) {
+        if !recent::is_drawn_alone(schema) && schema.variants.is_empty() {
             spheres.extend(pair.map(|index| (frame.bodies[index].centre, schema.bodies[index].reach)));
         }
         let points = schema.points.iter().filter_map(|point| point.sphere.at(view.at.time));
@@ -56,11 +56,12 @@ impl Focus {
 }
 
 /// What a camera must have in view to show all bodies: their spheres, or of many the corners of the box around them and
-/// the label above.
+/// the label above; of several variants, also their names.
 fn extent(view: FrameView<'_>) -> Vec<(DVec3, f64)> {
     let present = view.bodies().filter(|(_, now)| !now.is_absent);
-    if !recent::is_drawn_alone(view.schema) {
-        let spheres = present.map(|(body, now)| (now.centre, body.radius));
+    if !recent::is_drawn_alone(view.schema) || !view.schema.variants.is_empty() {
+        let headings = view.schema.variants.iter().map(|variant| (variant.heading, 0.0));
+        let spheres = present.map(|(body, now)| (now.centre, body.radius)).chain(headings);
         return spheres.filter(|(centre, _)| centre.is_finite()).collect();
     }
     let ([low, high], top) = (view.bounds(), recent::label_height(view));
@@ -126,7 +127,8 @@ impl FocusFinder {
         const EXTENTS_AFTER: f64 = 8.0;
 
         let FrameView { schema, frame, at } = view;
-        if self.frames.is_multiple_of(1_u64 << self.spacing) {
+        // of several variants, the whole run would be too small
+        if self.frames.is_multiple_of(1_u64 << self.spacing) && schema.variants.is_empty() {
             self.run.push(extent(view));
         }
         self.frames += 1;

@@ -45,7 +45,7 @@
 //! | `/recent/pair` | Mesh3D, lit_colors, unlit_normals | With more than 8 bodies: the two of the last event alone, about the point midway between them [radii of the larger]. |
 //! | `/recent/spheres` | Ellipsoids3D | Their influence spheres. |
 //! | `/recent/names` | Points3D | Their names. |
-//! | `/world/names` | Points3D | The names of up to 16 bodies. |
+//! | `/world/names` | Points3D | The names of up to 16 bodies; with several models side by side, of those of the first, and the names of the models. |
 //! | `/world/forces` | AnnotationContext | Names of the pairs of bodies between which forces act, as classes of arrows. |
 //! | `/world/forces/CAUSE` | Arrows3D | Accelerations of vertices and of points of contact by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre. |
 //! | `/forces/NAME/CAUSE` | Scalars | Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, and of that by forces at points [scene unit/s²]; with at most 16 bodies, from the first frame in which it acts. |
@@ -62,6 +62,7 @@
 //! | `/pairs/A~B/overlap` | Scalars | Volume of the intersection [its radius³]. |
 //! | `/pairs/A~B/neck` | Scalars | Radius of the seam [radii of the smaller body]. |
 //! | `/pairs/A~B/contact` | StateChange, StateConfiguration | Whether the bodies are joined by their phase, and whether their surfaces touch. |
+//! | `/touching/MODEL` | StateChange, StateConfiguration | With several models side by side: the pairs of bodies whose surfaces touch, of those with plots. |
 //! | `/between/SCALAR/A~B` | Scalars | A scalar of a pair that the simulation names, for the same pairs. |
 //! | `/bodies/SCALAR/NAME` | Scalars | A scalar of a body that the simulation names, for the first 64 bodies. |
 //! | `/groups/A` | bodies | The names of the bodies of the group whose first body is A. |
@@ -78,7 +79,7 @@
 //! | `/timings/speed` | Scalars | Steps per second. |
 //! | `/timings/lag` | Scalars | How far a run in real time is behind [ms]. |
 //! | `/diagnostics/SCALAR` | Scalars | Energy, error, counts. |
-//! | `/volume/OF` | Scalars | The volume that all surfaces enclose, of each group that of its sharp union, and the sum of the volumes of the bodies one by one [scene unit³]; with at most 16 bodies. |
+//! | `/volume/OF` | Scalars | The volume that all surfaces enclose, of each group that of its sharp union, and the sum of the volumes of the bodies one by one [scene unit³]; with at most 16 bodies. With several models side by side, the volume of the surfaces of each. |
 //! | `/diagnostics/overlapping_groups` | Scalars | Groups that could not be united in time and are drawn as overlapping meshes. |
 //! | `/legend/PART` | Image; Points2D | The colour scale of displacements, and its numbers at the instant. |
 //! | `/largest` | Points3D, LineStrips3D | The vertex with the largest displacement of those that lie in no other body, and above it its label, also with the largest of all. |

@@ -81,9 +81,9 @@ pub fn blended(schema: &Schema, origin: &VertexOrigin) -> Rgb {
     std::array::from_fn(|i| (a[i] + (b[i] - a[i]) * origin.share).round() as u8)
 }
 
-/// The colour of a body: its own, or one of the neutral colours.
+/// The colour of a body: its own, or one of the neutral colours, the same in all variants of the scene.
 pub fn of_body(schema: &Schema, index: usize) -> Rgb {
-    schema.bodies.get(index).and_then(|of| of.color).unwrap_or_else(|| body(index))
+    schema.bodies.get(index).and_then(|of| of.color).unwrap_or_else(|| body(index % schema.variant_size()))
 }
 
 /// Colours of plot lines without other meaning, in order.

@@ -27,7 +27,8 @@ use super::{
     parts::{
         FrameView, batch::BatchedBodies, bodies::SeparateBodies, body_forces::BodyForces, forces::Forces,
         groups::GroupPlots, heat::Heat, lines::Lines, marks, merged::MergedEntities, numbers::FrameNumbers, pairs,
-        pairs::PairPlots, planes, points::Points, spheres::SphereEntities, springs::Springs, trails::Trails,
+        pairs::PairPlots, planes, points::Points, spheres::SphereEntities, springs::Springs, touching::Touching,
+        trails::Trails,
     },
     series::Series,
     settings::{FORMAT, Frames, Trigger, application, recording_id},
@@ -96,6 +97,7 @@ struct FrameParts {
     state: StateParts,
     pairs: PairPlots,
     groups: GroupPlots,
+    touching: Touching,
     numbers: FrameNumbers,
     /// Paths of free bodies; not in a batch, where they would hide everything.
     trails: Option<Trails>,
@@ -260,7 +262,7 @@ impl Recorder {
             fastest: parts.numbers.fastest(),
             distances: parts.pairs.plotted(),
             lines: parts.series.outlines().collect(),
-            pairs: parts.pairs.told(&self.schema),
+            pairs: parts.pairs.told(&self.schema, &parts.series),
             focus: parts.focus.focus().filter(|_| self.flight.is_none()), // a flight recorder may have dropped it
             kept: self.kept.map(|kept| kept.map(|at| at.time)),
             have_acted: parts.body_forces.as_ref().map_or(&[], BodyForces::have_acted),
@@ -526,6 +528,7 @@ impl FrameParts {
             state,
             pairs: PairPlots::new(settings),
             groups: GroupPlots::new(schema, settings.pairs, &mut series, chunks),
+            touching: Touching::default(),
             numbers,
             trails,
             series,
@@ -539,7 +542,7 @@ impl FrameParts {
     /// Logs changed values; `number` is the number of the frame.
     fn log(&mut self, view: FrameView<'_>, number: u64, chunks: &mut Chunks) {
         let start = Clock::now();
-        let FrameParts { state, pairs, groups, numbers, trails, series, focus, body_forces, heat } = self;
+        let FrameParts { state, pairs, groups, touching, numbers, trails, series, focus, body_forces, heat } = self;
         focus.frame(view);
         let [extracting, ahead] = state.log(view, pairs.choose(view, series, chunks), chunks);
         if let Some(trails) = trails {
@@ -554,6 +557,7 @@ impl FrameParts {
         let merged = state.merged.merged();
         pairs.log(view, &merged.pairs, number, series, chunks);
         groups.log(view, merged, series, chunks);
+        touching.log(view, pairs.shown(), &merged.pairs, chunks);
         numbers.log_scalars(view, series, chunks);
         numbers.add_recording(extracting + ahead, start.elapsed().saturating_sub(extracting));
         numbers.log_timings(view.at, chunks);

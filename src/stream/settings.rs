@@ -285,7 +285,9 @@ impl Settings {
     /// The default settings of a scene: everything is recorded.
     pub fn of(scene: &dyn Experiment) -> Settings {
         let schema = scene.schema();
-        Settings::for_bodies(schema.bodies.len(), schema.steps)
+        let own = Settings::for_bodies(schema.bodies.len(), schema.steps);
+        // as many in each variant of a scene
+        Settings { pairs: own.pairs * schema.variants.len().max(1), ..own }
     }
 
     /// The default settings for this many bodies and steps.

@@ -15,17 +15,18 @@ pub const WIDE: f64 = 1.45;
 pub const NARROW: f64 = 1.2;
 
 /// A camera in front of the spheres (centre and radius), slightly to one side and above, with all of them in view.
-/// Flat arrangements are viewed from higher up. Where possible, no sphere of `others` hides one of `wanted`.
+/// Flat arrangements, and those that are `laid_out` on the ground, are viewed from higher up. Where possible, no sphere of
+/// `others` hides one of `wanted`.
 pub fn camera_past(
     spheres: &[(DVec3, f64)],
     wanted: &[(DVec3, f64)],
     others: &[(DVec3, f64)],
-    aspect: f64,
+    (aspect, laid_out): (f64, bool),
 ) -> EyeControls3D {
     let low = spheres.iter().fold(DVec3::INFINITY, |low, &(centre, radius)| low.min(centre - radius));
     let high = spheres.iter().fold(DVec3::NEG_INFINITY, |high, &(centre, radius)| high.max(centre + radius));
     let (middle, extent) = (0.5 * (low + high), high - low);
-    let is_flat = extent.z < 0.2 * f64::min(extent.x, extent.y);
+    let is_flat = laid_out || extent.z < 0.2 * f64::min(extent.x, extent.y);
     let first = DVec3::new(-0.2, -1.0, if is_flat { 1.0 } else { 0.4 }).normalize(); // towards the eye
     let mut best = (eye(spheres, middle, first, aspect), hidden(eye(spheres, middle, first, aspect), wanted, others));
     // a smaller gain does not justify turning away from the default direction

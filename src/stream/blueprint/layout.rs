@@ -87,6 +87,8 @@ pub struct Layout {
     pub spaces: Vec<(String, f64)>,
     /// The grid below everything visible, if there is one.
     pub ground: Option<Ground>,
+    /// Whether variants of the scene lie one behind the other.
+    pub laid_out: bool,
     /// The timeline that the viewer opens with.
     pub timeline: &'static str,
 }
@@ -131,6 +133,7 @@ impl Layout {
             forces: Vec::new(),
             spaces: Vec::new(),
             ground: None,
+            laid_out: false,
             timeline: SIM_TIME,
         }
     }
@@ -284,7 +287,7 @@ impl Layout {
                 .with_color(palette::color(palette::GROUND)),
         };
         let background = Background::new(BackgroundKind::SolidColor).with_color(palette::color(palette::BACKGROUND));
-        let camera = camera_past(spheres, &[], &[], aspect);
+        let camera = camera_past(spheres, &[], &[], (aspect, self.laid_out));
         let properties: [(&str, &dyn AsComponents); 3] =
             [("EyeControls3D", &camera), ("LineGrid3D", &grid), ("Background", &background)];
         let view = self.view("3D", name, WORLD.path, contents, &properties);

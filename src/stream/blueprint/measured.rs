@@ -151,7 +151,12 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         }
         let spaces = std::mem::take(&mut layout.spaces);
         for aspect in [WIDE, NARROW] {
-            let camera = camera_past(&focus.spheres, &focus.pair, &focus.others, aspect);
+            // of several variants, the arrangement is for the view from the front
+            let (pair, others) = match subject.schema.variants.is_empty() {
+                true => (focus.pair.as_slice(), focus.others.as_slice()),
+                false => Default::default(),
+            };
+            let camera = camera_past(&focus.spheres, pair, others, (aspect, layout.laid_out));
             for (view, _) in spaces.iter().filter(|(_, of)| *of == aspect) {
                 layout.log(&format!("{view}/EyeControls3D"), &camera);
             }

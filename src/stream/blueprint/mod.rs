@@ -76,7 +76,7 @@ pub fn beside_controls(subject: &Subject<'_>, recording: &StoreId) -> Vec<LogMsg
     layout.ground = Ground::under(&framing).filter(|_| schema.planes.is_empty());
     let mut tabs = vec![layout.scene_view((&framing, WIDE), schema, scene_title(schema), settings)];
     if schema.bodies.len() > 1 {
-        tabs.push(layout.surface_view((&close, WIDE), schema, settings));
+        tabs.push(layout.surface_view((&close, WIDE), "One surface per group", schema, settings));
     }
     if settings.detail != Detail::Surface {
         tabs.push(layout.forces_tab(&close, schema, settings));

@@ -23,7 +23,7 @@ use crate::{
             Entity, FORCE, GROUP_LINE, INFLUENCE, LAG, LARGEST, LEGEND, MARKS_AT_Q, MERGED, MERGED_SURFACE, NAMES,
             PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR, PLANE, POINTS,
             RECENT_NAMES, RECENT_PAIR, RECENT_SPHERES, RESTING, RESULTANTS, SIM_TIME, SPEED, STAGE, STAGES, STEP,
-            TRAILS, VOLUME, WORLD,
+            TOUCHING, TRAILS, VOLUME, WORLD,
         },
         palette,
         parts::{
@@ -52,10 +52,15 @@ impl Layout {
         let close = simulation.framing(true);
         // planes have their own grids
         self.ground = Ground::under(&framing).filter(|_| schema.planes.is_empty());
+        self.laid_out = schema.variants.windows(2).any(|pair| pair[0].heading.y != pair[1].heading.y);
         if front == Tab::Stages {
             self.timeline = STAGE;
         }
-        let mut tabs = vec![(Tab::Scene, self.scene_tab(&framing, schema, settings))];
+        let first = match schema.variants.is_empty() {
+            true => self.scene_tab(&framing, schema, settings),
+            false => self.variants_tab(&framing, schema, settings),
+        };
+        let mut tabs = vec![(Tab::Scene, first)];
         if schema.bodies.len() > 1 {
             tabs.push((Tab::Surface, self.surface_tab(&close, schema, settings)));
         }
@@ -111,6 +116,30 @@ impl Layout {
             self.container(ContainerKind::Vertical, "Time", parts, &shares)
         };
         self.container(ContainerKind::Horizontal, "Scene", vec![left, right], &[1.6, 1.0])
+    }
+
+    /// The surfaces of several variants of a scene, and what differs between them.
+    fn variants_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
+        let view = self.surface_view((framing, WIDE), "The same bodies in each model", schema, settings);
+        let about = self.view("TextDocument", "What is what", ABOUT.path, &[including(ABOUT.path)], &[]);
+        let left = self.container(ContainerKind::Vertical, "Space", vec![view, about], &[2.6, 1.0]);
+        let title = "Volume of all surfaces, by model [unit³]";
+        let mut parts = vec![
+            // no marks of events, which are at 0: a change of a hundredth is visible
+            self.time_series(title, "/", &[family(&VOLUME)], Corner2D::LeftBottom),
+            self.lanes("Pairs whose surfaces touch, by model", TOUCHING.family(), &[family(&TOUCHING)]),
+        ];
+        if let Some(plot) = schema.scalars.first().map(|scalar| scalar.plot) {
+            let lines = schema.scalars.iter().filter(|scalar| scalar.plot == plot);
+            let lines: Vec<String> = lines.map(|scalar| including(&DIAGNOSTIC.of(&[scalar.name]))).collect();
+            let plot = self.time_series(plot, "/", &lines, Corner2D::LeftTop);
+            // the lines have the colours of those above
+            self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
+            parts.push(plot);
+        }
+        parts.push(self.events());
+        let right = self.container(ContainerKind::Vertical, "What differs", parts, &[1.0, 1.4, 0.8, 0.9]);
+        self.container(ContainerKind::Horizontal, "Models", vec![left, right], &[1.6, 1.0])
     }
 
     /// A 3D view of everything, with the forces that make bodies merge and split.
@@ -176,7 +205,7 @@ impl Layout {
 
     /// The surfaces of groups, and the gap and overlap of pairs above their phases.
     fn surface_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
-        let view = self.surface_view((framing, NARROW), schema, settings);
+        let view = self.surface_view((framing, NARROW), "One surface per group", schema, settings);
         let mut parts = Vec::new();
         if pairs::has_named_pairs(schema) {
             let measures = [
@@ -212,12 +241,12 @@ impl Layout {
     }
 
     /// One surface for each group of bodies.
-    pub fn surface_view(&mut self, framing: Framing<'_>, schema: &Schema, settings: &Settings) -> Part {
+    pub fn surface_view(&mut self, framing: Framing<'_>, name: &str, schema: &Schema, settings: &Settings) -> Part {
         // a seam lies inside the smooth surface and would show through in places
         let merged = if schema.blend > 0.0 { including(MERGED_SURFACE.path) } else { family(&MERGED) };
         let bodies = [&BODY, &DEFORMING, &RESTING, &PLANE, &NAMES].map(family);
         let contents = [&bodies[..], &[merged]].concat();
-        let view = self.space(framing, "One surface per group", &contents);
+        let view = self.space(framing, name, &contents);
         for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
             // a batch has a colour per vertex
             let rgb = if settings.entities == Entities::Batch { [0xFF; 3] } else { palette::of_body(schema, index) };

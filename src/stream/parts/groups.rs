@@ -25,8 +25,10 @@ pub struct GroupPlots {
     known: BTreeMap<usize, GroupPlot>,
     /// Plot of the number of groups without a surface; `None` until there is one.
     overlapping: Option<LineId>,
-    /// Plots of the volume of all surfaces and of the bodies one by one, if there are some.
-    volumes: Option<[LineId; 2]>,
+    /// Plots of the volume of all surfaces, in each variant of the scene; of at most so many bodies.
+    of_surfaces: Vec<LineId>,
+    /// The plot of the volumes of the bodies one by one, unless there are variants.
+    of_bodies: Option<LineId>,
     /// Volume of each body at rest [scene unit³].
     at_rest: Vec<f64>,
     /// Scratch storage, reused.
@@ -62,23 +64,29 @@ pub fn values(group: &Group) -> [f64; 6] {
 impl GroupPlots {
     /// Starts without groups; at most `max_groups` get plots.
     pub fn new(schema: &Schema, max_groups: usize, series: &mut Series, chunks: &mut Chunks) -> GroupPlots {
-        let has_volume = has_named_pairs(schema) && schema.bodies.len() > 1;
-        let volumes = has_volume.then(|| {
-            let styles =
-                [("surfaces", "all surfaces", palette::BODY_LINE, 2.5), ("bodies", "bodies one by one", GREY, 1.5)];
-            styles.map(|(of, label, rgb, width)| {
-                let entity = VOLUME.of(&[of]);
-                Series::style(chunks, &entity, label, rgb, width, Interpolation::Linear);
-                series.line(chunks, &entity, Interpolation::Linear)
-            })
-        });
+        let has_variants = !schema.variants.is_empty();
+        let has_volume = has_variants || (has_named_pairs(schema) && schema.bodies.len() > 1);
+        let mut line = |of: &str, label: &str, rgb, width| {
+            let entity = VOLUME.of(&[of]);
+            Series::style(chunks, &entity, label, rgb, width, Interpolation::Linear);
+            series.line(chunks, &entity, Interpolation::Linear)
+        };
+        let of_surfaces = match has_volume && !has_variants {
+            true => vec![line("surfaces", "all surfaces", palette::BODY_LINE, 2.5)],
+            false => {
+                let variants = schema.variants.iter().map(|variant| variant.name).enumerate();
+                variants.map(|(number, name)| line(name, name, palette::line(number), 1.5)).collect()
+            }
+        };
+        let of_bodies = (has_volume && !has_variants).then(|| line("bodies", "bodies one by one", GREY, 1.5));
         let bodies = if has_volume { schema.bodies.as_slice() } else { &[] };
         let at_rest = bodies.iter().map(|body| {
             let mesh = &body.mesh;
             body.radius.powi(3) * enclosed(mesh.triangles(), mesh.positions())
         });
         let at_rest = at_rest.collect();
-        GroupPlots { max_groups, known: BTreeMap::new(), overlapping: None, volumes, at_rest, is_grouped: Vec::new() }
+        let (known, is_grouped) = (BTreeMap::new(), Vec::new());
+        GroupPlots { max_groups, known, overlapping: None, of_surfaces, of_bodies, at_rest, is_grouped }
     }
 
     /// Logs changed values.
@@ -125,7 +133,9 @@ impl GroupPlots {
 
 impl GroupPlots {
     fn log_volume(&mut self, view: FrameView<'_>, merged: &Merged, series: &mut Series, chunks: &mut Chunks) {
-        let Some([of_surfaces, of_bodies]) = self.volumes else { return };
+        if self.of_surfaces.is_empty() {
+            return;
+        }
         self.is_grouped.clear();
         self.is_grouped.resize(self.at_rest.len(), false);
         for &body in merged.groups.iter().flat_map(|group| &group.bodies) {
@@ -137,15 +147,23 @@ impl GroupPlots {
                 (_, true) => *at_rest,
                 _ => enclosed(now.mesh_of(body).triangles(), &now.positions),
             });
-        let mut sums = [merged.groups.iter().map(|group| group.volume).sum::<f64>(), 0.0];
-        for (volume, is_grouped) in volumes.zip(&self.is_grouped) {
-            sums[0] += if *is_grouped { 0.0 } else { volume };
-            sums[1] += volume;
+        let (size, mut sum) = (view.schema.variant_size(), 0.0);
+        let mut sums = vec![0.0; self.of_surfaces.len()];
+        for group in &merged.groups {
+            sums[group.bodies[0] / size] += group.volume;
         }
-        series.log(chunks, of_bodies, sums[1], view.at);
-        match merged.overlapping {
-            0 => series.log(chunks, of_surfaces, sums[0], view.at),
-            _ => series.interrupt(chunks, of_surfaces, view.at),
+        for (body, (volume, is_grouped)) in volumes.zip(&self.is_grouped).enumerate() {
+            sums[body / size] += if *is_grouped { 0.0 } else { volume };
+            sum += volume;
+        }
+        if let Some(line) = self.of_bodies {
+            series.log(chunks, line, sum, view.at);
+        }
+        for (&line, sum) in self.of_surfaces.iter().zip(sums) {
+            match merged.overlapping {
+                0 => series.log(chunks, line, sum, view.at),
+                _ => series.interrupt(chunks, line, view.at),
+            }
         }
     }
 }

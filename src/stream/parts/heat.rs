@@ -54,7 +54,9 @@ pub fn place(displacement: f32, end: f64) -> [f32; 2] {
 
 /// Whether each body is labelled with its largest displacement: more labels would cover each other.
 pub fn are_bodies_labelled(schema: &Schema) -> bool {
-    schema.bodies.len() <= body_forces::MOST_BODIES && !schema.bodies.iter().any(|body| body.can_be_absent)
+    schema.variants.is_empty()
+        && schema.bodies.len() <= body_forces::MOST_BODIES
+        && !schema.bodies.iter().any(|body| body.can_be_absent)
 }
 
 /// The numbers of the colour scale, and the mark at the largest displacement.

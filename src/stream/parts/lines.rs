@@ -49,7 +49,8 @@ struct LineRows {
     labels: Vec<String>,
 }
 
-/// The names of bodies, each on the side away from its neighbours: labels at the centres would cover each other.
+/// The names of bodies, each on the side away from its neighbours: labels at the centres would cover each other. Of several
+/// variants, the first one's, and the names of all variants.
 struct Names {
     track: TrackId,
     last: Vec<Float3>,
@@ -68,13 +69,14 @@ impl Lines {
         let components =
             [LineStrips3D::descriptor_strips(), LineStrips3D::descriptor_colors(), LineStrips3D::descriptor_labels()];
         let track = chunks.track(PAIR_LINES.path, components);
+        let has_names = !schema.variants.is_empty() || (2..=MAX_NAMED).contains(&schema.bodies.len());
         Lines {
             track,
             max_lines: settings.pairs,
             only: settings.only.clone(),
             last: None,
             next: LineRows::default(),
-            names: (2..=MAX_NAMED).contains(&schema.bodies.len()).then(|| Names::new(schema, chunks)),
+            names: has_names.then(|| Names::new(schema, chunks)),
             recent: Recent::new(schema, chunks),
             closest: Vec::new(),
         }
@@ -141,7 +143,7 @@ impl Lines {
 impl Names {
     fn new(schema: &Schema, chunks: &mut Chunks) -> Names {
         let mut style = Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.5)]).with_show_labels(true);
-        let named: Vec<usize> = (0..schema.bodies.len()).collect();
+        let named: Vec<usize> = (0..nameable(schema)).collect();
         if !schema.bodies.iter().any(|body| body.can_be_absent) {
             style = labelled(style, schema, &named); // what is static could not change later
         }
@@ -156,12 +158,14 @@ impl Names {
 
     fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
         self.next.clear();
-        let named: Vec<usize> = (0..view.frame.bodies.len()).filter(|&i| !view.frame.bodies[i].is_absent).collect();
+        let bodies = &view.frame.bodies[..nameable(view.schema)];
+        let named: Vec<usize> = (0..bodies.len()).filter(|&i| !bodies[i].is_absent).collect();
         if named != self.named {
             chunks.log(NAMES.path, view.at, &labelled(Points3D::update_fields(), view.schema, &named));
             self.named = named;
         }
         self.next.extend(self.named.iter().map(|&body| name_place(view, body)));
+        self.next.extend(view.schema.variants.iter().map(|variant| variant.heading.as_vec3().to_array()));
         if self.next != self.last {
             std::mem::swap(&mut self.next, &mut self.last);
             chunks.push(self.track, view.at, &[&self.last]);
@@ -193,9 +197,15 @@ pub fn name_place(view: FrameView<'_>, index: usize) -> Float3 {
     position.as_vec3().to_array()
 }
 
-/// Points with the names and colours of these bodies.
+/// Number of bodies that have names, the first ones.
+fn nameable(schema: &Schema) -> usize {
+    Some(schema.variant_size()).filter(|&bodies| bodies <= MAX_NAMED).unwrap_or(0)
+}
+
+/// Points with the names and colours of these bodies, and of the variants.
 fn labelled(points: Points3D, schema: &Schema, bodies: &[usize]) -> Points3D {
-    points
-        .with_labels(bodies.iter().map(|&body| schema.bodies[body].name.as_str()))
-        .with_colors(bodies.iter().map(|&body| color(palette::of_body(schema, body))))
+    let headings = schema.variants.iter().map(|variant| (variant.name, palette::SEAM));
+    let named = bodies.iter().map(|&body| (schema.plain_name(body), palette::of_body(schema, body))).chain(headings);
+    let (names, colors): (Vec<_>, Vec<_>) = named.map(|(name, rgb)| (name, color(rgb))).unzip();
+    points.with_labels(names).with_colors(colors)
 }

@@ -16,6 +16,7 @@
 //! | `/world/springs/NAME` | [`springs`] |
 //! | `/pairs/A~B/…`, `/events` | [`pairs`] |
 //! | `/legend/…`, `/largest` | [`heat`] |
+//! | `/touching/MODEL` | [`touching`] |
 //! | `/marks/…` | [`marks`] |
 //! | `/world/pairs`, `/world/names` | [`lines`] |
 //! | `/world/recent`, `/recent/pair` | [`recent`] |
@@ -40,6 +41,7 @@ pub mod points;
 pub mod recent;
 pub mod spheres;
 pub mod springs;
+pub mod touching;
 pub mod trails;
 pub mod vertices;
 

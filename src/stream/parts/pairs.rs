@@ -2,7 +2,6 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet, VecDeque},
-    hash::{DefaultHasher, Hash as _, Hasher as _},
     sync::Arc,
 };
 
@@ -37,6 +36,8 @@ use crate::{
 
 /// A q that changes less is not worth a line in a plot [–].
 const STILL: f64 = 1e-4;
+/// Lines that differ less coincide in a plot [–].
+const COINCIDING: f64 = 1e-6;
 /// Colour of the lines about steps beyond the tolerance.
 const SHORTFALL: palette::Rgb = colors::VERMILION;
 /// Maximum interval between points of threshold lines [frames], so that they keep up with a live plot.
@@ -83,8 +84,6 @@ struct PairPlot {
     /// Smallest and largest q.
     range: Option<[f64; 2]>,
     distance: LineId,
-    /// A hash of the line of q so far.
-    drawn: DefaultHasher,
     thresholds: Vec<(LineId, usize)>,
     /// Lines of gap, overlap and neck.
     measures: [LineId; 3],
@@ -112,6 +111,16 @@ impl PairPlot {
     /// Whether q stays the same, but for what resting bodies tremble.
     fn is_still(&self) -> bool {
         self.range.is_none_or(|[low, high]| high - low < STILL)
+    }
+
+    /// Whether its lines of q and of thresholds coincide with those of another pair.
+    fn coincides(&self, other: &PairPlot, series: &Series) -> bool {
+        let lines = |plot: &PairPlot| -> Vec<LineId> {
+            std::iter::once(plot.distance).chain(plot.thresholds.iter().map(|(line, _)| *line)).collect()
+        };
+        let (lines, others) = (lines(self), lines(other));
+        let is_same = |(x, y): (&LineId, &LineId)| series.outline(*x).is_within(series.outline(*y), COINCIDING);
+        lines.len() == others.len() && lines.iter().zip(&others).all(is_same)
     }
 }
 
@@ -165,7 +174,7 @@ impl PairPlots {
     }
 
     /// The pairs that have plots worth a look.
-    pub fn told(&self, schema: &Schema) -> Told {
+    pub fn told(&self, schema: &Schema, series: &Series) -> Told {
         let name = |&(a, b): &(usize, usize)| schema.pair_name(a, b);
         let of = |is_told: fn(&PairPlot) -> bool| {
             let told = self.known.iter().filter(|(_, plot)| is_told(plot)).map(|(pair, _)| name(pair));
@@ -174,13 +183,12 @@ impl PairPlots {
             if told.is_empty() { self.known.keys().map(name).collect() } else { told }
         };
         let moving = of(|plot| plot.has_events || !plot.is_still());
-        let mut alike: Vec<(u64, Vec<String>)> = Vec::new();
+        let mut alike: Vec<(&PairPlot, Vec<String>)> = Vec::new();
         for (plot, name) in self.known.iter().map(|(pair, plot)| (plot, name(pair))).filter(|of| moving.contains(&of.1))
         {
-            let drawn = plot.drawn.finish();
-            match alike.iter_mut().find(|(known, _)| *known == drawn) {
+            match alike.iter_mut().find(|(known, _)| known.coincides(plot, series)) {
                 Some((_, alike)) => alike.push(name),
-                None => alike.push((drawn, vec![name])),
+                None => alike.push((plot, vec![name])),
             }
         }
         Told {
@@ -196,6 +204,11 @@ impl PairPlots {
         let plotted: Vec<&Approach> =
             approaches.iter().filter(|approach| self.known.contains_key(&(approach.a, approach.b))).collect();
         marks::log_near_misses(schema, &plotted, chunks);
+    }
+
+    /// The pairs of the current frame that have their own entities.
+    pub fn shown(&self) -> &[[usize; 2]] {
+        &self.shown
     }
 
     /// Smallest and largest number in any plot of distances: q or threshold.
@@ -290,13 +303,11 @@ impl PairPlots {
                 series.log_or_interrupt(chunks, line, value, at);
             }
             series.log(chunks, known.distance, pair.q, at);
-            (at.step, as_drawn(pair.q)).hash(&mut known.drawn);
             known.range = Some(extended(known.range, pair.q));
             self.plotted = Some(extended(self.plotted, pair.q));
             for &(line, threshold) in &known.thresholds {
                 let Some(level) = view.schema.level(threshold, [pair.a, pair.b], at.time) else { continue };
                 series.log(chunks, line, level, at);
-                level.to_bits().hash(&mut known.drawn);
                 self.plotted = Some(extended(self.plotted, level));
                 // A constant line has no new values, but should keep up with a live plot.
                 if frame.is_multiple_of(THRESHOLD_FRAMES) {
@@ -339,12 +350,10 @@ impl PairPlots {
             chunks.log(&pair.phase, since, &StateChange::single(schema.phases[phase].name));
             for (at, q) in before {
                 series.log(chunks, pair.distance, q, at);
-                (at.step, as_drawn(q)).hash(&mut pair.drawn);
                 pair.range = Some(extended(pair.range, q));
                 for &(line, threshold) in &pair.thresholds {
                     if let Some(level) = schema.level(threshold, [a, b], at.time) {
                         series.log(chunks, line, level, at);
-                        level.to_bits().hash(&mut pair.drawn);
                     }
                 }
                 self.plotted = Some(extended(self.plotted, q));
@@ -380,11 +389,6 @@ impl PairPlots {
             self.shortfall = Some(shortfall.ratio());
         }
     }
-}
-
-/// A value of q, rounded to more digits than any plot shows: lines with equal ones coincide.
-fn as_drawn(q: f64) -> i64 {
-    (1e7 * q).round() as i64
 }
 
 /// Whether the layout names every pair of the scene.
@@ -456,7 +460,6 @@ impl PairPlot {
             range: None,
             phase,
             distance,
-            drawn: DefaultHasher::new(),
             thresholds,
             measures,
             scalars,
