@@ -265,6 +265,19 @@ fn models_side_by_side_are_one_recording() {
     let merges: Vec<String> = merges.collect();
     assert!(merges.contains(&"oscillators-a~oscillators-b".to_owned()), "{merges:?}");
     assert!(merges.contains(&"metaballs-a~metaballs-b".to_owned()), "{merges:?}");
+    // each model's lane of touching surfaces changes in the step of its event, and its surfaces have a volume
+    let rows = Recording::open(&path);
+    for model in &all.models {
+        let pair = format!("{model}-a~{model}-b");
+        let touch = recorded.contacts.iter().find(|event| event.name == "touch" && event.pair == pair);
+        let expected = [(0, "none"), (touch.expect("they touch").step as i64, "a~b")];
+        let lane = rows.changes(&format!("/touching/{model}"));
+        let lane: Vec<_> = lane.iter().map(|row| (row.step, row.text("StateChange:state"))).collect();
+        assert!(lane.iter().map(|(step, state)| (*step, state.as_str())).eq(expected), "{model}: {lane:?}");
+        let volumes = rows.changes(&format!("/volume/{model}"));
+        let apart = volumes.first().and_then(|row| row.scalar()).expect("a volume");
+        assert!((apart / (8.0 * std::f64::consts::PI / 3.0) - 1.0).abs() < 0.05, "{model}: {apart}");
+    }
 }
 
 #[test]
