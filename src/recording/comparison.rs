@@ -182,7 +182,7 @@ impl Comparison {
                 chunks.log_static(&COMPARED_EVENTS.of(&[side]), &marks);
             }
         }
-        // not in the colour of the arrows, which the line to its label is none of
+        // in another colour than the arrows: the line to the label is no difference
         callout::log_style(COMPARED_WORST.path, SILVER, &mut chunks);
         for (Worst { step, time, body, vertex, difference, .. }, what) in &plan.listed {
             let line = format!("{what}: {body}:{vertex}, {} R", short(*difference));

@@ -135,7 +135,8 @@ pub fn of_comparison(
     layout.finish(root)
 }
 
-/// The layout of the map of a sweep: the map, its legend, and measures along a line, one at a time. `picture` is the size of the map and of the diagrams [px].
+/// The layout of the map of a sweep: the map, its legend, and measures along a line, one at a time. `picture` is the size
+/// of the map and of the diagrams [px].
 pub fn of_map(measures: &[&str], recording: &StoreId, picture: [f64; 2]) -> Vec<LogMsg> {
     let mut layout = Layout::of(recording);
     layout.timeline = SLICE;
