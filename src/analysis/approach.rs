@@ -123,7 +123,7 @@ impl Approaches {
                 Some(watched) => watched,
                 None if is_full => continue,
                 None => {
-                    // a pair that has just been noticed, because one of them woke, did not come nearer
+                    // a pair that came within reach because a body was deformed did not come nearer
                     let is_still = pair.rate.length() * (time - self.time) < STILL * radii;
                     let first = if is_still { closest.q } else { f64::INFINITY };
                     self.pairs.entry(key).or_insert(Watched { closest, first, has_changed })
@@ -246,6 +246,17 @@ mod tests {
              motion = { line = { from = [0, 2.2, 0], velocity = [0, 0.5, 0] } }\n",
         );
         assert!(found.len() == 1 && (found[0].a, found[0].b) == (0, 1) && (found[0].q - 1.1).abs() < 1e-6, "{found:?}");
+    }
+
+    /// a and b stay 2.6 apart; they come within reach of each other when c deforms a.
+    #[test]
+    fn a_pair_that_keeps_its_distance_is_not_listed() {
+        let (found, _) = closest(
+            "duration = 4.0\n[[body]]\nname = 'a'\nradius = 1.0\nmotion = { line = { from = [0, 0, 0], velocity = [0, 1, 0] } }\n\
+             [[body]]\nname = 'b'\nradius = 1.0\nmotion = { line = { from = [2.6, 0, 0], velocity = [0, 1, 0] } }\n\
+             [[body]]\nname = 'c'\nradius = 1.0\nmotion = { line = { from = [-1.6, 6, 0], velocity = [0, -1, 0] } }\n",
+        );
+        assert_eq!(found, []);
     }
 
     #[test]

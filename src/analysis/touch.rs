@@ -161,7 +161,7 @@ impl Touches {
                 before = Some(Known::default()); // it was out of reach
             }
             let is_torn = bodies.iter().any(|&body| self.has_torn(body, now));
-            if bodies.iter().any(|&body| self.has_torn(body, now)) {
+            if is_torn {
                 // it consists of vertices of the former mesh
                 before.iter_mut().for_each(|before| before.crossing = None);
             }

@@ -13,6 +13,8 @@
 //! A new shape is a file that implements [`shape::Solid`] and an entry in the table below. This module does not depend
 //! on bodies, scenes or time.
 
+use glam::DVec3;
+
 mod facets;
 pub mod fairing;
 pub mod files;
@@ -26,6 +28,13 @@ pub use facets::Facets;
 pub use files::MeshFile;
 pub use mesh::{Mesh, Rest};
 pub use vectors::Vectors;
+
+/// The least and the largest corner of the box around spheres (centre and radius); infinite if there are none.
+pub fn bounds(spheres: impl Iterator<Item = (DVec3, f64)>) -> [DVec3; 2] {
+    spheres.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[low, high], (centre, radius)| {
+        [low.min(centre - radius), high.max(centre + radius)]
+    })
+}
 
 shape::shapes! {
     sphere::Sphere: "sphere",

@@ -11,7 +11,9 @@ use glam::DVec3;
 use super::SceneRun;
 use crate::{
     analysis::{surface::Merger, touch::Touches},
-    colors, hash,
+    colors,
+    geometry::bounds,
+    hash,
     observe::{
         BodyEvent, BodyFrame, Experiment, Frame, Instant, NearPair, PairEvent, PairFrame, Refusal, Schema, Simulation,
         StepFailure, StepSummary, SurfaceEvent, Want,
@@ -55,8 +57,7 @@ impl SideBySide {
 
     /// Positions of the models, given the spheres that a camera should see of one model.
     fn places(&self, spheres: &[(DVec3, f64)]) -> Vec<Place> {
-        let low = spheres.iter().fold(DVec3::INFINITY, |low, &(centre, radius)| low.min(centre - radius));
-        let high = spheres.iter().fold(DVec3::NEG_INFINITY, |high, &(centre, radius)| high.max(centre + radius));
+        let [low, high] = bounds(spheres.iter().copied());
         let (low, high) = if low.is_finite() && high.is_finite() { (low, high) } else { Default::default() };
         let extent = SPACING * (high - low);
         // two per row, rows from top to bottom as the camera sees them: from high above, if the scene is deeper than high, or

@@ -220,7 +220,10 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
     let (steps, dt) = ([a.first, b.first, a.last(), b.last()], [a.schema.dt, b.schema.dt]);
     let [from_a, from_b, to_a, to_b] = std::array::from_fn(|i| steps[i] as f64 * dt[i % 2]);
     let (start, end) = (from_a.max(from_b), to_a.min(to_b));
-    let is_common = |event: &RecordedEvent| (start..=end).contains(&event.time);
+    // where one says in words alone when surfaces touch, this is not compared
+    let have_contacts = recorded.iter().all(|recorded| recorded.has_contacts);
+    let is_common =
+        |event: &RecordedEvent| (start..=end).contains(&event.time) && (have_contacts || !event.is_contact());
     let events = events.map(|events| events.map(|list| list.into_iter().filter(is_common).collect::<Vec<_>>()));
     let [quantities_a, quantities_b] = [quantities::Recorded::read(a)?, quantities::Recorded::read(b)?];
     let surfaces = (!quantities_a.is_empty() && !quantities_b.is_empty()).then(|| {
@@ -233,7 +236,7 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
         let Change::Moved(was, is) = change else { return false };
         let change_in = |of: &quantities::Recorded, dt: f64| of.change_of_gap(&was.pair, [was.time / dt, is.time / dt]);
         let change = change_in(&quantities_a, a.schema.dt).or_else(|| change_in(&quantities_b, b.schema.dt));
-        was.phases[0].is_empty() && change.is_some_and(|change| change <= SENSITIVITY * tolerance)
+        was.is_contact() && change.is_some_and(|change| change <= SENSITIVITY * tolerance)
     };
     let event_count = events.as_ref().map_or(0, |[first, _]| first.len());
     let mut changes = events.map(|[first, second]| events::compare(&first, &second)).unwrap_or_default();

@@ -70,6 +70,11 @@ impl fmt::Display for RecordedEvent {
 }
 
 impl RecordedEvent {
+    /// Whether surfaces touch or part in it, which changes no phase.
+    pub fn is_contact(&self) -> bool {
+        self.phases.iter().all(String::is_empty)
+    }
+
     /// Its kind and pair, in words.
     pub fn what(&self) -> String {
         titled(&self.name, &self.pair)

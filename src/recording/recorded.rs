@@ -20,7 +20,7 @@ use crate::{
     stream::{
         contract::{
             self, BLESSED, BODIES, CHECKSUM, CHECKSUMS, COUNTS, Component, DIGEST, FAILURE, MACHINE, OVERRIDES, PHASES,
-            PROPERTIES, Q, SCENE, SETTINGS, SIM_TIME, STEP, SURFACE_EVENTS, TIME, VERSION, path_of,
+            PROPERTIES, Q, SCENE, SETTINGS, STEP, SURFACE_EVENTS, TIME, VERSION, path_of,
         },
         settings::{FORMAT, Settings, application, recording_id},
     },
@@ -69,8 +69,10 @@ pub struct Recorded {
     pub checksums: Vec<u64>,
     /// All phase changes, in the order of the file.
     pub events: Vec<RecordedEvent>,
-    /// When surfaces touch and part, in the order of the file; empty for a thin recording, which can be run again.
+    /// When surfaces touch and part, in the order of the file.
     pub contacts: Vec<RecordedEvent>,
+    /// Whether these are all: older programs recorded them in words alone.
+    pub has_contacts: bool,
     /// Whether the file is complete.
     pub end: End,
 }
@@ -110,6 +112,7 @@ pub(super) struct Found {
     sums: ReadChecksums,
     events: Vec<RecordedEvent>,
     contacts: Vec<RecordedEvent>,
+    has_words_alone: bool,
 }
 
 impl Recorded {
@@ -209,10 +212,12 @@ impl Found {
             self.take_properties(chunk, read)?;
         } else if CHECKSUM.is(&entity) {
             self.sums.take(chunk, read)?;
-        } else if SURFACE_EVENTS.is(&entity) {
-            self.contacts.extend(contacts_of(chunk)?);
         } else {
-            self.events.extend(events_of(chunk)?);
+            let (contacts, events): (Vec<_>, Vec<_>) =
+                events_of(chunk)?.into_iter().partition(RecordedEvent::is_contact);
+            self.has_words_alone |= SURFACE_EVENTS.is(&entity) && contacts.len() < chunk.num_rows();
+            self.contacts.extend(contacts);
+            self.events.extend(events);
         }
         Ok(())
     }
@@ -249,7 +254,7 @@ impl Found {
 
     /// Recreates the experiment.
     pub fn into_recorded(self, path: &Path, read: &ReadExperiment<'_>, end: End) -> Result<Recorded, ReadError> {
-        let Found { id, sums, events, contacts, .. } = self;
+        let Found { id, sums, events, contacts, has_words_alone, .. } = self;
         let foreign = |what: &str| ReadError::Foreign { path: path.to_owned(), what: what.to_owned() };
         let unsupported = |what: String| ReadError::Unsupported { path: path.to_owned(), what };
         let scene_error = |what: String| ReadError::Scene { path: path.to_owned(), what };
@@ -329,6 +334,7 @@ impl Found {
             checksums: sums.values,
             events,
             contacts,
+            has_contacts: !has_words_alone,
             end,
         })
     }
@@ -370,7 +376,7 @@ impl ReadChecksums {
     }
 }
 
-/// The events of a chunk of `/events`.
+/// The events of a chunk of `/events` or `/events/surfaces`.
 fn events_of(chunk: &Chunk) -> Result<Vec<RecordedEvent>, String> {
     let mut events = Vec::new();
     for row in 0..chunk.num_rows() {
@@ -380,10 +386,13 @@ fn events_of(chunk: &Chunk) -> Result<Vec<RecordedEvent>, String> {
         let number =
             |component: Component| cell::<Float64>(chunk, &component.descriptor(), row).first().map(|number| number.0);
         let Some(name) = texts(&TextLog::descriptor_level()).pop() else { continue };
-        let Ok(phases) = texts(&PHASES.descriptor()).try_into() else {
-            continue; // surfaces that touch or part, in a thin recording
+        let phases: [String; 2] = texts(&PHASES.descriptor()).try_into().unwrap_or_default();
+        let [a, b] = match texts(&BODIES.descriptor()).try_into() {
+            Ok(bodies) => bodies,
+            // when surfaces touch, older programs say in words alone
+            Err(_) if phases.iter().all(String::is_empty) => continue,
+            Err(_) => return Err("an event without a pair".to_owned()),
         };
-        let [a, b] = texts(&BODIES.descriptor()).try_into().map_err(|_| "an event without a pair")?;
         events.push(RecordedEvent {
             name,
             pair: format!("{a}~{b}"),
@@ -396,31 +405,11 @@ fn events_of(chunk: &Chunk) -> Result<Vec<RecordedEvent>, String> {
     Ok(events)
 }
 
-/// The events of a chunk of `/events/surfaces`. Their pair and q are in their texts alone.
-fn contacts_of(chunk: &Chunk) -> Result<Vec<RecordedEvent>, String> {
-    let contact = |row| {
-        let step = u64::try_from(step_of(chunk, row)?).map_err(|_| "an event of a negative step".to_owned())?;
-        let time = time_of(chunk, row, SIM_TIME)? as f64 * 1e-9;
-        let text = cell::<Utf8>(chunk, &TextLog::descriptor_text(), row).pop();
-        let parts: Vec<&str> = text.iter().flat_map(|text| text.as_str().split([' ', ','])).collect();
-        let [name, pair, ..] = parts[..] else { return Err("an event without a pair".to_owned()) };
-        let q = parts.iter().skip_while(|part| **part != "q").nth(2).and_then(|q| q.parse().ok());
-        let q = q.ok_or("an event without q")?;
-        Ok(RecordedEvent { name: name.to_owned(), pair: pair.to_owned(), phases: Default::default(), q, time, step })
-    };
-    (0..chunk.num_rows()).map(contact).collect()
-}
-
 /// The value of the timeline `step` in a row.
 pub(super) fn step_of(chunk: &Chunk, row: usize) -> Result<i64, String> {
-    time_of(chunk, row, STEP)
-}
-
-/// The value of a timeline in a row.
-fn time_of(chunk: &Chunk, row: usize, timeline: &str) -> Result<i64, String> {
-    let column = chunk.timelines().values().find(|column| column.timeline().name().as_str() == timeline);
-    let time = column.and_then(|column| column.times_raw().get(row));
-    time.copied().ok_or_else(|| format!("{} has rows without {timeline}", chunk.entity_path()))
+    let column = chunk.timelines().values().find(|column| column.timeline().name().as_str() == STEP);
+    let step = column.and_then(|column| column.times_raw().get(row));
+    step.copied().ok_or_else(|| format!("{} has rows without {STEP}", chunk.entity_path()))
 }
 
 /// A component of a row as stored in the file.

@@ -126,7 +126,7 @@ entities! {
     POINTS = "/world/points" ["Ellipsoids3D, Points3D"]
         "The influence spheres of force points, while they act, and above them their names.";
     SPRINGS = "/world/springs/NAME" ["LineStrips3D"]
-        "The springs of a body, blue where they are shorter than at rest, red where longer; with forces, and of at most 64 cells.";
+        "The springs of a body, blue where they are shorter than at rest, red-orange where longer; with forces, and of at most 64 cells.";
     TRAILS = "/world/trails" ["LineStrips3D"]
         "The path of the centre of each free body, one segment per frame; not with more than 64 bodies.";
     PLANE = "/world/planes/N" ["Mesh3D"]
@@ -163,8 +163,8 @@ entities! {
         "One line when the error of a body begins to exceed the tolerance, and when it has doubled since: which body, and by how much.";
     FAILED = "/events/failure" ["TextLog"]
         "Why the run ended before its last step.";
-    SURFACE_EVENTS = "/events/surfaces" ["TextLog"]
-        "One line when surfaces touch or part.";
+    SURFACE_EVENTS = "/events/surfaces" ["TextLog, bodies, phases, time, q, rate"]
+        "One line when surfaces touch or part: without phases and rate.";
     BODY_EVENTS = "/events/bodies" ["TextLog"]
         "One line per event of a single body, with its position.";
     MARKS_ON_AXIS = "/marks/axis/KIND" ["Scalars, SeriesPoints"]

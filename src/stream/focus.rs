@@ -8,6 +8,7 @@ use super::{
     series::halve,
     settings::{Around, Settings},
 };
+use crate::geometry::bounds;
 use crate::observe::{PairEvent, Schema};
 
 /// How long the viewer plays on after the instant, at most [s].
@@ -72,8 +73,7 @@ fn extent(view: FrameView<'_>) -> Vec<(DVec3, f64)> {
 
 /// The diagonal of the box around spheres (centre and radius).
 fn width(spheres: &[(DVec3, f64)]) -> f64 {
-    let low = spheres.iter().fold(DVec3::INFINITY, |low, &(centre, radius)| low.min(centre - radius));
-    let high = spheres.iter().fold(DVec3::NEG_INFINITY, |high, &(centre, radius)| high.max(centre + radius));
+    let [low, high] = bounds(spheres.iter().copied());
     low.distance(high)
 }
 

@@ -51,7 +51,7 @@
 //! | `/forces/NAME/CAUSE` | Scalars | Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, and of that by forces at points [scene unit/s²]; with at most 16 bodies, from the first frame in which it acts. |
 //! | `/world/resultants` | Arrows3D | The mean acceleration of the vertices of each body by each cause, and by forces at points, as arrows at its centre; all on one scale, on which the longest of an instant is 1.5 times as long as the largest radius. With at most 16 bodies, the strongest of each body is labelled with the body, and with its cause and value [scene unit/s²] unless it acts on all alike; bodies on which nothing acts have arrows of no length with their names. |
 //! | `/world/points` | Ellipsoids3D, Points3D | The influence spheres of force points, while they act, and above them their names. |
-//! | `/world/springs/NAME` | LineStrips3D | The springs of a body, blue where they are shorter than at rest, red where longer; with forces, and of at most 64 cells. |
+//! | `/world/springs/NAME` | LineStrips3D | The springs of a body, blue where they are shorter than at rest, red-orange where longer; with forces, and of at most 64 cells. |
 //! | `/world/trails` | LineStrips3D | The path of the centre of each free body, one segment per frame; not with more than 64 bodies. |
 //! | `/world/planes/N` | Mesh3D | A plane. |
 //! | `/world/planes/N/grid` | LineStrips3D | Its grid. |
@@ -70,7 +70,7 @@
 //! | `/events` | TextLog, bodies, phases, time, q, rate, energy | One line per change of a phase; a thin recording has all events here. |
 //! | `/events/accuracy` | TextLog | One line when the error of a body begins to exceed the tolerance, and when it has doubled since: which body, and by how much. |
 //! | `/events/failure` | TextLog | Why the run ended before its last step. |
-//! | `/events/surfaces` | TextLog | One line when surfaces touch or part. |
+//! | `/events/surfaces` | TextLog, bodies, phases, time, q, rate | One line when surfaces touch or part: without phases and rate. |
 //! | `/events/bodies` | TextLog | One line per event of a single body, with its position. |
 //! | `/marks/axis/KIND` | Scalars, SeriesPoints | Events as markers on the axis of plots. |
 //! | `/marks/q/KIND` | Scalars, SeriesPoints | Events as markers in plots of q. |

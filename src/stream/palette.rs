@@ -122,7 +122,7 @@ pub fn sheer([r, g, b]: Rgb) -> Rgba32 {
 /// The strain at which a spring has its full colour [–].
 pub const MAX_STRAIN: f64 = 0.2;
 
-/// Colour of a spring by its strain: blue if shortened, white at rest, red if stretched.
+/// Colour of a spring by its strain: blue if shortened, white at rest, red-orange if stretched.
 pub fn strain(strain: f64) -> Rgb {
     let end = if strain < 0.0 { BLUE } else { VERMILION };
     let share = (strain.abs() / MAX_STRAIN).min(1.0);

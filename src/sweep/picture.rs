@@ -213,11 +213,7 @@ fn log_axes(chunks: &mut Chunks, entity: &str, ticks: [Vec<(f64, String)>; 2], n
 /// A value in few digits.
 fn brief(value: &Setting) -> String {
     match value {
-        Setting::Number(number) => {
-            let text = short(*number);
-            let is_plain = text.contains('.') && !text.contains('e');
-            if is_plain { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
-        }
+        Setting::Number(number) => written(short(*number).parse().unwrap_or(*number)),
         Setting::Text(_) => value.to_string(),
     }
 }

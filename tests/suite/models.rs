@@ -7,7 +7,7 @@ use meldscope::{
     Scene,
     analysis::surface::Merger,
     bench,
-    geometry::Mesh,
+    geometry::{Mesh, mesh::signed_volume},
     models::{self, SceneRun, side_by_side::SideBySide},
     observe::{Experiment, Frame, Refusal, Schema, Simulation, StepSummary, Want},
     recording::{
@@ -276,7 +276,11 @@ fn models_side_by_side_are_one_recording() {
         assert!(lane.iter().map(|(step, state)| (*step, state.as_str())).eq(expected), "{model}: {lane:?}");
         let volumes = rows.changes(&format!("/volume/{model}"));
         let apart = volumes.first().and_then(|row| row.scalar()).expect("a volume");
-        assert!((apart / (8.0 * std::f64::consts::PI / 3.0) - 1.0).abs() < 0.05, "{model}: {apart}");
+        let bodies = recorded.schema.bodies.iter().filter(|body| body.name.starts_with(model.name()));
+        let volume =
+            |mesh: &Mesh| signed_volume(mesh.triangles().iter().map(|t| t.map(|v| mesh.positions().get(v as usize))));
+        let expected: f64 = bodies.map(|body| body.radius.powi(3) * volume(&body.mesh)).sum();
+        assert!((apart / expected - 1.0).abs() < 1e-12, "{model}: {apart}, not {expected}");
     }
 }
 

@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 
+use crate::geometry::bounds;
 use crate::sdk::{
     blueprint::{archetypes::EyeControls3D, components::Eye3DKind},
     components::{Position3D, Vector3D},
@@ -23,8 +24,7 @@ pub fn camera_past(
     others: &[(DVec3, f64)],
     (aspect, laid_out): (f64, bool),
 ) -> EyeControls3D {
-    let low = spheres.iter().fold(DVec3::INFINITY, |low, &(centre, radius)| low.min(centre - radius));
-    let high = spheres.iter().fold(DVec3::NEG_INFINITY, |high, &(centre, radius)| high.max(centre + radius));
+    let [low, high] = bounds(spheres.iter().copied());
     let (middle, extent) = (0.5 * (low + high), high - low);
     let is_flat = laid_out || extent.z < 0.2 * f64::min(extent.x, extent.y);
     let first = DVec3::new(-0.2, -1.0, if is_flat { 1.0 } else { 0.4 }).normalize(); // towards the eye

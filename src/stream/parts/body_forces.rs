@@ -107,8 +107,8 @@ impl BodyForces {
 }
 
 impl ResultantRows {
-    /// Arrows from the centres, all on one scale, on which the longest has this length. With `are_named`, that of the strongest
-    /// cause on each body has its body, its name and its value; without these if it acts on all alike.
+    /// Arrows from the centres, all on one scale, on which the longest is [`LONGEST`]. With `are_named`, that of the strongest cause on
+    /// each body is labelled with the body, and with its name and value unless it acts on all alike.
     fn of(view: FrameView<'_>, resultants: &[Resultant], are_named: bool) -> ResultantRows {
         let FrameView { schema, frame, .. } = view;
         let longest = resultants.iter().map(|(.., acceleration)| acceleration.length()).fold(0.0, f64::max);
@@ -123,12 +123,12 @@ impl ResultantRows {
                 arrows.vectors.push((scale * acceleration).as_vec3().to_array());
                 arrows.colors.push(color(term.color).to_u32());
                 let name = &schema.bodies[body].name;
-                let value = significant(acceleration.length());
+                let value = || significant(acceleration.length());
                 arrows.labels.push(match strongest == Some(resultant) && are_named {
                     true if term.is_uniform => name.clone(),
                     // the colour says the cause, too, and long labels would cover each other
-                    true if schema.bodies.len() > MOST_CAUSES => format!("{name} {value}"),
-                    true => format!("{name}: {} {value}", term.name),
+                    true if schema.bodies.len() > MOST_CAUSES => format!("{name} {}", value()),
+                    true => format!("{name}: {} {}", term.name, value()),
                     false => String::new(),
                 });
             }

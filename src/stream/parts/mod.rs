@@ -48,6 +48,7 @@ pub mod vertices;
 use glam::DVec3;
 
 use super::instant::Instant;
+use crate::geometry::bounds;
 use crate::observe::{BodyFrame, Frame, Schema, schema::BodySchema};
 
 /// Upper limit on the number of bodies whose names are shown in the 3D view.
@@ -72,8 +73,6 @@ impl<'a> FrameView<'a> {
     /// The least and the largest corner of the box around the undeformed bodies [scene unit].
     pub fn bounds(self) -> [DVec3; 2] {
         let present = self.bodies().filter(|(_, now)| !now.is_absent);
-        present.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[low, high], (body, now)| {
-            [low.min(now.centre - body.radius), high.max(now.centre + body.radius)]
-        })
+        bounds(present.map(|(body, now)| (now.centre, body.radius)))
     }
 }

@@ -487,13 +487,13 @@ pub fn log_row(schema: &Schema, row: &EventRow<'_>, is_thin: bool, chunks: &mut 
                 None => chunks.log(EVENTS.path, at, &Together(&[&line.0, &line.1])),
             }
         }
-        EventRow::Contact(event) if is_thin => {
+        EventRow::Contact(event) => {
             let rgb = contact_color(event);
             let line = line(schema, row, event.name(), rgb, [event.a, event.b], &[], [event.time, event.q, f64::NAN]);
             let at = Instant { step: event.step, time: event.time };
-            chunks.log(EVENTS.path, at, &Together(&[&line.0, &line.1]));
+            let entity = if is_thin { EVENTS.path } else { SURFACE_EVENTS.path };
+            chunks.log(entity, at, &Together(&[&line.0, &line.1]));
         }
-        EventRow::Contact(event) => log_surface_event(schema, event, chunks),
         EventRow::Body(event) => log_body_event(schema, event, chunks),
     }
 }
@@ -521,13 +521,6 @@ fn line(
 /// A number that is no scalar of a plot: the viewer draws those of a recording without a layout as lines.
 fn number(value: f64) -> Arc<dyn Array> {
     Arc::new(Float64Array::from(vec![value]))
-}
-
-/// Logs the line of a surface event.
-fn log_surface_event(schema: &Schema, event: &SurfaceEvent, chunks: &mut Chunks) {
-    let at = Instant { step: event.step, time: event.time };
-    let line = TextLog::new(event.describe(schema)).with_level(event.name()).with_color(color(contact_color(event)));
-    chunks.log(SURFACE_EVENTS.path, at, &line);
 }
 
 fn contact_color(event: &SurfaceEvent) -> palette::Rgb {

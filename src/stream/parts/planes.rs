@@ -3,6 +3,7 @@
 use glam::DVec3;
 
 use crate::{
+    geometry::bounds,
     observe::{Schema, schema::PlaneSchema},
     sdk::{self, LineStrips3D, Mesh3D},
     stream::{
@@ -18,8 +19,7 @@ const LINES: i32 = 12;
 
 /// Logs the planes from `now` on; `spheres` (centre and radius) bound everything visible. All changes are known ahead.
 pub fn log(schema: &Schema, spheres: &[(DVec3, f64)], now: Instant, chunks: &mut Chunks) {
-    let low = spheres.iter().fold(DVec3::INFINITY, |low, &(centre, radius)| low.min(centre - radius));
-    let high = spheres.iter().fold(DVec3::NEG_INFINITY, |high, &(centre, radius)| high.max(centre + radius));
+    let [low, high] = bounds(spheres.iter().copied());
     let (middle, half) = (0.5 * (low + high), 0.5 * (high - low).max_element());
     if !(half.is_finite() && half > 0.0) {
         return;
