@@ -14,7 +14,7 @@ use super::{
     step::{Course, MIDDLE, Place, Span},
 };
 use crate::sim::numerics::{
-    control::{MAX_SWEEPS, MAX_TURN, NEGLIGIBLE, NEGLIGIBLE_TOLERANCE},
+    control::{MAX_ANGLE, MAX_SWEEPS, NEGLIGIBLE, NEGLIGIBLE_TOLERANCE},
     larger,
     nodes::MIDPOINTS,
 };
@@ -348,7 +348,7 @@ impl Island {
             let rounded = body.centre.length() + body.shape.extent + body.velocity.length();
             let rounding = 2.0 * f64::EPSILON * rounded / course.smallest_radius;
             let error = estimate / (self.tolerance * span.h + rounding);
-            let error = if turned > MAX_TURN { error.max(2.0) } else { error };
+            let error = if turned > MAX_ANGLE { error.max(2.0) } else { error };
             if !(error <= worst.error) {
                 worst = Outcome { error, body: i, estimate };
             }

@@ -18,12 +18,12 @@ pub const RESIDUAL: f64 = 0.1;
 /// The same for a force that acts at once, on a centre: the mean of the largest quartic that vanishes at the nodes, over its
 /// value in the middle.
 pub const RESIDUAL_AT_ONCE: f64 = 0.45;
+/// Share of the tolerance that each thing left out on purpose may take: corrections, how spheres move between the samples,
+/// the deformation of a body that counts as undeformed, and the motion of one that comes to rest.
+pub const NEGLIGIBLE: f64 = 0.1;
 
 // Bodies on paths
 
-/// Share of the acceptable error that corrections, and how spheres move between the samples, may leave each: a fourth, as
-/// the residual is to take most of it.
-pub const SETTLED: f64 = 0.25;
 /// Ratio of the error per unit of time of a step to that of a step of half the length.
 pub const SHORTER: f64 = (1 << ORDER) as f64;
 /// Time of the sixth sample, as a fraction of the step [–]: near an extremum of the quintic that vanishes at the nodes
@@ -55,11 +55,10 @@ pub const MAX_GROWTH: f64 = 4.0;
 /// Largest number of sweeps of a step before a shorter one is tried: those of a step that converges as slowly as pays off,
 /// by half in each.
 pub const MAX_SWEEPS: u32 = 24;
-/// Largest rotation of a body's frame in a step [rad]: the rate of a rotation vector is singular at a full turn.
-pub const MAX_TURN: f64 = 1.0;
-/// Share of the tolerance that what is left out on purpose may take: corrections, the deformation of a body that counts as
-/// undeformed, and the motion of one that comes to rest.
-pub const NEGLIGIBLE: f64 = 0.1;
+/// Largest angle by which a body's frame turns in a step, and the stiffest oscillation in a substep of fixed length [rad];
+/// there it is also the largest way of a vertex [radii of the smallest body]. The rate of a rotation vector is singular at
+/// a full turn; velocity Verlet is stable up to 2, and its frequency is off by 1 % here (1/24 of the square).
+pub const MAX_ANGLE: f64 = 0.5;
 /// Larger tolerances than this make steps longer, but do not allow to leave out more [radii/s]. Otherwise what corrections
 /// leave, which is of low order, would dominate the error of steps much shorter than the tolerance requires.
 pub const NEGLIGIBLE_TOLERANCE: f64 = 1e-6;
@@ -78,12 +77,6 @@ pub const SLOW_TIME: f64 = 0.5;
 /// the radius in a second, the negligible share, is not seen (Box2D: 0.05 m/s). Motion lost by resting is an error that
 /// shorter steps do not reduce.
 pub const MAX_SLOW_TOLERANCE: f64 = 5e-2;
-
-// Steps of fixed length
-
-/// Largest angle by which the stiffest oscillation advances in a substep [rad], and largest way of a vertex [radii of the
-/// smallest body]: velocity Verlet is stable up to 2, and its frequency is off by 1 % here (1/24 of the square).
-pub const MAX_ANGLE: f64 = 0.5;
 
 // Rounding, which decides no accuracy
 

@@ -13,7 +13,8 @@ use crate::{
     sim::{
         numerics::{
             control::{
-                ASIDE, MAX_CORRECTIONS, OF_BOUND, OSCILLATION, RESIDUAL, RESOLVED, ROUNDING, SETTLED, TURN, TURN_WIDTH,
+                ASIDE, MAX_CORRECTIONS, NEGLIGIBLE, OF_BOUND, OSCILLATION, RESIDUAL, RESOLVED, ROUNDING, TURN,
+                TURN_WIDTH,
             },
             dense::Dense,
             lagrange::{combine, quartic, quartic_through},
@@ -245,7 +246,7 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
         // Effect of a force error on the displacement, now or after the oscillator has converted the velocity.
         let gain = weights.gain();
         let left = stiffness * (OF_BOUND * weights.constant.abs() * gain);
-        let enough = Reals::splat(simd, SETTLED * wanted);
+        let enough = Reals::splat(simd, NEGLIGIBLE * wanted);
         let mut unsettled = Reals::splat(simd, f64::INFINITY);
         let mut settled = Mask::none(simd);
         for _ in 0..MAX_CORRECTIONS {
@@ -441,7 +442,7 @@ impl Step {
         let stiffness: f64 = course.spheres.iter().map(|sphere| sphere.strength.abs()).sum();
         let seen = stiffness * self.weights.gain();
         let of_cubic = seen * f64::min(1.0, (omega + 2.0 * damping) * self.h);
-        [of_cubic, seen].map(|seen| SETTLED * wanted / seen)
+        [of_cubic, seen].map(|seen| NEGLIGIBLE * wanted / seen)
     }
 
     /// See [`Step::noise`].
