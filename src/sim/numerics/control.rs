@@ -34,10 +34,6 @@ pub const RESOLVED: f64 = 1.0;
 /// Share of the bound on an error that counts. The largest seen: 0.15 to 0.4 over the vertices of the scenes of `bench error`,
 /// 0.41 over those of random scenes.
 pub const OF_BOUND: f64 = 0.45;
-/// The error that an oscillation usually causes, over the strongest pull, the time that it lasts, and the fifth power of the
-/// number of time scales that pass in the step: the residual of a cubic is at most h⁴/384 times the fourth derivative, of
-/// which a thirty-second counts by `bench error`. Larger errors come from kinks.
-pub const OSCILLATION: f64 = RESIDUAL / 384.0 / 32.0;
 /// The mean force that the cubic through the nodes leaves out of |x| x where x passes 0, at most, over the square of the
 /// step in x: by quadrature.
 pub const TURN: f64 = 0.0037;

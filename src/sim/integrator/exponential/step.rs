@@ -12,10 +12,7 @@ use crate::{
     scene::{Material, path::Bounds},
     sim::{
         numerics::{
-            control::{
-                ASIDE, MAX_CORRECTIONS, NEGLIGIBLE, OF_BOUND, OSCILLATION, RESIDUAL, RESOLVED, ROUNDING, TURN,
-                TURN_WIDTH,
-            },
+            control::{ASIDE, MAX_CORRECTIONS, NEGLIGIBLE, OF_BOUND, RESIDUAL, RESOLVED, ROUNDING, TURN, TURN_WIDTH},
             dense::Dense,
             lagrange::{combine, quartic, quartic_through},
             lanes::{LANES, Mask, Reals, Vector},
@@ -288,12 +285,7 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
             let material = self.course.material;
             let all = self::left_out(simd, material, h, stiffness, [left_out, skew])
                 + self.ringing([x, u], &forces, stiffness);
-            // An error near the tolerance that is larger than an oscillation usually causes is due to a kink between the
-            // samples: only the residual in the middle shows it.
-            let swing = self.step.h * self.step.weights.swing;
-            let usual = self.pulled() * ((scales * scales) * (scales * scales)) * scales * (OSCILLATION * swing);
-            let is_oscillation = Reals::splat(simd, wanted).below(usual);
-            effect = is_quick.or(is_near.and(is_oscillation)).select(all, effect);
+            effect = is_quick.or(is_near).select(all, effect);
         }
         let bent = effect.larger_or_nan(turned) * (OF_BOUND * gain);
         Collocated {
@@ -304,18 +296,6 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
             error: unsettled + bent,
             bent,
         }
-    }
-
-    /// The largest acceleration of each vertex by the spheres that act on it [scene unit/s²].
-    #[inline(always)]
-    fn pulled(&self) -> Reals<S, W> {
-        let max_pull = self.course.weight().max_pull();
-        let mut pulled = Reals::splat(self.simd, 0.0);
-        for pull in self.pulls {
-            let max = self.course.spheres[pull.sphere].radius * max_pull;
-            pulled = pulled + Reals::load(self.simd, &pull.strength, 0).abs() * max;
-        }
-        pulled
     }
 
     /// A bound on the mean force that a step leaves out because a vertex oscillates too fast for its samples
