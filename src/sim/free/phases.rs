@@ -1,5 +1,7 @@
 //! Where a pair of an island changes its phase, and steps that end there.
 
+use glam::DVec3;
+
 use super::{
     super::work::Tally,
     conserved,
@@ -9,7 +11,10 @@ use super::{
 };
 use crate::{
     model::phase::Phase,
-    sim::numerics::{bernstein::Polynomial, control::STANDING},
+    sim::numerics::{
+        bernstein::Polynomial,
+        control::{ROUNDING, STANDING},
+    },
 };
 
 /// The instant of a step at which a pair reaches a level where the step has to end.
@@ -23,6 +28,12 @@ pub(super) struct Crossing {
     pub level: f64,
     /// The phase that begins, if any.
     pub to: Option<Phase>,
+}
+
+/// The difference of a distance from `rim` below which the two are the same [scene unit]: far from the origin, the rounding
+/// of the centres.
+fn standing(rim: f64, centres: [DVec3; 2]) -> f64 {
+    f64::max(STANDING * rim, ROUNDING * (centres[0].length() + centres[1].length()))
 }
 
 impl Island {
@@ -52,7 +63,7 @@ impl Island {
             return None;
         }
         let polynomial = Polynomial::new(&values, &rates);
-        let stands = (distance[0] - rim).abs() <= STANDING * rim;
+        let stands = (distance[0] - rim).abs() <= standing(rim, [a[0].centre, b[0].centre]);
         Some(if stands { polynomial.starting_at_zero() } else { polynomial })
     }
 
@@ -145,7 +156,8 @@ impl Island {
             let distance = apart.length();
             let rate = apart.dot(a.velocity - b.velocity) / distance;
             let off = (distance - rim) / rate;
-            if !((distance - rim).abs() > 0.1 * STANDING * rim && off.abs() < next - self.time && end - off != end) {
+            let standing = standing(rim, [a.centre, b.centre]);
+            if !((distance - rim).abs() > 0.1 * standing && off.abs() < next - self.time && end - off != end) {
                 return Some((end, left));
             }
             end -= off;
@@ -181,7 +193,7 @@ impl Island {
                 let beyond = self.pairs[index].transitions().find(|way| {
                     let side = if way.falling { 1.0 } else { -1.0 };
                     let gap = side * (apart.length() - way.level * radii);
-                    let standing = STANDING * way.level * radii;
+                    let standing = standing(way.level * radii, [a.centre, b.centre]);
                     gap < -standing || (first && gap <= standing && side * rate < 0.0)
                 });
                 let Some(way) = beyond else { break };
