@@ -30,8 +30,10 @@ pub enum ForFree {
     Nothing,
     /// The width of the rim.
     Width,
-    /// The core.
+    /// The core, with its width by default.
     Core,
+    /// The core, with a width that the scene sets.
+    CoreOfWidth,
 }
 
 impl PairLaw {
@@ -52,7 +54,7 @@ impl PairLaw {
     /// The law of a pair with or without a free body.
     pub fn of_pair(mut self, has_free: bool) -> PairLaw {
         let for_free = std::mem::take(&mut self.for_free);
-        if !has_free && for_free == ForFree::Core {
+        if !has_free && matches!(for_free, ForFree::Core | ForFree::CoreOfWidth) {
             self.thresholds.core_at = 0.0;
         }
         if !has_free && for_free != ForFree::Nothing {

@@ -315,7 +315,7 @@ fn read_law(table: &Table<'_>, default: PairLaw) -> Result<PairLaw, SceneError> 
     let own_core_at = table.given_number(key!(PHASES.core_at))?;
     let core_width = table.given_number(key!(PHASES.core_width))?;
     let core_at = own_core_at.unwrap_or(match default.for_free {
-        ForFree::Core => PairLaw::FREE_CORE_AT * merge_at,
+        ForFree::Core | ForFree::CoreOfWidth => PairLaw::FREE_CORE_AT * merge_at,
         ForFree::Width | ForFree::Nothing => default.thresholds.core_at,
     });
 
@@ -345,14 +345,15 @@ fn read_law(table: &Table<'_>, default: PairLaw) -> Result<PairLaw, SceneError> 
         return Err(value.unexpected("0 where there is no core").with_help("give core_at, too"));
     }
     let for_free = match default.for_free {
-        ForFree::Core if own_core_at.is_none() => ForFree::Core,
+        ForFree::Core if own_core_at.is_none() && core_width.is_none() => ForFree::Core,
+        ForFree::Core | ForFree::CoreOfWidth if own_core_at.is_none() => ForFree::CoreOfWidth,
         ForFree::Core | ForFree::Width if core_width.is_none() && core_at > 0.0 => ForFree::Width,
         _ => ForFree::Nothing,
     };
     let core_width = core_width.unwrap_or(match for_free {
         ForFree::Core | ForFree::Width => PairLaw::FREE_CORE_WIDTH * core_at,
         ForFree::Nothing if core_at == 0.0 => 0.0,
-        ForFree::Nothing => default.core_width,
+        ForFree::Nothing | ForFree::CoreOfWidth => default.core_width,
     });
     let thresholds = Thresholds { merge_at, split_at, core_at };
     Ok(PairLaw { alpha, beta, apart_repels, thresholds, core_width, for_free })

@@ -672,4 +672,10 @@ fn pairs_with_a_free_body_have_a_core_by_default() {
     assert_eq!(cores("[influence]\ncore_at = 0.8\ncore_width = 0.1\n"), ([(0.8, 0.1); 3], false));
     let pair = "[[pair]]\nbodies = [\"a\", \"c\"]\nmerge_at = 0.5\n";
     assert_eq!(cores(pair), ([default, own, none], false));
+    // the width of a scene without `core_at` holds for pairs that have one
+    let width = "[influence]\ncore_width = 0.1\n";
+    let of_width = (0.76 * 1.05, 0.1);
+    assert_eq!(cores(width), ([of_width, of_width, none], false));
+    let pairs = "[[pair]]\nbodies = [\"a\", \"c\"]\ncore_at = 0.7\n[[pair]]\nbodies = [\"b\", \"c\"]\ncore_at = 0.6\n";
+    assert_eq!(cores(&format!("{width}{pairs}")), ([of_width, (0.7, 0.1), (0.6, 0.1)], false));
 }
