@@ -43,11 +43,19 @@ pub struct StateNumbers<'a> {
 
 /// The scalars of a scene.
 pub fn scalars(scene: &Scene) -> impl Iterator<Item = &'static Scalar> {
-    let is_coupled = scene.is_coupled();
-    let is_accounted_for = is_coupled && scene.integrator == Integrator::Exponential;
-    let (first, last) = if is_coupled { (TOTAL_OF_FREE, CONSERVED) } else { (DEFORMATION, TOTAL_ON_PATHS) };
-    let has_points = !scene.points.is_empty();
-    let occurs = move |scalar: &&Scalar| is_accounted_for && (has_points || scalar.name != BY_POINTS);
+    let has_free = scene.bodies.iter().any(|body| body.path().is_none());
+    let is_accounted_for = has_free && scene.integrator == Integrator::Exponential;
+    let (first, last): (&[Scalar], &[Scalar]) = match (has_free, scene.is_coupled()) {
+        (true, _) => (TOTAL_OF_FREE, CONSERVED),
+        (false, false) => (DEFORMATION, TOTAL_ON_PATHS),
+        (false, true) => (&[], &[]), // only the solver of bodies on paths knows their energies
+    };
+    let (has_points, has_edits) = (!scene.points.is_empty(), !scene.edits.is_empty());
+    let occurs = move |scalar: &&Scalar| match scalar.name {
+        BY_POINTS => is_accounted_for && has_points,
+        BY_EDITS => is_accounted_for && has_edits,
+        _ => is_accounted_for,
+    };
     first.iter().chain(SCALARS).chain(last).chain(LEDGER.iter().filter(occurs))
 }
 
@@ -123,6 +131,7 @@ const LEDGER: &[Scalar] = &[
     smooth("brought_by_pushes", "by pushes", BROUGHT, |state| state.ledger.pushes),
     smooth("brought_by_paths", "by bodies on paths", BROUGHT, |state| state.ledger.prescribed),
     smooth(BY_POINTS, "by force points", BROUGHT, |state| state.ledger.points),
+    smooth(BY_EDITS, "by edits", BROUGHT, |state| state.ledger.edits),
     smooth("brought_by_rest", "by coming to rest", BROUGHT, |state| state.ledger.rest),
     smooth("unaccounted_energy", "not accounted for [mass·unit²/s²]", UNACCOUNTED, |state| {
         state.conserved.energy() - state.first_energy - state.ledger.total()
@@ -131,6 +140,8 @@ const LEDGER: &[Scalar] = &[
 
 /// Only in scenes with force points.
 const BY_POINTS: &str = "brought_by_points";
+/// Only in scenes with edits.
+const BY_EDITS: &str = "brought_by_edits";
 const BROUGHT: &str = "Energy added since t = 0 [mass·unit²/s²], by cause";
 const UNACCOUNTED: &str = "Energy not accounted for [mass·unit²/s²]";
 

@@ -180,6 +180,28 @@ fn the_ledger_has_the_energy_of_edits() {
         assert!(ledger.edits.abs() > 1.0, "{time}: {ledger:?}");
         let left = now - first - ledger.total();
         assert!(left.abs() < 1e-5 * now.abs().max(1.0), "{time}: {left:e} of {now}, {ledger:?}");
+        assert_eq!(scalar(&world, "brought_by_edits"), Some(ledger.edits));
+    }
+}
+
+/// A scalar of the state of a world, if it has it.
+fn scalar(world: &World, name: &str) -> Option<f64> {
+    let mut frame = Frame::default();
+    world.observe(Want::ALL, &mut frame);
+    let number = world.schema().scalars.iter().position(|scalar| scalar.name == name)?;
+    Some(frame.scalars[number])
+}
+
+/// Only the solver of bodies on paths knows the energies of these bodies: a coupled scene without free bodies has none, not
+/// zeros.
+#[test]
+fn coupled_scenes_of_bodies_on_paths_show_no_energies() {
+    let gradual = PATHS.replacen("[[body]]", "[influence]\ncore_at = 0.5\ncore_width = 0.2\n[[body]]", 1);
+    for (text, has_energies) in [(PATHS, true), (&gradual, false), (FREE, true)] {
+        let (world, _) = run(&scene(text));
+        assert_eq!(scalar(&world, "energy_elastic").is_some(), has_energies);
+        assert_eq!(world.account().is_some(), text == FREE);
+        assert_eq!(scalar(&world, "brought_by_edits"), None);
     }
 }
 
