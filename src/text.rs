@@ -69,8 +69,13 @@ pub fn significant(x: f64) -> String {
     format!("{x:.*}", digits as usize)
 }
 
+/// A measured change of any magnitude, with its sign and four significant digits.
+pub fn change(x: f64) -> String {
+    let sign = if x > 0.0 { "+" } else { "" };
+    format!("{sign}{}", short(x))
+}
+
 /// A measured number of any magnitude, with four significant digits.
-#[cfg(feature = "viewer")]
 pub fn short(x: f64) -> String {
     match x.abs() {
         0.0 => "0".to_owned(),

@@ -15,7 +15,7 @@ use crate::{
     analysis::{surface::Merger, touch::Touches},
     geometry::{Vectors, mesh::signed_volume},
     models::SceneRun,
-    observe::{Experiment as _, Frame, Run, Schema, SurfaceEvent, Want, surface::Finding},
+    observe::{Experiment as _, Frame, Run, Schema, SurfaceEvent, Want, schema::titled, surface::Finding},
     scene::Model,
     sim::Options,
     svg,
@@ -39,6 +39,8 @@ pub(super) const STABLE_LIMIT: f64 = 10.0;
 const STABLE_MULTIPLE: f64 = 3.0;
 /// Smaller errors are drawn at this value [radii].
 const FLOOR: f64 = 1e-12;
+/// Upper limit on the number of events that are listed of a model.
+const MOST_EVENTS: usize = 12;
 
 /// The models on one scene.
 #[derive(Clone, Debug)]
@@ -157,8 +159,7 @@ pub(super) fn observe(scene: &Scene) -> Result<Row, String> {
             let surfaces = found.iter().filter(|event| matches!(event.what, Finding::Touch | Finding::Part));
             let surfaces = surfaces.map(|event: &SurfaceEvent| (event.name(), event.a, event.b, event.time));
             let phases = phases.iter().map(|event| (event.name, event.a, event.b, event.time));
-            let named =
-                |(name, a, b, time): (&str, usize, usize, f64)| (format!("{name} {}", schema.pair_name(a, b)), time);
+            let named = |(name, a, b, time): (&str, usize, usize, f64)| (titled(name, &schema.pair_name(a, b)), time);
             events.extend(surfaces.chain(phases).map(named));
         }
         clock = Instant::now();
@@ -312,8 +313,11 @@ impl Measured {
         let own = |row: &Row| row.points.iter().copied().find(|point| point.dt == self.dt);
         let mut conclusions = Vec::new();
         for (model, row) in self.rows() {
-            let events: Vec<String> =
-                row.events.iter().take(12).map(|(name, time)| format!("{name} {time:.6}")).collect();
+            let mut events: Vec<String> =
+                row.events.iter().take(MOST_EVENTS).map(|(name, time)| format!("{name} {time:.6}")).collect();
+            if row.events.len() > MOST_EVENTS {
+                events.push(format!("and {} more", row.events.len() - MOST_EVENTS));
+            }
             let events = if events.is_empty() { "no merges or splits".to_owned() } else { events.join(", ") };
             conclusions.push(format!("{model} [s]: {events}"));
         }

@@ -13,6 +13,7 @@ use super::{
 };
 use crate::{
     analysis::{Approaches, surface::Merger},
+    geometry::Vectors,
     observe::{BodyFrame, Frame, PairEvent, PairFrame, Run, Schema, Simulation, Want},
     recording::existing::Existing,
     text::{counted, did_you_mean, short, thousands},
@@ -209,7 +210,8 @@ impl Explained<'_> {
             _ => text += "\n  no vertex is displaced",
         }
         let rows = self.schema.terms.iter().zip(&now.terms).filter_map(|(term, frame)| {
-            let (mean, most, at) = resultant(frame.accelerations.len(), |i| frame.accelerations.get(i))?;
+            let (most, at) = largest(&frame.accelerations)?;
+            let mean = now.mean_acceleration(body, &frame.accelerations);
             let cells = [mean.x, mean.y, mean.z, mean.length(), most].map(short);
             Some(std::iter::once(term.label.to_owned()).chain(cells).chain([at.to_string()]).collect())
         });
@@ -366,7 +368,8 @@ impl Explained<'_> {
         let towards = (bodies[b].centre - bodies[a].centre).normalize_or_zero();
         let along = |body: usize, term: usize, sign: f64| {
             let accelerations = &bodies[body].terms.get(term)?.accelerations;
-            let (mean, ..) = resultant(accelerations.len(), |i| accelerations.get(i))?;
+            largest(accelerations)?;
+            let mean = bodies[body].mean_acceleration(&self.schema.bodies[body], accelerations);
             Some(sign * mean.dot(towards))
         };
         let rows = self.schema.terms.iter().enumerate().filter_map(|(index, term)| {
@@ -384,12 +387,11 @@ fn vertices(now: &BodyFrame, of_mesh: usize) -> usize {
     now.mesh.as_ref().map_or(of_mesh, |mesh| mesh.vertex_count())
 }
 
-/// The mean of some vectors, the largest length and its index; `None` if all are zero.
-fn resultant(count: usize, at: impl Fn(usize) -> DVec3) -> Option<(DVec3, f64, usize)> {
-    let sum: DVec3 = (0..count).map(&at).sum();
-    let largest = (0..count).max_by(|&i, &j| at(i).length_squared().total_cmp(&at(j).length_squared()))?;
-    let length = at(largest).length();
-    (length > 0.0).then_some((sum / count as f64, length, largest))
+/// The largest length of some vectors, and its index; `None` if all are zero.
+fn largest(of: &Vectors) -> Option<(f64, usize)> {
+    let index = (0..of.len()).max_by(|&i, &j| of.get(i).length_squared().total_cmp(&of.get(j).length_squared()))?;
+    let length = of.get(index).length();
+    (length > 0.0).then_some((length, index))
 }
 
 /// A number that a scene gives, without the rounding of its arithmetic.

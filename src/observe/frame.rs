@@ -207,6 +207,22 @@ impl BodyFrame {
         self.mesh_of(body).at(body.radius)
     }
 
+    /// What accelerations of its vertices do to the body as a whole [scene unit/s²]: their mean, of a free body by mass, so
+    /// that it is the net force over the mass. Zero where only rounding is left, as of internal forces.
+    pub fn mean_acceleration(&self, body: &BodySchema, accelerations: &Vectors) -> DVec3 {
+        const ROUNDING: f64 = 1e-12;
+
+        let shares = self.mesh_of(body).shares();
+        let equal = 1.0 / accelerations.len().max(1) as f64;
+        let is_weighted = body.is_free && shares.len() == accelerations.len();
+        let (mut sum, mut lengths) = (DVec3::ZERO, 0.0);
+        for i in 0..accelerations.len() {
+            let of = accelerations.get(i) * if is_weighted { shares[i] } else { equal };
+            (sum, lengths) = (sum + of, lengths + of.length());
+        }
+        if sum.length() > ROUNDING * lengths { sum } else { DVec3::ZERO }
+    }
+
     /// Sets the body to rest: no vertex is displaced. Leaves the forces unchanged.
     pub fn rest(&mut self) {
         self.is_at_rest = true;

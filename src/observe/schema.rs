@@ -8,6 +8,7 @@ use super::{event::PairEvent, surface::Surfaces};
 use crate::{
     colors::Rgb,
     geometry::{Mesh, Rest, fairing},
+    text::change,
 };
 
 /// The schema of a simulation. Frames refer to its entries by index.
@@ -492,7 +493,7 @@ impl Schema {
     pub fn describe(&self, event: &PairEvent) -> String {
         let pair = self.pair_name(event.a, event.b);
         let energy = event.energy.filter(|&energy| energy != 0.0);
-        let energy = energy.map_or_else(String::new, |energy| format!(", energy {energy:+.4}"));
+        let energy = energy.map_or_else(String::new, |energy| format!(", energy {}", change(energy)));
         let PairEvent { name, time, q, step, .. } = event;
         format!("{} at t = {time:.9} s, q = {q:.6}, step {step}{energy}", titled(name, &pair))
     }

@@ -120,9 +120,9 @@ entities! {
     FORCE = "/world/forces/CAUSE" ["Arrows3D"]
         "Accelerations of vertices and of points of contact by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre.";
     BODY_FORCE = "/forces/NAME/CAUSE" ["Scalars"]
-        "Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, and of that by forces at points [scene unit/s²]; with at most 16 bodies, from the first frame in which it acts.";
+        "Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, by mass if it is free, and of that by forces at points [scene unit/s²]; with at most 16 bodies, from the first frame in which it acts.";
     RESULTANTS = "/world/resultants" ["Arrows3D"]
-        "The mean acceleration of the vertices of each body by each cause, and by forces at points, as arrows at its centre; all on one scale, on which the longest of an instant is 1.5 times as long as the largest radius. With at most 16 bodies, the strongest of each body is labelled with the body, and with its cause and value [scene unit/s²] unless it acts on all alike; bodies on which nothing acts have arrows of no length with their names.";
+        "The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre; all on one scale, on which the longest of an instant is 1.5 times as long as the largest radius. With at most 16 bodies, the strongest of each body is labelled with the body, its value [scene unit/s²] and, with at most 4 bodies, its cause; bodies on which nothing acts have arrows of no length with their names.";
     POINTS = "/world/points" ["Ellipsoids3D, Points3D"]
         "The influence spheres of force points, while they act, and above them their names.";
     SPRINGS = "/world/springs/NAME" ["LineStrips3D"]

@@ -6,7 +6,10 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use super::instant::Instant;
+use super::{
+    contract::{MARKS_AT_Q, MARKS_ON_AXIS},
+    instant::Instant,
+};
 use crate::sdk::{Chunk, ChunkId, Scalars, SizeBytes as _};
 use crate::text::bytes;
 
@@ -82,7 +85,7 @@ impl FlightRecorder {
     }
 
     fn hold(&mut self, chunk: Chunk) {
-        if is_line(&chunk) {
+        if is_plotted(&chunk) {
             return;
         }
         let id = chunk.id();
@@ -121,9 +124,15 @@ fn size(chunks: &[Chunk]) -> u64 {
     chunks.iter().map(|chunk| chunk.heap_size_bytes()).sum()
 }
 
-/// Whether a chunk has points of a plot line.
-fn is_line(chunk: &Chunk) -> bool {
+/// Whether a chunk has values of a plot.
+fn is_plotted(chunk: &Chunk) -> bool {
     chunk.components().contains_key(&Scalars::descriptor_scalars().component)
+}
+
+/// Whether a chunk has points of a plot line. Markers are no lines: the viewer draws a marker without a value at 0.
+fn is_line(chunk: &Chunk) -> bool {
+    let entity = chunk.entity_path().to_string();
+    is_plotted(chunk) && ![&MARKS_ON_AXIS, &MARKS_AT_Q].iter().any(|marks| marks.is(&entity))
 }
 
 #[cfg(test)]

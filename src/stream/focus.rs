@@ -41,6 +41,10 @@ impl Focus {
         if !recent::is_drawn_alone(schema) && schema.variants.is_empty() {
             spheres.extend(pair.map(|index| (frame.bodies[index].centre, schema.bodies[index].reach)));
         }
+        if schema.variants.is_empty() {
+            let middle = 0.5 * (frame.bodies[pair[0]].centre + frame.bodies[pair[1]].centre);
+            spheres.push((middle.with_z(recent::label_height(view)), 0.0));
+        }
         let points = schema.points.iter().filter_map(|point| point.sphere.at(view.at.time));
         let reached = |&(centre, reach): &(DVec3, f64)| {
             bodies().any(|(_, (now, body))| now.centre.distance(centre) < reach + body.radius)

@@ -257,8 +257,7 @@ impl Recorder {
         let Some(parts) = &self.parts else { return Vec::new() };
         let measured = Measured {
             duration: simulation.time(),
-            typical: parts.numbers.typical(),
-            longest: parts.numbers.longest(),
+            durations: Some(parts.numbers.totals()),
             fastest: parts.numbers.fastest(),
             distances: parts.pairs.plotted(),
             lines: parts.series.outlines().collect(),

@@ -91,8 +91,8 @@ impl Outcome {
         match self {
             Outcome::Apart => "No pair merged, and the bodies did not turn back.",
             Outcome::Bounced => "No pair merged, and the bodies turned back.",
-            Outcome::Split => "Bodies merged and split, on the side from which they came.",
-            Outcome::Passed => "Bodies merged, passed through each other, and split.",
+            Outcome::Split => "Bodies merged, turned back, and split.",
+            Outcome::Passed => "Bodies merged, and split without turning back: they passed through each other.",
             Outcome::Merged => "A pair is merged at the end.",
         }
     }

@@ -38,6 +38,7 @@ use crate::{
         free::{Forces, Snapshot},
         terms::Surroundings,
     },
+    text::{change, short},
 };
 use camera::framing;
 use frames::{add_coupled_forces, add_forces, pair_frame};
@@ -98,8 +99,12 @@ impl Simulation for World {
     }
 
     fn account(&self) -> Option<String> {
+        if self.scene().bodies.iter().all(|body| body.path().is_some()) {
+            return None;
+        }
         let (now, ledger) = (self.conserved()?.energy(), self.ledger());
-        let head = format!("energy of free bodies: {:.4} at the start, {now:.4} at the end", self.first_energy());
+        let head =
+            format!("energy of free bodies: {} at the start, {} at the end", short(self.first_energy()), short(now));
         if self.scene().integrator != Integrator::Exponential {
             return Some(head);
         }
@@ -115,7 +120,7 @@ impl Simulation for World {
             ("edits", ledger.edits),
         ];
         let brought = brought.into_iter().filter(|&(_, energy)| energy != 0.0);
-        let brought: Vec<String> = brought.map(|(name, energy)| format!("{name} {energy:+.4}")).collect();
+        let brought: Vec<String> = brought.map(|(name, energy)| format!("{name} {}", change(energy))).collect();
         let left = now - self.first_energy() - ledger.total();
         let brought = if brought.is_empty() { "nothing changed it".to_owned() } else { brought.join(", ") };
         Some(format!("{head}; {brought}; not accounted for: {left:.1e}"))

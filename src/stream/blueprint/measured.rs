@@ -15,7 +15,10 @@ use crate::{
     stream::{
         contract::{DIAGNOSTIC, Entity, GROUP_LINE, MARKS_AT_Q, PAIR_CONTACT, PAIR_DISTANCE, PAIR_LEVEL, PAIR_PHASE},
         focus::Focus,
-        parts::pairs::{self, Told},
+        parts::{
+            numbers::Spread,
+            pairs::{self, Told},
+        },
         series::Outline,
     },
     text::{counted, significant},
@@ -26,10 +29,8 @@ use crate::{
 pub struct Measured<'a> {
     /// Duration of the run [s].
     pub duration: f64,
-    /// Typical total duration of a step and of its recording [ms]: the upper ends of the timing plots.
-    pub typical: [f64; 2],
-    /// The same of the longest.
-    pub longest: [f64; 2],
+    /// The durations of steps, and of their recordings [ms].
+    pub durations: Option<[&'a Spread; 2]>,
     /// The largest speed [steps per second]; 0 if there is none.
     pub fastest: f64,
     /// Smallest and largest plotted q [–], if any.
@@ -53,17 +54,27 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     const HEADROOM: f64 = 1.3;
     /// Ratio of the longest duration to the typical one up to which nothing is cut off.
     const WHOLE: f64 = 8.0;
+    /// Share of all time in steps beyond the end from which on nothing is cut off: they are what the run takes.
+    const MOST_CUT: f64 = 0.5;
 
     let mut layout = Layout::of(recording);
     let root = layout.root(subject, tab);
     layout.finish(root); // already sent; the new ids continue after its own
     for (plot, is_recording, title) in std::mem::take(&mut layout.timings) {
-        let [typical, longest] = [measured.typical, measured.longest].map(|of| of[usize::from(is_recording)]);
+        let Some(durations) = measured.durations.map(|of| of[usize::from(is_recording)]) else { continue };
+        let (typical, (longest, step)) = (durations.typical(), durations.largest());
         if typical > 0.0 {
-            let end = if longest <= WHOLE * typical { longest } else { HEADROOM * typical };
-            let [low, high] = readable([0.0, end]);
+            let (_, share) = durations.beyond(HEADROOM * typical);
+            let is_whole = longest <= WHOLE * typical || share > MOST_CUT;
+            let [low, high] = readable([0.0, if is_whole { longest } else { HEADROOM * typical }]);
             if longest > high {
-                let title = format!("{title}; peak {}", significant(longest));
+                let (count, share) = durations.beyond(high);
+                let title = format!(
+                    "{title}; {} beyond, {:.0} % of all time, up to {} in step {step}",
+                    counted(count, "step"),
+                    100.0 * share,
+                    significant(longest)
+                );
                 layout.log(&plot, &ViewBlueprint::update_fields().with_display_name(title));
             }
             layout.set_range(&plot, [low, high]);

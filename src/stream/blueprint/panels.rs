@@ -55,18 +55,20 @@ fn at_centres(schema: &Schema) -> String {
 pub fn arrows(schema: &Schema) -> String {
     let radius = schema.largest_radius();
     let is_uniform = schema.terms.iter().any(|term| term.can_act && term.is_uniform);
+    let is_crowd = schema.bodies.len() > body_forces::MOST_BODIES;
     if !schema.terms.iter().any(|term| term.can_act) {
         return "No force can act in this scene.\n".to_owned();
     }
     format!(
-        "**By body**: what each cause does to a body as a whole, all on one scale; the strongest has its value \
-         [unit/s²].\n\n**Others**: an arrow of **1 R = {} unit** means: {}.\n\nArrows begin at vertices{}.{}\n",
+        "**By body**: what each cause does to a body as a whole, all on one scale{}.\n\n\
+         **Others**: an arrow of **1 R = {} unit** means: {}.\n\nArrows begin at vertices{}.{}\n",
+        if is_crowd { "" } else { "; the strongest is labelled with its value [unit/s²]" },
         short(radius),
         lengths(schema, |_| true),
-        if is_uniform { "; those that act on all alike, at the centre" } else { "" },
-        match schema.bodies.len() > body_forces::MOST_BODIES {
+        if is_uniform { "; those of uniform forces, at the centre" } else { "" },
+        match is_crowd {
             true => format!(" The net forces of up to {} bodies are plotted.", body_forces::MOST_BODIES),
-            false => " Lines beside them: the same colours, means over a body.".to_owned(),
+            false => " The plots use the same colours and show the mean over each body.".to_owned(),
         },
     )
 }

@@ -5,7 +5,10 @@ use glam::DVec3;
 use super::FrameView;
 use crate::{
     colors::SILVER,
-    observe::{BodyFrame, Schema, frame::TermFrame, schema::TermSchema},
+    observe::{
+        BodyFrame, Schema,
+        schema::{BodySchema, TermSchema},
+    },
     sdk::{self, Arrows3D},
     stream::{
         chunks::{Chunks, TrackId},
@@ -80,7 +83,7 @@ impl BodyForces {
         let mut resultants: Vec<Resultant> = Vec::new();
         for (index, (body, now)) in view.bodies().enumerate() {
             for (number, term) in view.schema.terms.iter().enumerate() {
-                let acceleration = resultant(number, term, now);
+                let acceleration = resultant(number, (term, body), now);
                 self.has_acted[number] |= acceleration.is_some();
                 let acceleration = acceleration.unwrap_or_default();
                 if acceleration != DVec3::ZERO {
@@ -108,7 +111,7 @@ impl BodyForces {
 
 impl ResultantRows {
     /// Arrows from the centres, all on one scale, on which the longest is [`LONGEST`]. With `are_named`, that of the strongest cause on
-    /// each body is labelled with the body, and with its name and value unless it acts on all alike.
+    /// each body is labelled with the body, the cause and its value.
     fn of(view: FrameView<'_>, resultants: &[Resultant], are_named: bool) -> ResultantRows {
         let FrameView { schema, frame, .. } = view;
         let longest = resultants.iter().map(|(.., acceleration)| acceleration.length()).fold(0.0, f64::max);
@@ -125,7 +128,6 @@ impl ResultantRows {
                 let name = &schema.bodies[body].name;
                 let value = || significant(acceleration.length());
                 arrows.labels.push(match strongest == Some(resultant) && are_named {
-                    true if term.is_uniform => name.clone(),
                     // the colour says the cause, too, and long labels would cover each other
                     true if schema.bodies.len() > MOST_CAUSES => format!("{name} {}", value()),
                     true => format!("{name}: {} {}", term.name, value()),
@@ -147,17 +149,12 @@ impl ResultantRows {
 }
 
 /// The acceleration of a body by one cause [scene unit/s²]; `None` if it acts nowhere.
-fn resultant(number: usize, term: &TermSchema, now: &BodyFrame) -> Option<DVec3> {
-    let at_vertices = now.terms.get(number).filter(|of| !of.accelerations.is_empty()).map(|of| mean(term, of));
+fn resultant(number: usize, (term, body): (&TermSchema, &BodySchema), now: &BodyFrame) -> Option<DVec3> {
+    let at_vertices = now.terms.get(number).map(|of| &of.accelerations).filter(|of| !of.is_empty());
+    let at_vertices = at_vertices.map(|of| match term.is_uniform {
+        true => of.get(0),
+        false => now.mean_acceleration(body, of),
+    });
     let at_points = now.point_forces.iter().filter(|force| force.term == number).map(|force| force.acceleration);
     at_vertices.into_iter().chain(at_points).reduce(|sum, acceleration| sum + acceleration)
-}
-
-/// The mean acceleration of the vertices of a body by one cause [scene unit/s²].
-fn mean(term: &TermSchema, of: &TermFrame) -> DVec3 {
-    match of.accelerations.len() {
-        0 => DVec3::ZERO,
-        _ if term.is_uniform => of.accelerations.get(0),
-        count => (0..count).map(|i| of.accelerations.get(i)).sum::<DVec3>() / count as f64,
-    }
 }

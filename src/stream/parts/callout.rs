@@ -13,7 +13,7 @@ use crate::{
 
 /// The line from a point to its label, which stands above it: it ends below the label, which hangs from its place.
 pub fn leader(point: DVec3, label: DVec3) -> [Float3; 2] {
-    const SHARE: f64 = 0.6;
+    const SHARE: f64 = 0.85;
     [point, point.lerp(label, SHARE)].map(|end| end.as_vec3().to_array())
 }
 

@@ -31,7 +31,7 @@ pub const NET_KINDS: [(&str, Rgb, NetAcceleration); 2] = [
     ("net_force", colors::WHITE, |net, body| net.force / body.mass),
     ("torque", colors::YELLOW, |net, body| net.torque / (body.mass * body.radius)),
 ];
-/// Length of the longest arrow of a net force [radii]: in an impact, net forces are ten times as strong as before and after
+/// Length of the longest arrow of a net force [largest radius]: in an impact, net forces are ten times as strong as before and after
 /// it.
 pub const LONGEST_NET: f64 = 2.0;
 
@@ -94,6 +94,7 @@ impl Forces {
     /// Extracts the forces of a frame.
     pub fn extract(&mut self, view: FrameView<'_>, extractor: &mut Extractor) {
         let FrameView { schema, .. } = view;
+        let longest_net = LONGEST_NET * schema.largest_radius();
         self.displacements.find(view);
         let end = self.displacements.end();
         self.terms.iter_mut().chain(&mut self.net).for_each(|kind| kind.next.clear());
@@ -101,7 +102,7 @@ impl Forces {
             for (arrows, (.., acceleration)) in self.net.iter_mut().zip(NET_KINDS) {
                 let Some(net) = &now.net_force else { continue };
                 let vector = schema.net_force_scale * acceleration(net, body);
-                arrows.next.append_one(now.centre, vector.clamp_length_max(LONGEST_NET * body.radius), None, 1.0);
+                arrows.next.append_one(now.centre, vector.clamp_length_max(longest_net), None, 1.0);
             }
             let numbers = &mut self.vertices[index];
             if now.is_at_rest && !now.has_forces {

@@ -61,8 +61,8 @@ pub struct FrameNumbers {
     fastest: f64,
     lag: Option<Duration>,
     lag_track: TrackId,
-    /// Total duration of all stages on the simulation thread.
-    total: Spread,
+    /// Total duration of all stages on the simulation thread, and of those of recording.
+    totals: [Spread; 2],
 }
 
 /// A scalar of the schema, aggregated since the last frame.
@@ -130,7 +130,7 @@ impl FrameNumbers {
             fastest: 0.0,
             lag: None,
             lag_track: run_line(LAG.path, "behind real time [ms]", 1, chunks),
-            total: Spread::default(),
+            totals: Default::default(),
         }
     }
 
@@ -192,21 +192,9 @@ impl FrameNumbers {
         self.fastest
     }
 
-    /// A duration that most steps, and their recordings, do not exceed [ms]; 0 if there were no frames: the 90th
-    /// percentile, but not more than twice the 75th.
-    pub fn typical(&self) -> [f64; 2] {
-        let at = |quantile: f64| {
-            let recording = self.timings.iter().rev().take(2).filter_map(|timing| timing.spread.quantile(quantile));
-            [self.total.quantile(quantile).unwrap_or_default(), recording.sum::<f64>()]
-        };
-        let [many, most] = [at(0.75), at(0.9)];
-        [0, 1].map(|i| f64::min(most[i], 2.0 * many[i]))
-    }
-
-    /// What no step, and no recording of one, exceeds [ms], rounded up by at most an eighth; 0 if there were no frames.
-    pub fn longest(&self) -> [f64; 2] {
-        let recording = self.timings.iter().rev().take(2).filter_map(|timing| timing.spread.quantile(1.0));
-        [self.total.quantile(1.0).unwrap_or_default(), recording.sum::<f64>()]
+    /// The durations of steps, and of their recordings.
+    pub fn totals(&self) -> [&Spread; 2] {
+        self.totals.each_ref()
     }
 
     /// Logs the timings since the last frame [ms per step].
@@ -215,24 +203,24 @@ impl FrameNumbers {
         if let Some(log) = self.timings.last_mut() {
             log.spent += self.sending * steps;
         }
-        let (mut stack, mut total) = (0.0, 0.0);
+        let (mut stack, mut totals) = (0.0, [0.0; 2]);
         for Timing { name, track, stacked, is_first, spent, spread } in &mut self.timings {
             let milliseconds = 1e3 * std::mem::take(spent).as_secs_f64() / f64::from(steps);
             if steps > 0 {
-                spread.add(milliseconds);
+                spread.add(milliseconds, at.step);
                 chunks.push_apart(*track, at, &[&[milliseconds]]);
                 let Some(stacked) = stacked else { continue };
                 stack = if *is_first { milliseconds } else { stack + milliseconds };
-                if *name == OBSERVING[0] {
-                    total = stack;
-                }
+                totals[usize::from(RECORDING.contains(name))] = stack;
                 chunks.push_apart(*stacked, at, &[&[stack]]);
             }
         }
         if steps == 0 {
             return;
         }
-        self.total.add(total);
+        for (all, total) in self.totals.iter_mut().zip(totals) {
+            all.add(total, at.step);
+        }
         if let (Some(last), Some(end)) = (self.last_frame, self.end) {
             let speed = f64::from(steps) / (end - last).as_secs_f64().max(1e-9);
             self.fastest = self.fastest.max(speed);
@@ -245,11 +233,15 @@ impl FrameNumbers {
     }
 }
 
-/// A histogram on a logarithmic scale, with eight buckets per octave from 2^-24 to 2^16.
-#[derive(Default)]
-struct Spread {
-    counts: Vec<u64>,
+/// The distribution of durations [ms]: a histogram on a logarithmic scale, with eight buckets per octave from 2^-24 to 2^16.
+#[derive(Debug, Default)]
+pub struct Spread {
+    /// The number of values in each bucket, and their sum.
+    buckets: Vec<(u64, f64)>,
     all: u64,
+    largest: f64,
+    /// The step of the largest.
+    step: u64,
 }
 
 impl Spread {
@@ -259,22 +251,48 @@ impl Spread {
     const FIRST: usize = (1023 - 24) << Spread::BITS;
     const BUCKETS: usize = 40 << Spread::BITS;
 
-    fn add(&mut self, number: f64) {
-        self.counts.resize(Spread::BUCKETS, 0);
-        let bucket = (number.max(0.0).to_bits() >> (52 - Spread::BITS)) as usize;
-        self.counts[bucket.saturating_sub(Spread::FIRST).min(Spread::BUCKETS - 1)] += 1;
+    fn bucket(number: f64) -> usize {
+        let bits = (number.max(0.0).to_bits() >> (52 - Spread::BITS)) as usize;
+        bits.saturating_sub(Spread::FIRST).min(Spread::BUCKETS - 1)
+    }
+
+    fn add(&mut self, number: f64, step: u64) {
+        self.buckets.resize(Spread::BUCKETS, (0, 0.0));
+        let (count, sum) = &mut self.buckets[Spread::bucket(number)];
+        (*count, *sum) = (*count + 1, *sum + number);
         self.all += 1;
+        if number > self.largest {
+            (self.largest, self.step) = (number, step);
+        }
     }
 
     /// The quantile of this fraction of the values, rounded up to a bucket.
     fn quantile(&self, share: f64) -> Option<f64> {
         let wanted = (share * self.all as f64).ceil() as u64;
         let mut seen = 0;
-        let bucket = self.counts.iter().position(|&count| {
+        let bucket = self.buckets.iter().position(|(count, _)| {
             seen += count;
             seen >= wanted && seen > 0
         })?;
         Some(f64::from_bits(((bucket + Spread::FIRST + 1) as u64) << (52 - Spread::BITS)))
+    }
+
+    /// A duration that most do not exceed; 0 if there are none: the 90th percentile, but not more than twice the 75th.
+    pub fn typical(&self) -> f64 {
+        let [many, most] = [0.75, 0.9].map(|share| self.quantile(share).unwrap_or_default());
+        f64::min(most, 2.0 * many)
+    }
+
+    /// The largest value, 0 if there are none, and its step.
+    pub fn largest(&self) -> (f64, u64) {
+        (self.largest, self.step)
+    }
+
+    /// The number of values above a limit that is rounded to a bucket, and their share of the sum of all.
+    pub fn beyond(&self, limit: f64) -> (u64, f64) {
+        let add = |of: &[(u64, f64)]| of.iter().fold((0, 0.0), |all, of| (all.0 + of.0, all.1 + of.1));
+        let above = add(self.buckets.get(Spread::bucket(limit) + 1..).unwrap_or_default());
+        (above.0, above.1 / add(&self.buckets).1.max(f64::MIN_POSITIVE))
     }
 }
 
@@ -290,14 +308,19 @@ mod tests {
     #[test]
     fn quantiles_ignore_rare_values() {
         let mut spread = Spread::default();
-        assert_eq!(spread.quantile(0.9), None);
-        (0..90).for_each(|i| spread.add(0.010 + 1e-5 * f64::from(i)));
-        (0..10).for_each(|_| spread.add(15.0));
+        assert_eq!((spread.quantile(0.9), spread.typical(), spread.largest()), (None, 0.0, (0.0, 0)));
+        assert_eq!(spread.beyond(1.0), (0, 0.0));
+        (0..90).for_each(|i| spread.add(0.010 + 1e-5 * f64::from(i), 1));
+        (0..10).for_each(|i| spread.add(15.0 + 1e-3 * f64::from(i), u64::try_from(i).unwrap()));
         let typical = spread.quantile(0.9).expect("numbers");
         assert!((0.0108..0.0125).contains(&typical), "{typical}");
         assert!((15.0..=16.0).contains(&spread.quantile(1.0).expect("numbers")));
+        assert_eq!(spread.largest(), (15.009, 9));
+        let (count, share) = spread.beyond(1.0);
+        assert_eq!(count, 10);
+        assert!((share - 150.045 / (150.045 + 0.9 + 1e-5 * 4005.0)).abs() < 1e-12, "{share}");
         for odd in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e300] {
-            spread.add(odd);
+            spread.add(odd, 0);
         }
         assert!(spread.quantile(0.0).expect("numbers") < 1e-6);
     }

@@ -128,7 +128,8 @@ impl Recent {
             let (pair, color) = ([event.a, event.b], schema.phases[event.to].color);
             self.event = Some(RecentEvent { pair, label, color, age: 0 });
             let at = Instant { step: event.step, time: event.time };
-            self.draw(schema, bodies.each_ref(), event.q, at, chunks);
+            let q = format!(", q = {:.3}", event.q);
+            self.draw(schema, bodies.each_ref(), &q, at, chunks);
         }
     }
 
@@ -146,20 +147,19 @@ impl Recent {
         let bodies = event.pair.map(|body| &view.frame.bodies[body]);
         let radii = event.pair.map(|body| view.schema.bodies[body].radius);
         let q = bodies[0].centre.distance(bodies[1].centre) / (radii[0] + radii[1]);
-        self.draw(view.schema, bodies, q, view.at, chunks);
+        self.draw(view.schema, bodies, &format!("; now q = {q:.3}"), view.at, chunks);
     }
 
-    fn draw(&mut self, schema: &Schema, bodies: [&BodyFrame; 2], q: f64, at: Instant, chunks: &mut Chunks) {
+    fn draw(&mut self, schema: &Schema, bodies: [&BodyFrame; 2], q: &str, at: Instant, chunks: &mut Chunks) {
         let Some(RecentEvent { pair, label, color: rgb, age }) = &self.event else { return };
         let centres = bodies.map(|body| body.centre);
         let middle = 0.5 * (centres[0] + centres[1]);
-        let label = format!("{label}, q = {q:.3}");
         let place = middle.with_z(f64::max(self.top, middle.z));
         let rows = Rows {
             strips: vec![centres.map(|centre| centre.as_vec3().to_array()), callout::leader(middle, place)],
             colors: vec![color(*rgb).to_u32()],
             places: vec![place.as_vec3().to_array()],
-            labels: vec![label],
+            labels: vec![format!("{label}{q}")],
         };
         if let Some(alone) = &mut self.alone
             && (*age < FRAMES || age.is_multiple_of(SELDOM))
