@@ -2,6 +2,7 @@
 //! and measures them all.
 
 use std::{
+    collections::HashSet,
     sync::{Arc, Mutex, PoisonError, atomic::AtomicBool},
     time::Instant as Clock,
 };
@@ -94,7 +95,8 @@ impl SideBySide {
         // arrows on all vertices of all models would hide the bodies
         let net = TermSchema { is_shown: false, is_sum: true, ..TermSchema::new("net", "Net", colors::MAGENTA) };
         let mut warnings: Vec<String> = places.iter().flat_map(|place| place.schema.warnings.clone()).collect();
-        warnings.dedup();
+        let mut seen = HashSet::new();
+        warnings.retain(|warning| seen.insert(warning.clone()));
         let names: Vec<String> = self.models.iter().map(|model| format!("\"{model}\"")).collect();
         let own_levels = {
             let places = places.to_vec();

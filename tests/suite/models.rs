@@ -285,6 +285,22 @@ fn models_side_by_side_are_one_recording() {
 }
 
 #[test]
+fn models_side_by_side_give_a_warning_of_their_scene_once() {
+    let mut scene = Scene::builtin("two").expect("a built-in scene");
+    scene.thresholds.merge_at = 50.0;
+    scene.thresholds.split_at = 60.0;
+    scene.bodies[0].reach = 0.5;
+    let all = SideBySide::all(&scene, Options::default());
+    assert!(all.models.len() > 1);
+    let warnings = all.schema().warnings;
+    let own = scene.warnings();
+    assert!(
+        own.len() > 1 && own.iter().all(|own| warnings.iter().filter(|one| *one == own).count() == 1),
+        "{warnings:#?}"
+    );
+}
+
+#[test]
 fn the_model_benchmark_measures_every_model_that_can_run() {
     let mut scene = Scene::builtin("two").expect("a built-in scene");
     scene.duration = 1.6;
