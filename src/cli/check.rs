@@ -1,6 +1,7 @@
 //! `meldscope check`: compares scripted scenes with their golden recordings.
 
 use std::{
+    collections::HashSet,
     fs,
     io::{self, Write as _},
     path::{Path, PathBuf},
@@ -323,6 +324,13 @@ fn head() -> String {
     )
 }
 
+/// The path of a file by which it is known again, however its folder is named.
+fn in_folder(file: &Path) -> PathBuf {
+    let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = fs::canonicalize(folder).unwrap_or_else(|_| folder.to_owned());
+    folder.join(file.file_name().unwrap_or_default())
+}
+
 /// The scenes found under `paths`, sorted by name; of another program, the experiments of golden recordings there.
 fn scripts(program: Program<'_>, paths: &[PathBuf]) -> Result<Vec<Script>, Failure> {
     let default = [PathBuf::from(DEFAULT)];
@@ -356,7 +364,9 @@ fn scripts(program: Program<'_>, paths: &[PathBuf]) -> Result<Vec<Script>, Failu
             files.push(path.clone());
         }
     }
-    files.dedup();
+    // one given twice would be run and written twice at once
+    let mut seen = HashSet::new();
+    files.retain(|file| seen.insert(in_folder(file)));
     let is_missing = |file: &&PathBuf| matches!(program, Program::Scenes) && !file.exists();
     if let Some(file) = files.iter().find(is_missing) {
         let help = "give scene files, or folders of them";
