@@ -248,7 +248,7 @@ impl Bench<'_> {
                 send(sinks, messages).map_or(Ok(()), Err)?;
             }
         }
-        recorder.finish(world);
+        recorder.finish();
         let messages = recorder.take();
         let Some(sinks) = sinks else { return Ok(()) };
         send(sinks, messages).map_or(Ok(()), Err)?;

@@ -9,13 +9,13 @@ use std::{
 use rayon::prelude::*;
 
 use super::{
-    Failure, announce, is_marked,
+    Failure, is_marked,
     load::scene,
     may_save,
     overrides::Overrides,
     print, print_lines,
     progress::{Progress, Work},
-    say,
+    say, say_note,
 };
 use crate::{
     atomic::{self, AtomicFile},
@@ -277,13 +277,13 @@ fn models(arguments: &Arguments) -> Result<(), Failure> {
 fn record_all(experiments: &[&dyn Experiment], what: &str, names: &str, path: &Path) -> Result<(), Failure> {
     let name = experiments.first().map_or_else(String::new, |first| first.schema().name);
     let new = Existing { application: application(&name), kind: Some(Kind::Run) };
-    may_save(path, &[], &new)?;
-    announce(path, &new)?;
+    let note = may_save(path, &[], &new)?;
     let destinations = Destinations { save: Some(path.to_owned()), ..Destinations::default() };
     let all = experiments.iter().map(|&experiment| (experiment, Settings::of(experiment)));
     let progress = Progress::new(format!("recording {what}"), Work::Uncounted).with_file(path);
     let frames = stream::record_all(all, &destinations).map_err(|error| Failure::Run(error.to_string()))?;
     drop(progress);
+    say_note(note);
     print(&format!("saved {}: {}, {names}", path.display(), counted(frames, "frame")));
     print("");
     Ok(())

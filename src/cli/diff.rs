@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 
 use super::{
-    Failure, announce, may_print, may_save, print, print_lines,
+    Failure, may_print, may_save, print, print_lines,
     program::Program,
     progress::{Progress, Work},
-    sink_failure,
+    say_note, sink_failure,
 };
 use crate::{
     recording::{diff, existing::Existing},
@@ -39,11 +39,9 @@ pub fn diff(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> {
     let (a, b) = (program.recorded(&arguments.first)?, program.recorded(&arguments.second)?);
     [&a, &b].into_iter().try_for_each(|recorded| may_print(&recorded.path))?;
     let tolerance = arguments.within.unwrap_or_else(|| a.schema.tolerance.max(b.schema.tolerance));
-    if let Some(save) = &arguments.save {
-        let what = "one of the recordings to be compared";
-        may_save(save, &[(&a.path, what), (&b.path, what)], &Existing::comparison())?;
-        announce(save, &Existing::comparison())?;
-    }
+    let what = "one of the recordings to be compared";
+    let may_save = |save: &PathBuf| may_save(save, &[(&a.path, what), (&b.path, what)], &Existing::comparison());
+    let note = arguments.save.as_ref().map(may_save).transpose()?.flatten();
     let progress = Progress::new("comparing", Work::Uncounted);
     let difference = diff::diff([&a, &b], tolerance)?;
     drop(progress);
@@ -72,8 +70,9 @@ pub fn diff(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> {
         )));
     }
     if let Some(save) = &arguments.save {
-        let saved = diff::save([&a, &b], &difference, tolerance, save)?;
-        if let Some(saved) = saved.map_err(sink_failure)? {
+        let saved = diff::save([&a, &b], &difference, tolerance, save)?.map_err(sink_failure)?;
+        say_note(note);
+        if let Some(saved) = saved {
             print(&format!("saved {}: {}", saved.path.display(), bytes(saved.bytes)));
         }
     }

@@ -336,6 +336,13 @@ fn say(line: &str) {
     let _ = writeln!(io::stderr(), "{}", printable(line));
 }
 
+/// Prints a note to standard error, if there is one.
+fn say_note(note: Option<String>) {
+    if let Some(note) = note {
+        say(&format!("note: {note}"));
+    }
+}
+
 /// A parser for an argument that selects one of `all` by name; the help lists the names.
 fn one_of<T: Copy + Send + Sync + 'static>(
     all: &'static [T],
@@ -345,8 +352,10 @@ fn one_of<T: Copy + Send + Sync + 'static>(
     names.try_map(move |text| all.iter().copied().find(|&one| name(one) == text).ok_or("there is no such name"))
 }
 
-/// Rejects an output path that is an input of the recording, or a file that the program must not replace.
-fn may_save(path: &Path, inputs: &[(&Path, &str)], new: &Existing) -> Result<(), Failure> {
+/// Rejects an output path that is an input of the recording, or a file that the program must not replace. Returns a note
+/// if a file of another kind or scene will be replaced: to be [said](say_note) once the path is claimed, when it is
+/// certain.
+fn may_save(path: &Path, inputs: &[(&Path, &str)], new: &Existing) -> Result<Option<String>, Failure> {
     let mut partial = path.as_os_str().to_owned();
     partial.push(".partial");
     for (input, what) in inputs {
@@ -360,7 +369,7 @@ fn may_save(path: &Path, inputs: &[(&Path, &str)], new: &Existing) -> Result<(),
             )));
         }
     }
-    existing::replace(path, new).map(drop).map_err(sink_failure)
+    existing::replace(path, new).map_err(sink_failure)
 }
 
 /// Rejects an input file that is also standard output.
@@ -372,15 +381,6 @@ fn may_print(input: &Path) -> Result<(), Failure> {
         }
         false => Ok(()),
     }
-}
-
-/// Reports that a file of another kind or scene is replaced. Called once the path is claimed, so that the file is
-/// indeed replaced.
-fn announce(path: &Path, new: &Existing) -> Result<(), Failure> {
-    if let Some(note) = existing::replace(path, new).map_err(sink_failure)? {
-        say(&format!("note: {note}"));
-    }
-    Ok(())
 }
 
 fn sink_failure(error: SinkError) -> Failure {

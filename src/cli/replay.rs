@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 
 use super::{
-    Failure, announce, may_print, may_save, print,
+    Failure, may_print, may_save, print,
     program::Program,
     progress::{Progress, Work},
-    say, sink_failure, vector,
+    say, say_note, sink_failure, vector,
 };
 use crate::{
     observe::{Frame, Run, Schema, Want},
@@ -19,18 +19,15 @@ use crate::{
     },
     scene::template::Override,
     stream::{
-        Recorder,
+        Pipeline, Recorder,
         blueprint::Tab,
         machine,
-        pipeline::send,
+        pipeline::PipelineEnd,
         settings::{DETAILS, Detail, Frames, Settings, application},
         sinks::{Destinations, Sinks},
     },
     text::{bytes, counted, thousands},
 };
-
-/// Number of frames after which the recorder's messages are sent.
-const FRAMES_PER_CHUNK: u64 = 64;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -96,11 +93,14 @@ fn verify(arguments: &Arguments, recorded: &Recorded, name: &str) -> Result<(), 
     let (from, to) = range(arguments, recorded.last())?;
     let mut saver = Saver::open(arguments, recorded, &recorded.schema, from..=to)?;
     let progress = Progress::new("", Work::Units("step", Some(recorded.last())));
-    let verdict = replay::verify(recorded, |run| {
+    let mut run = Run::again(recorded.start()?, recorded.last());
+    let verdict = replay::verify_run(recorded, &mut run, |run| {
         progress.step(run.simulation.steps_taken(), run.simulation.time());
         saver.observe(run)
-    })?;
+    });
+    saver.end(&run);
     drop(progress);
+    let verdict = verdict?;
     if let Some(failure) = saver.failure.take() {
         return Err(Failure::Run(failure));
     }
@@ -237,6 +237,7 @@ fn vary(program: Program<'_>, arguments: &Arguments, recorded: &Recorded) -> Res
             break;
         }
     }
+    saver.end(&run);
     drop(progress);
     print(&format!(
         "{}: {} of {} s{}, tolerance {:e}, instead of {} of {} s{}, tolerance {:e}; not verified",
@@ -259,8 +260,9 @@ fn vary(program: Program<'_>, arguments: &Arguments, recorded: &Recorded) -> Res
     for event in events.iter().take(20) {
         print(&format!("    {event}"));
     }
+    let failure = saver.failure.take().or(run.failure.map(|failure| failure.to_string()));
     saver.finish()?;
-    match saver.failure.or(run.failure.map(|failure| failure.to_string())) {
+    match failure {
         Some(failure) => Err(Failure::Run(failure)),
         None => Ok(()),
     }
@@ -285,11 +287,14 @@ fn range(arguments: &Arguments, last: u64) -> Result<(u64, u64), Failure> {
 
 /// Records a range of steps of a replay, if requested.
 struct Saver {
-    sinks: Option<Sinks>,
-    recorder: Option<Recorder>,
     settings: Settings,
     steps: std::ops::RangeInclusive<u64>,
-    sent: u64,
+    /// Until the first of these steps.
+    sinks: Option<Sinks>,
+    /// From then on.
+    pipeline: Option<Pipeline>,
+    /// From the last of them on, or the last of the replay.
+    end: Option<PipelineEnd>,
     failure: Option<String>,
 }
 
@@ -301,14 +306,14 @@ impl Saver {
         steps: std::ops::RangeInclusive<u64>,
     ) -> Result<Saver, Failure> {
         let new = Existing { application: application(&schema.name), kind: Some(Kind::Run) };
-        if let Some(save) = &arguments.save {
-            may_save(save, &[(&recorded.path, "the recording to be replayed")], &new)?;
-        }
-        let destinations = Destinations { save: arguments.save.clone(), ..Destinations::default() };
-        let sinks = arguments.save.as_ref().map(|_| Sinks::open(&destinations)).transpose().map_err(sink_failure)?;
-        if let Some(save) = &arguments.save {
-            announce(save, &new)?;
-        }
+        let open = |save: &PathBuf| {
+            let note = may_save(save, &[(&recorded.path, "the recording to be replayed")], &new)?;
+            let destinations = Destinations { save: Some(save.clone()), ..Destinations::default() };
+            let sinks = Sinks::open(&destinations).map_err(sink_failure)?;
+            say_note(note);
+            Ok::<_, Failure>(sinks)
+        };
+        let sinks = arguments.save.as_ref().map(open).transpose()?;
         // the stages of a step start from the state of the previous step
         let steps = match arguments.detail {
             Detail::Stages { .. } => steps.start().saturating_sub(1)..=*steps.end(),
@@ -323,50 +328,52 @@ impl Saver {
             around: recorded.settings.around.clone(),
             ..Settings::for_bodies(schema.bodies.len(), schema.steps)
         };
-        Ok(Saver { sinks, recorder: None, settings, steps, sent: 0, failure: None })
+        Ok(Saver { settings, steps, sinks, pipeline: None, end: None, failure: None })
     }
 
     /// Records a step; returns `false` if the replay need not continue.
     fn observe(&mut self, run: &Run) -> bool {
-        let simulation = &*run.simulation;
-        let Some(sinks) = &mut self.sinks else { return true };
-        if !self.steps.contains(&simulation.steps_taken()) {
-            return true;
+        let step = run.simulation.steps_taken();
+        if self.steps.contains(&step) {
+            self.failure = self.record(run).err();
         }
-        match &mut self.recorder {
-            Some(recorder) => {
-                self.failure = recorder.observe(simulation, &run.summary).err();
-                if self.failure.is_none() && recorder.frames() - self.sent >= FRAMES_PER_CHUNK {
-                    self.sent = recorder.frames();
-                    self.failure = send(sinks, recorder.take());
-                }
-            }
-            None => match Recorder::new(simulation, self.settings.clone()) {
-                Ok(mut recorder) => {
-                    self.failure =
-                        send(sinks, recorder.blueprint(simulation, Tab::Scene).into_iter().chain(recorder.take()));
-                    self.recorder = Some(recorder);
-                }
-                Err(reason) => self.failure = Some(reason),
-            },
-        }
-        if simulation.steps_taken() == *self.steps.end()
-            && let Some(recorder) = &mut self.recorder
-        {
-            recorder.finish(simulation);
-            let layout = recorder.measured_layout(simulation, Tab::Scene);
-            self.failure = self.failure.take().or(send(sinks, recorder.take().into_iter().chain(layout)));
+        if step == *self.steps.end() {
+            self.end(run);
         }
         self.failure.is_none()
     }
 
-    fn finish(&mut self) -> Result<(), Failure> {
-        let (Some(mut sinks), recorder) = (self.sinks.take(), self.recorder.take()) else { return Ok(()) };
-        let frames = recorder.as_ref().map_or(0, Recorder::written);
-        if let Some(mut recorder) = recorder {
-            // the replay ended before its last step, whose frames `observe` would have sent
-            self.failure = self.failure.take().or(send(&mut sinks, recorder.take()));
+    fn record(&mut self, run: &Run) -> Result<(), String> {
+        let simulation = &*run.simulation;
+        if let Some(pipeline) = &mut self.pipeline {
+            return pipeline.observe(simulation, &run.summary, None);
         }
+        let Some(sinks) = self.sinks.take() else { return Ok(()) };
+        let recorder = Recorder::new(simulation, self.settings.clone())?;
+        let pipeline = Pipeline::start(simulation, recorder, sinks, Tab::Scene).map_err(|error| error.to_string())?;
+        self.pipeline = Some(pipeline);
+        Ok(())
+    }
+
+    /// Ends the recording with the last step observed, if it has not ended yet.
+    fn end(&mut self, run: &Run) {
+        let Some(pipeline) = self.pipeline.take() else { return };
+        let ended = pipeline.finish().map(|mut end| {
+            let unsent = end.finish(&*run.simulation, run.cause().as_deref());
+            let failure = end.failure.take().or(unsent);
+            self.end = Some(end);
+            failure
+        });
+        self.failure = self.failure.take().or(ended.unwrap_or_else(Some));
+    }
+
+    /// Finishes the file and says what it holds.
+    fn finish(self) -> Result<(), Failure> {
+        let (sinks, frames) = match (self.end, self.sinks) {
+            (Some(PipelineEnd { recorder, sinks, .. }), _) => (sinks, recorder.written()),
+            (None, Some(sinks)) => (sinks, 0),
+            (None, None) => return Ok(()),
+        };
         let finished = sinks.finish().map_err(sink_failure)?;
         if let Some(saved) = finished.save {
             let range = format!("steps {} to {}", self.steps.start(), self.steps.end());

@@ -12,13 +12,13 @@ use std::{
 };
 
 use super::{
-    Failure, announce, expense,
+    Failure, expense,
     interrupt::{self, STOP},
     may_print, may_save, one_of,
     overrides::Overrides,
     program::Program,
     progress::{Progress, Work},
-    sink_failure,
+    say_note, sink_failure,
 };
 use crate::{
     observe::{Experiment, Schema, Simulation},
@@ -164,15 +164,12 @@ pub fn run(program: Program<'_>, mut arguments: Arguments) -> Result<(), Failure
         return Err(Failure::Input(format!("--detail {}: step {from} is beyond the last, {steps}", arguments.detail)));
     }
     let new = Existing { application: application(&schema.name), kind: Some(Kind::of(&settings)) };
-    if let Some(save) = &destinations.save {
-        may_save(save, &[(Path::new(&arguments.scene), "the scene to be run")], &new)?;
-    }
+    let inputs = [(Path::new(&arguments.scene), "the scene to be run")];
+    let note = destinations.save.as_ref().map(|save| may_save(save, &inputs, &new)).transpose()?.flatten();
     interrupt::raise_stop()?; // there is nothing to save before this point
     interrupt::end_before_first_step()?;
     let sinks = Sinks::open(&destinations).map_err(sink_failure)?;
-    if let Some(save) = &destinations.save {
-        announce(save, &new)?;
-    }
+    say_note(note);
 
     let mut console = Console::new(&arguments);
     if destinations.save.is_some() || arguments.stdout {

@@ -335,7 +335,7 @@ impl Runs {
             report("recording", taken, steps);
         }
         recorder.watched_by(watch);
-        recorder.finish(&*simulation);
+        recorder.finish();
         writer.write(&recorder.take())?;
         drop(writer);
         if self.is_current(number) {

@@ -143,7 +143,7 @@ pub fn prepare(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<(Ble
             recorder.take().into_iter().try_for_each(|message| sinks.send(message))?;
         }
     }
-    recorder.finish(&*run.simulation);
+    recorder.finish();
     recorder.take().into_iter().try_for_each(|message| sinks.send(message))?;
     let (finished, file) = sinks.complete();
     let saved = finished?.save;

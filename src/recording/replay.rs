@@ -65,8 +65,17 @@ impl Divergence {
 /// # Errors
 /// The scene cannot be run here, or the recording is damaged: a single checksum differs and the next ones are right,
 /// which no simulation can produce.
-pub fn verify(recorded: &Recorded, mut observe: impl FnMut(&Run) -> bool) -> Result<Verdict, ReadError> {
-    let mut run = Run::again(recorded.start()?, recorded.last());
+pub fn verify(recorded: &Recorded, observe: impl FnMut(&Run) -> bool) -> Result<Verdict, ReadError> {
+    verify_run(recorded, &mut Run::again(recorded.start()?, recorded.last()), observe)
+}
+
+/// Like [`verify`], for a run that the caller has begun with [`Run::again`] and that is where it ended afterwards: of a
+/// divergence, a step or two after the last one that was observed.
+pub(crate) fn verify_run(
+    recorded: &Recorded,
+    run: &mut Run,
+    mut observe: impl FnMut(&Run) -> bool,
+) -> Result<Verdict, ReadError> {
     let mut divergence = None;
     loop {
         let simulation = &*run.simulation;
@@ -84,7 +93,7 @@ pub fn verify(recorded: &Recorded, mut observe: impl FnMut(&Run) -> bool) -> Res
             let what = format!("the checksum of step {} is wrong, but the next one is right", found.step);
             return Err(ReadError::Damaged { path: recorded.path.clone(), at: None, what });
         }
-        if divergence.is_none() && !observe(&run) || !self::step(&mut run, &recorded.path)? {
+        if divergence.is_none() && !observe(run) || !self::step(run, &recorded.path)? {
             break;
         }
     }

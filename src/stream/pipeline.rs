@@ -89,7 +89,7 @@ impl PipelineEnd {
         if let Some(cause) = cause {
             self.recorder.fail(cause);
         }
-        self.recorder.finish(simulation);
+        self.recorder.finish();
         let [is_live, is_recorded] = self.sinks.are_live_and_recorded();
         let mut failure = if is_live { show(&mut self.recorder, &mut self.sinks, is_recorded) } else { None };
         if is_recorded {

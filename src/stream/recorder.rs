@@ -256,7 +256,7 @@ impl Recorder {
     pub fn measured_layout(&self, simulation: &dyn Simulation, tab: Tab) -> Vec<LogMsg> {
         let Some(parts) = &self.parts else { return Vec::new() };
         let measured = Measured {
-            duration: simulation.time(),
+            duration: self.at.time,
             durations: Some(parts.numbers.totals()),
             fastest: parts.numbers.fastest(),
             distances: parts.pairs.plotted(),
@@ -463,8 +463,9 @@ impl Recorder {
         self.watch = watch;
     }
 
-    /// Ends the recording: extends plot lines to its end, and logs the final number of steps and near misses.
-    pub fn finish(&mut self, simulation: &dyn Simulation) {
+    /// Ends the recording with the last step observed: extends plot lines to it, and logs the final number of steps and near
+    /// misses.
+    pub fn finish(&mut self) {
         let is_waiting = match &self.settings.frames {
             // a step that was not completed was not observed either
             Frames::Last { on, .. } => !(on.is_empty() || self.has_failed && on.contains(&Trigger::Diverge)),
@@ -478,7 +479,7 @@ impl Recorder {
                 if self.flight.is_none() {
                     let level = parts.pairs.plotted().map(|[low, _]| low);
                     let first = Instant { step: self.first, time: self.first as f64 * self.schema.dt };
-                    marks::log_ends([first, now(simulation)], level, &mut self.chunks);
+                    marks::log_ends([first, self.at], level, &mut self.chunks);
                     let approaches = self.watch.approaches();
                     let nearest = &approaches[..approaches.len().min(MOST_APPROACHES)];
                     parts.pairs.log_approaches(&self.schema, nearest, &mut self.chunks);
@@ -506,7 +507,7 @@ impl Recorder {
         }
         self.checksums.log(&mut self.chunks, true);
         self.log_property(DIGEST, &format!("{:016x}", self.checksums.digest()));
-        log_steps(Some(simulation.steps_taken()), &mut self.chunks);
+        log_steps(Some(self.at.step), &mut self.chunks);
     }
 }
 

@@ -105,10 +105,9 @@ fn sample(experiment: &dyn Experiment, settings: Settings, last: u64, frames: u6
     if let Some(StepFailure::Interrupted(_)) = run.failure {
         return None;
     }
-    let simulation = &*run.simulation;
     let mean = vertices / u64::max(samples_taken, 1);
     let min_bytes = frames.saturating_mul(mean).saturating_mul(MIN_VERTEX_BYTES);
-    Some(Sampled { bytes: probe.finish(simulation, frames)?.max(min_bytes), seen: simulation.steps_taken() })
+    Some(Sampled { bytes: probe.finish(frames)?.max(min_bytes), seen: run.simulation.steps_taken() })
 }
 
 /// A recording whose messages are measured and discarded.
@@ -133,11 +132,11 @@ impl Probe {
     }
 
     /// The size of a recording with this many frames [bytes].
-    fn finish(self, simulation: &dyn Simulation, frames: u64) -> Option<u64> {
+    fn finish(self, frames: u64) -> Option<u64> {
         let Probe { mut recorder, mut encoder, head, first } = self;
         let seen = recorder.frames() - first;
         let body = append(&mut encoder, recorder.take()).ok()?;
-        recorder.finish(simulation);
+        recorder.finish();
         let tail = append(&mut encoder, recorder.take()).ok()?;
         let all = u128::from(body) * u128::from(frames) / u128::from(seen.max(1));
         Some(head + tail + (all * BATCHED.0 / BATCHED.1) as u64)

@@ -451,7 +451,7 @@ proptest! {
             Simulation::step(&mut world, &mut summary);
             recorder.observe(&world, &summary).expect("a valid step");
         }
-        recorder.finish(&world);
+        recorder.finish();
         recorder.take().into_iter().for_each(|message| sinks.send(message).expect("disk space"));
         sinks.finish().expect("disk space");
         let recorded = Recorded::open(&dir.file("x.rrd")).expect("a recording");
@@ -546,7 +546,7 @@ fn no_control_character_of_a_recording_reaches_a_terminal() {
         Simulation::step(&mut world, &mut summary);
         recorder.observe(&world, &summary).expect("a valid step");
     }
-    recorder.finish(&world);
+    recorder.finish();
     let write = |recorder: &mut Recorder, name: &str| {
         let mut sinks = Sinks::open(&to_file(&dir.file(name))).expect("a file");
         recorder.take().into_iter().for_each(|message| sinks.send(message).expect("disk space"));

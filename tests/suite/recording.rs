@@ -303,7 +303,7 @@ impl Run {
                 send(recorder.take());
             }
         }
-        recorder.finish(&world);
+        recorder.finish();
         send(recorder.take());
         sinks.finish().expect("disk space");
         Run { scene: scene.clone(), settings, recording: Recording::open(&path) }

@@ -97,7 +97,7 @@ fn send(sinks: &mut Sinks, played: &Scene, options: Options, settings: &Settings
             messages.extend(recorder.take());
         }
     }
-    recorder.finish(&world);
+    recorder.finish();
     messages.extend(recorder.take());
     messages.into_iter().for_each(|message| sinks.send(message).expect("disk space"));
 }
@@ -331,6 +331,30 @@ fn a_thin_recording_leads_to_the_steps_in_question() {
     assert!(output.contains("500 steps of 0.01 s") && output.contains("instead of 250 of 0.02 s"), "{output}");
     let output = succeeds(&dir, &["replay", "bug.rrd", "--set", "integrator=rk4"]);
     assert!(output.contains("with rk4") && output.contains("merge a~b") && output.contains("not verified"), "{output}");
+}
+
+/// Whether a replay ends before its last step because it differs, or because a varied run fails.
+#[test]
+fn a_replay_that_ends_early_is_saved_with_its_end() {
+    let dir = Dir::new();
+    let mut played = two();
+    played.influence.alpha *= 1.01; // in effect from the merge in step 84 on
+    record(&dir.file("other.rrd"), &played, Settings::of(&played));
+    fails(&dir, 1, &["replay", "other.rrd", "--save", "odd.rrd"]);
+    let odd = Recorded::open(&dir.file("odd.rrd")).expect("a whole recording");
+    assert_eq!((odd.last(), &odd.failure), (83, &None));
+    let output = succeeds(&dir, &["replay", "odd.rrd"]);
+    assert!(output.starts_with("odd.rrd: identical, 83 steps"), "{output}");
+
+    succeeds(&dir, &["run", "two", "--thin", "--steps", "1200", "--quiet", "--save", "long.rrd"]);
+    let varied = ["replay", "long.rrd", "--set", "integrator=euler", "--set", "dt=1", "--save", "failed.rrd"];
+    let output = fails(&dir, 1, &varied);
+    let failed = Recorded::open(&dir.file("failed.rrd")).expect("a whole recording");
+    assert!(failed.last() < 20, "{}", failed.last());
+    let cause = failed.failure.expect("why it ended");
+    assert!(output.contains(&cause), "{cause}: {output}");
+    let output = succeeds(&dir, &["replay", "failed.rrd"]);
+    assert!(output.contains("and it fails as it did: "), "{output}");
 }
 
 #[test]
@@ -739,6 +763,36 @@ fn a_slice_names_its_steps() {
     assert!(about("c.rrd").contains("1 step, a frame every step"), "{}", about("c.rrd"));
     let output = succeeds(&dir, &["replay", "c.rrd"]);
     assert!(output.contains("identical, 1 step (run with steps = 1)"), "{output}");
+}
+
+#[test]
+fn check_runs_every_scene_once() {
+    let dir = Dir::new();
+    for name in ["one.toml", "two.toml"] {
+        fs::write(dir.file(name), builtin::ALL[1].text).expect("disk space");
+    }
+    let output = succeeds(&dir, &["check", "one.toml", "two.toml", "one.toml", ".", "--bless", "first of all"]);
+    let names: Vec<&str> = output.lines().filter_map(|line| line.split(':').next()).collect();
+    assert_eq!(names, ["one", "two"], "{output}");
+}
+
+/// A file that is said to be replaced is replaced.
+#[test]
+fn a_file_is_said_to_be_replaced_once_its_path_is_claimed() {
+    let dir = Dir::new();
+    succeeds(&dir, &["run", "push", "--thin", "--quiet", "--save", "a.rrd"]);
+    fs::copy(dir.file("a.rrd"), dir.file("b.rrd")).expect("disk space");
+    fs::create_dir(dir.file("b.rrd.partial")).expect("a folder");
+    for arguments in
+        [&["diff", "a.rrd", "a.rrd", "--save", "b.rrd"] as &[&str], &["bench", "thesis", "--save", "b.rrd"]]
+    {
+        let (status, _, err) = meldscope(&dir, arguments);
+        assert_ne!(status, 0);
+        assert!(err.contains("b.rrd.partial") && !err.contains("is replaced"), "{err}");
+    }
+    fs::remove_dir(dir.file("b.rrd.partial")).expect("an empty folder");
+    let (status, _, err) = meldscope(&dir, &["diff", "a.rrd", "a.rrd", "--save", "b.rrd"]);
+    assert_eq!((status, err.as_str()), (0, "note: b.rrd is replaced, a thin recording of the scene \"push\"\n"));
 }
 
 #[test]

@@ -141,7 +141,7 @@ fn its_own_thresholds_are_plotted_with_many_bodies() {
         simulation.step(&mut summary);
         recorder.observe(&*simulation, &summary).expect("a valid step");
     }
-    recorder.finish(&*simulation);
+    recorder.finish();
     let lines: Vec<String> = recorder
         .measured_layout(&*simulation, Tab::Scene)
         .iter()
