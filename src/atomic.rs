@@ -10,8 +10,10 @@ use std::{
     fs::{self, File, OpenOptions},
     io::{self, Write},
     path::{Path, PathBuf},
-    sync::{Mutex, MutexGuard, PoisonError},
+    sync::Mutex,
 };
+
+use crate::lock;
 
 /// The end of every temporary name.
 pub const PARTIAL: &str = ".partial";
@@ -21,16 +23,12 @@ static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 /// Held while files are put in place together.
 static PLACING: Mutex<()> = Mutex::new(());
 
-fn unfinished() -> MutexGuard<'static, Vec<PathBuf>> {
-    UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 /// Creates a temporary file, which must not exist yet; never follows a link. An interrupt removes it.
 ///
 /// # Errors
 /// The operating system's error.
 pub fn create_new(path: &Path) -> io::Result<File> {
-    let mut files = unfinished(); // locked, so that an interrupt cannot come between creating and listing the file
+    let mut files = lock(&UNFINISHED); // locked, so that an interrupt cannot come between creating and listing the file
     let file = OpenOptions::new().write(true).create_new(true).open(path)?;
     files.push(path.to_owned());
     Ok(file)
@@ -38,18 +36,18 @@ pub fn create_new(path: &Path) -> io::Result<File> {
 
 /// Adds a temporary file of this process: an interrupt removes it.
 pub fn add(path: &Path) {
-    unfinished().push(path.to_owned());
+    lock(&UNFINISHED).push(path.to_owned());
 }
 
 /// An interrupt no longer removes this file: it is complete, or kept incomplete.
 pub fn forget(path: &Path) {
-    unfinished().retain(|file| file != path);
+    lock(&UNFINISHED).retain(|file| file != path);
 }
 
 /// Removes all temporary files and ends the program. Waits for files that are being put in place together.
 pub fn exit(status: i32) -> ! {
     let _held = PLACING.lock();
-    let files = unfinished(); // locked, so that no other file is created meanwhile
+    let files = lock(&UNFINISHED); // locked, so that no other file is created meanwhile
     for file in &*files {
         fs::remove_file(file).ok();
     }
@@ -58,7 +56,7 @@ pub fn exit(status: i32) -> ! {
 
 /// Puts several files in place, without an interrupt in between.
 pub fn together<T>(place: impl FnOnce() -> T) -> T {
-    let _held = PLACING.lock().unwrap_or_else(PoisonError::into_inner);
+    let _held = lock(&PLACING);
     place()
 }
 

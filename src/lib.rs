@@ -185,7 +185,15 @@ pub mod text;
 #[doc(hidden)]
 pub mod view;
 
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
 pub use glam;
 pub use scene::{Scene, SceneError};
 pub use sim::{StepReport, World};
 pub use toml;
+
+/// Locks a mutex. A thread that panicked while it held the lock has left usable data everywhere in this crate: each change
+/// is a single assignment, or a counter may be off by one.
+pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -14,6 +14,7 @@ use std::{
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::{is_quiet, say};
+use crate::lock;
 use crate::text::{bytes, significant, thousands};
 
 /// Work is reported on a terminal once it takes this long.
@@ -104,13 +105,13 @@ impl Progress {
 
     /// Also shows the size of the file that the work writes.
     pub fn with_file(self, file: &Path) -> Progress {
-        self.shared.text().file = Some(file.to_owned());
+        lock(&self.shared.text).file = Some(file.to_owned());
         self
     }
 
     /// Names what is being done now.
     pub fn stage(&self, what: impl Into<String>) {
-        self.shared.text().what = what.into();
+        lock(&self.shared.text).what = what.into();
     }
 
     /// Sets the amount of work that is done.
@@ -141,7 +142,7 @@ impl Progress {
 
 impl Drop for Progress {
     fn drop(&mut self) {
-        self.shared.text().has_ended = true;
+        lock(&self.shared.text).has_ended = true;
         self.shared.changed.notify_all();
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
@@ -151,15 +152,11 @@ impl Drop for Progress {
 }
 
 impl Shared {
-    fn text(&self) -> std::sync::MutexGuard<'_, Text> {
-        self.text.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Reports until the work has ended.
     fn report(&self) {
         let mut pace = Pace::new(Instant::now());
         let mut next = Instant::now() + if self.bar.is_hidden() { PRINTED } else { FIRST };
-        let mut text = self.text();
+        let mut text = lock(&self.text);
         loop {
             let wait = next.saturating_duration_since(Instant::now()).min(REWRITTEN);
             // checked before waiting too: short work has ended before this thread starts

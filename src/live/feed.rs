@@ -9,8 +9,11 @@ use hyper::body::Bytes;
 use serde_json::{Value, json};
 use tokio::sync::watch;
 
-use super::{change::Problem, lock};
-use crate::stream::sinks::serve::{Parts, follow};
+use super::change::Problem;
+use crate::{
+    lock,
+    stream::sinks::serve::{Parts, follow},
+};
 
 /// The last message of each kind.
 pub struct Feed {

@@ -26,7 +26,7 @@ pub mod thresholds;
 use std::{
     net::SocketAddr,
     path::PathBuf,
-    sync::{Arc, Mutex, MutexGuard, PoisonError, atomic::AtomicBool},
+    sync::{Arc, atomic::AtomicBool},
     thread::JoinHandle,
 };
 
@@ -101,9 +101,4 @@ impl Drop for Live {
 
 fn url(address: SocketAddr, token: &str) -> String {
     format!("http://{address}/{token}/")
-}
-
-/// A thread that panicked has left consistent data: each change of it is a single assignment.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -9,8 +9,9 @@ use std::{
 use hyper::body::Bytes;
 use tokio::sync::watch;
 
-use super::{change::Problem, lock};
+use super::change::Problem;
 use crate::{
+    lock,
     sdk::{CrateVersion, EncodeError, Encoder, EncodingOptions, LogMsg},
     stream::sinks::serve::{Parts, follow},
 };

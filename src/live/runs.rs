@@ -16,7 +16,6 @@ use serde_json::{Value, json};
 use super::{
     change::{Change, Problem},
     feed::Feed,
-    lock,
     outline::Outline,
     recording::{Recording, Writer},
     thresholds,
@@ -24,6 +23,7 @@ use super::{
 use crate::{
     atomic,
     colors::hex,
+    lock,
     observe::{BodyFrame, Experiment, Frame, Parameter, StepSummary, Want, schema::BodySchema},
     sdk::LogMsg,
     stream::{

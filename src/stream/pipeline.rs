@@ -7,7 +7,7 @@
 use std::{
     mem::{replace, take},
     sync::{
-        Arc, Mutex, MutexGuard, PoisonError,
+        Arc, Mutex,
         mpsc::{Receiver, RecvTimeoutError, Sender, channel},
     },
     thread::JoinHandle,
@@ -21,6 +21,7 @@ use super::{
     sinks::{SinkError, Sinks},
     step::{StepRecord, StepWatch},
 };
+use crate::lock;
 use crate::observe::{Frame, Simulation, StageFrame, StepSummary, SurfaceEvent};
 use crate::sdk::LogMsg;
 
@@ -221,7 +222,7 @@ impl Pipeline {
         let packet = replace(&mut self.packet, next.unwrap_or_default());
         match self.full.as_ref().map(|full| full.send(packet)) {
             Some(Ok(())) => Ok(()),
-            _ => Err(self.lock().failure.clone().unwrap_or_else(broken)),
+            _ => Err(lock(&self.shared).failure.clone().unwrap_or_else(broken)),
         }
     }
 
@@ -232,7 +233,7 @@ impl Pipeline {
 
     /// Notes for the user since the last call.
     pub fn notes(&self) -> Vec<String> {
-        take(&mut self.lock().notes)
+        take(&mut lock(&self.shared).notes)
     }
 
     /// Waits until everything observed is recorded.
@@ -245,16 +246,12 @@ impl Pipeline {
         match self.thread.take().map(JoinHandle::join) {
             Some(Ok(Recording { mut recorder, sinks, .. })) => {
                 self.watch.take().into_iter().for_each(|watch| recorder.watched_by(watch));
-                let Shared { notes, failure } = take(&mut *self.lock());
+                let Shared { notes, failure } = take(&mut *lock(&self.shared));
                 let failure = failure.or(handed_over.err());
                 Ok(PipelineEnd { recorder, sinks, notes, failure, tab: self.tab, started: self.started })
             }
             _ => Err(broken()),
         }
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Shared> {
-        self.shared.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -304,7 +301,7 @@ impl Recording {
             let failure = self.send();
             self.recorder.messages_sent(start.elapsed());
             let has_failed = failure.is_some();
-            let mut shared = self.shared.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut shared = lock(&self.shared);
             shared.notes.append(&mut self.sinks.notes());
             shared.failure = failure;
             drop(shared);

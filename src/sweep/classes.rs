@@ -1,9 +1,12 @@
 //! The outcomes of runs as small numbers.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use super::{row::Cell, run::Outcome};
-use crate::svg::{GREEN, ORANGE, PURPLE, SKY_BLUE};
+use crate::{
+    lock,
+    svg::{GREEN, ORANGE, PURPLE, SKY_BLUE},
+};
 
 /// The class of a run that failed.
 pub const FAILED: u8 = u8::MAX - 1;
@@ -41,7 +44,7 @@ impl Classes {
     /// The class of an outcome.
     pub fn of(&self, outcome: Option<&Cell>) -> u8 {
         let Some(Cell::Text(name)) = outcome else { return FAILED };
-        let mut names = self.names.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut names = lock(&self.names);
         match names.iter().position(|known| known == name) {
             Some(class) => class as u8,
             None if self.are_known => FAILED,
@@ -55,7 +58,7 @@ impl Classes {
 
     /// The name of a class.
     pub fn name(&self, class: u8) -> String {
-        let names = self.names.lock().unwrap_or_else(PoisonError::into_inner);
+        let names = lock(&self.names);
         let other = || if class == OTHER { "another outcome".to_owned() } else { "failed".to_owned() };
         names.get(usize::from(class)).cloned().unwrap_or_else(other)
     }

@@ -17,6 +17,7 @@ use super::{
     run::Runner,
     store::{Journal, Shard, Store, StoreError},
 };
+use crate::lock;
 
 /// Rows per file. Files are written one at a time, so this limits the memory for rows.
 const BLOCK: u64 = 4096;
@@ -152,12 +153,12 @@ fn run_rows(
 ) -> Result<Option<Vec<Row>>, StoreError> {
     let shared: Mutex<(Vec<Row>, &mut Journal, Option<StoreError>)> = Mutex::new((Vec::new(), journal, None));
     missing.par_iter().with_max_len(1).for_each(|&row| {
-        let has_failed = || shared.lock().unwrap_or_else(PoisonError::into_inner).2.is_some();
+        let has_failed = || lock(&shared).2.is_some();
         if stop.load(Ordering::Relaxed) || has_failed() {
             return;
         }
         let Ok(row) = runner.row(row) else { return };
-        let mut shared = shared.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut shared = lock(&shared);
         let (rows, journal, failure) = &mut *shared;
         match journal.add(&row) {
             Ok(()) => rows.push(row),

@@ -6,6 +6,7 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::SinkError;
+use crate::lock;
 use crate::sdk::{self, LogMsg, SizeBytes as _};
 
 /// Size from which messages are dropped first when a viewer cannot keep up [bytes]. Smaller ones (about 2 kB each) are
@@ -206,12 +207,6 @@ impl Queue {
         Queue { name, limit, when_full, state: Mutex::new(state), changed: Condvar::new() }
     }
 
-    /// Ignores poisoning: a thread that panicked while it held the lock left the state between two statements of this
-    /// file. Counters may be off by one message, which is no reason to abort the run.
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     fn wait<'a>(&self, state: MutexGuard<'a, State>) -> MutexGuard<'a, State> {
         self.changed.wait(state).unwrap_or_else(PoisonError::into_inner)
     }
@@ -233,7 +228,7 @@ impl Queue {
             WhenFull::WaitThenThin(patience) => patience,
             WhenFull::Thin => Duration::ZERO,
         };
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         let started = Instant::now();
         while state.is_full(self.limit, parcel.bytes) && state.failure.is_none() && !state.is_stalled() {
             let idle = state.progress.max(started).elapsed();
@@ -270,7 +265,7 @@ impl Queue {
 
     /// Waits until everything sent so far is delivered and flushed. `Err` tells why that is impossible.
     pub fn flush(&self) -> Result<(), SinkError> {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         let upto = state.backlog.next;
         state.flush_to = upto;
         self.changed.notify_all();
@@ -282,13 +277,13 @@ impl Queue {
 
     /// Signals that nothing more will be sent.
     pub fn close(&self) {
-        self.lock().closed = true;
+        lock(&self.state).closed = true;
         self.changed.notify_all();
     }
 
     /// Signals that nothing more will be sent, and that the thread may drop its sink.
     pub fn release(&self) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         state.closed = true;
         state.released = true;
         drop(state);
@@ -307,7 +302,7 @@ impl Queue {
 
     fn wait_until(&self, patience: Duration, is_done: impl Fn(&State) -> bool) -> bool {
         let started = Instant::now();
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         while !is_done(&state) {
             // the time before this call does not count towards the patience
             let idle = state.progress.max(started).elapsed();
@@ -324,17 +319,17 @@ impl Queue {
 
     /// Number of messages dropped so far.
     pub fn left_out(&self) -> u64 {
-        self.lock().backlog.left_out
+        lock(&self.state).backlog.left_out
     }
 
     /// Messages not delivered yet.
     pub fn waiting(&self) -> u64 {
-        self.lock().backlog.waiting.len() as u64
+        lock(&self.state).backlog.waiting.len() as u64
     }
 
     /// Why the destination accepts no more; `None` if it does.
     pub fn failure(&self) -> Option<SinkError> {
-        self.lock().failure.clone()
+        lock(&self.state).failure.clone()
     }
 
     // ---- the thread's side ----
@@ -342,7 +337,7 @@ impl Queue {
     /// The next messages, at most `max`. Waits up to `idle` for the first one.
     pub fn take(&self, max: usize, idle: Option<Duration>) -> Batch {
         let started = Instant::now();
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         loop {
             let has_work = !state.backlog.waiting.is_empty() || state.closed || state.flush_to > state.flushed;
             let left = idle.map(|idle| idle.saturating_sub(started.elapsed()));
@@ -370,7 +365,7 @@ impl Queue {
 
     /// Reports that the batch was delivered, and whether it was flushed.
     pub fn done(&self, batch: &Batch, delivered: usize, is_flushed: bool) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         state.in_hand -= batch.bytes.min(state.in_hand);
         state.delivered += delivered as u64;
         if delivered > 0 {
@@ -385,7 +380,7 @@ impl Queue {
 
     /// Waits until the thread may drop its sink.
     pub fn wait_released(&self) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         while !state.released {
             state = self.wait(state);
         }
@@ -393,7 +388,7 @@ impl Queue {
 
     /// Reports that the destination has disconnected.
     pub fn gone(&self, reason: String) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         let failure = SinkError::Gone { name: self.name.clone(), messages: state.delivered, reason };
         state.fail(failure);
         drop(state);
@@ -402,7 +397,7 @@ impl Queue {
 
     /// Reports that the destination accepts no more.
     pub fn fail(&self, failure: SinkError) {
-        self.lock().fail(failure);
+        lock(&self.state).fail(failure);
         self.changed.notify_all();
     }
 
@@ -436,7 +431,7 @@ pub(super) struct Attendance<'a>(&'a Queue);
 
 impl Drop for Attendance<'_> {
     fn drop(&mut self) {
-        let mut state = self.0.lock();
+        let mut state = lock(&self.0.state);
         if std::thread::panicking() {
             let reason = "its thread panicked; this is a bug, please report it".to_owned();
             state.fail(SinkError::Thread { target: self.0.name.clone(), reason });
@@ -535,7 +530,7 @@ mod tests {
                 let (mut received, mut max_held) = (Vec::new(), 0);
                 loop {
                     let mut batch = queue.take(3, None);
-                    let state = queue.lock();
+                    let state = lock(&queue.state);
                     max_held = max_held.max(state.backlog.bytes + state.in_hand);
                     drop(state);
                     queue.done(&batch, batch.messages.len(), batch.flush);

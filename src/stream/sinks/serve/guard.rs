@@ -3,12 +3,13 @@
 
 use std::net::IpAddr;
 use std::str::FromStr;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Mutex, PoisonError};
 
 use hyper::http::uri::Authority;
 use hyper::{HeaderMap, Uri, header};
 
+use crate::lock;
 use crate::text::{counted, listed, thousands};
 
 /// A host as a viewer may specify it: an address or a name, without a port.
@@ -96,7 +97,7 @@ impl Guard {
             return Ok(());
         };
         self.foreign.fetch_add(1, Ordering::Relaxed);
-        self.foreign_name.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert_with(|| name.clone());
+        lock(&self.foreign_name).get_or_insert_with(|| name.clone());
         Err(name)
     }
 
@@ -113,7 +114,7 @@ impl Guard {
         let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         let [foreign, writes, invalid] = [&self.foreign, &self.writes, &self.invalid].map(count);
         let [unfinished, unread] = [&self.unfinished, &self.unread].map(count);
-        let name = self.foreign_name.lock().unwrap_or_else(PoisonError::into_inner).clone().unwrap_or_default();
+        let name = lock(&self.foreign_name).clone().unwrap_or_default();
         let part = |n: u64, what: &str| (n > 0).then(|| format!("{} {what}", thousands(n)));
         let foreign = part(foreign, &format!("for or from another host than this one ({name} first; see --bind)"));
         let requests: Vec<String> =

@@ -4,7 +4,7 @@
 //! Here every reader has its own position in a shared log: a slow reader costs one integer, not memory.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::task::Poll;
 
 use hyper::body::Bytes;
@@ -14,6 +14,7 @@ use re_protos::sdk_comms::v1alpha1::ReadMessagesResponse;
 use tokio::sync::watch;
 
 use super::follow::{Parts, follow};
+use crate::lock;
 use crate::sdk::{Compression, LogMsg, StoreKind, ToTransport as _};
 use crate::stream::sinks::live::LogSink;
 
@@ -38,15 +39,15 @@ impl LogSink for Feed {
     fn send(&self, msg: LogMsg) {
         match encode(&msg) {
             Ok((frame, keep)) => {
-                self.log.lock().push(frame, keep);
+                lock(&self.log.0).push(frame, keep);
                 self.news.send(()).ok();
             }
-            Err(reason) => *self.failure.lock().unwrap_or_else(PoisonError::into_inner) = Some(reason),
+            Err(reason) => *lock(&self.failure) = Some(reason),
         }
     }
 
     fn flush(&self) -> Result<(), String> {
-        if let Some(reason) = &*self.failure.lock().unwrap_or_else(PoisonError::into_inner) {
+        if let Some(reason) = &*lock(&self.failure) {
             return Err(format!("a message cannot be encoded: {reason}"));
         }
         if self.news.is_closed() { Err("it crashed".to_owned()) } else { Ok(()) }
@@ -64,7 +65,7 @@ impl History {
     /// Everything kept as gRPC frames, in order, and then new messages.
     pub fn read(&self) -> Parts {
         let (log, mut next) = (Arc::clone(&self.log), 0);
-        follow(self.news.clone(), move || match log.lock().from(next) {
+        follow(self.news.clone(), move || match lock(&log.0).from(next) {
             Some((number, frame)) => {
                 next = number + 1;
                 Poll::Ready(Some(frame))
@@ -83,13 +84,9 @@ impl History {
 pub(super) struct Log(Mutex<Entries>);
 
 impl Log {
-    fn lock(&self) -> MutexGuard<'_, Entries> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Whether messages have been discarded, so that a viewer that connects now misses the beginning.
     pub fn is_forgetting(&self) -> bool {
-        self.lock().is_forgetting
+        lock(&self.0).is_forgetting
     }
 }
 
@@ -199,7 +196,7 @@ mod tests {
         let (mut early, mut numbers) = (history.read(), Vec::new());
         assert!(early.as_mut().poll_next(&mut context).is_pending());
         for i in 0..5_u8 {
-            feed.log.lock().push(Bytes::from(vec![i]), Keep::Temporal);
+            lock(&feed.log.0).push(Bytes::from(vec![i]), Keep::Temporal);
             feed.news.send(()).expect("there are readers");
         }
         let mut late = history.read();

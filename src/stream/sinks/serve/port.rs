@@ -13,7 +13,7 @@ use std::convert::Infallible;
 use std::net::IpAddr;
 use std::pin::Pin;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
@@ -27,6 +27,7 @@ use tokio::sync::Notify;
 
 use super::answer::{Content, SHARE};
 use super::guard::Guard;
+use crate::lock;
 
 /// Upper limit on the number of connections. Two ports with this many, plus the other files of a run, stay below the
 /// default limits per process: 1,024 files, 256 on macOS.
@@ -108,32 +109,28 @@ impl<S: Site> Port<S> {
                 _ => READ_TIMEOUT,
             };
             let late = |client: &Client| {
-                let activity = *client.activity();
+                let activity = *lock(&client.activity);
                 activity.quiet_since.elapsed() > patience(activity)
             };
             let numbers: Vec<u64> =
-                self.clients().iter().filter(|(_, client)| late(client)).map(|(number, _)| *number).collect();
+                lock(&self.clients).iter().filter(|(_, client)| late(client)).map(|(number, _)| *number).collect();
             numbers.into_iter().for_each(|number| self.close(number));
         }
     }
 
     /// Whether a response is in progress.
     pub fn is_busy(&self) -> bool {
-        self.clients().values().any(|client| client.activity().responses > 0)
-    }
-
-    fn clients(&self) -> MutexGuard<'_, HashMap<u64, Arc<Client>>> {
-        self.clients.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.clients).values().any(|client| lock(&client.activity).responses > 0)
     }
 
     fn is_full(&self) -> bool {
-        self.clients().len() >= MAX_CONNECTIONS
+        lock(&self.clients).len() >= MAX_CONNECTIONS
     }
 
     /// Closes the most expendable connection; `false` if there is none.
     fn close_one(&self) -> bool {
-        let clients = self.clients();
-        let activities = clients.iter().map(|(number, client)| (*number, *client.activity()));
+        let clients = lock(&self.clients);
+        let activities = clients.iter().map(|(number, client)| (*number, *lock(&client.activity)));
         let expendable = activities.filter_map(|(number, activity)| Some((activity.worth()?, number))).min();
         drop(clients);
         let Some((_, number)) = expendable else { return false };
@@ -142,8 +139,8 @@ impl<S: Site> Port<S> {
     }
 
     fn close(&self, number: u64) {
-        let Some(client) = self.clients().remove(&number) else { return };
-        let Activity { responses, has_requested, .. } = *client.activity();
+        let Some(client) = lock(&self.clients).remove(&number) else { return };
+        let Activity { responses, has_requested, .. } = *lock(&client.activity);
         if responses > 0 {
             self.guard.unread.fetch_add(1, Ordering::Relaxed);
         } else if !has_requested {
@@ -159,12 +156,12 @@ impl<S: Site> Port<S> {
         let activity =
             Activity { accepted_at: now, has_requested: false, responses: 0, has_all: false, quiet_since: now };
         let client = Arc::new(Client { activity: Mutex::new(activity), closing: Notify::new() });
-        self.clients().insert(number, Arc::clone(&client));
+        lock(&self.clients).insert(number, Arc::clone(&client));
         let entry = Entry { port: Arc::clone(self), number };
         tokio::spawn(async move {
             tokio::select! {
                 result = entry.port.serve(stream, &client) => {
-                    if result.is_err() && !client.activity().has_requested {
+                    if result.is_err() && !lock(&client.activity).has_requested {
                         entry.port.guard.unfinished.fetch_add(1, Ordering::Relaxed);
                     }
                 }
@@ -213,7 +210,7 @@ struct Entry<S: Site> {
 
 impl<S: Site> Drop for Entry<S> {
     fn drop(&mut self) {
-        self.port.clients().remove(&self.number);
+        lock(&self.port.clients).remove(&self.number);
     }
 }
 
@@ -254,12 +251,6 @@ impl Activity {
     }
 }
 
-impl Client {
-    fn activity(&self) -> MutexGuard<'_, Activity> {
-        self.activity.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
 /// A response body that records how much of it is read.
 struct Answer {
     content: Content,
@@ -270,7 +261,7 @@ struct Answer {
 
 impl Answer {
     fn new(content: Content, client: Arc<Client>) -> Answer {
-        let mut activity = client.activity();
+        let mut activity = lock(&client.activity);
         activity.has_requested = true;
         activity.responses += 1;
         activity.quiet_since = Instant::now();
@@ -281,7 +272,7 @@ impl Answer {
 
 impl Drop for Answer {
     fn drop(&mut self) {
-        let mut activity = self.client.activity();
+        let mut activity = lock(&self.client.activity);
         activity.responses -= 1;
         activity.quiet_since = Instant::now();
     }
@@ -298,7 +289,7 @@ impl Body for Answer {
             Poll::Ready(Some(frame)) => frame.data_ref().map_or(0, Bytes::len),
             _ => 0,
         };
-        let mut activity = answer.client.activity();
+        let mut activity = lock(&answer.client.activity);
         activity.has_all = frame.is_pending();
         // a client that has read everything available counts as active
         if answer.unrecorded >= SHARE || !matches!(frame, Poll::Ready(Some(_))) {
