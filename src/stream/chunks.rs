@@ -121,6 +121,18 @@ impl Chunks {
         self.tracks[track].push(row, at, self.stage, cells);
     }
 
+    /// Whether cells, one per component, differ from those of the last row of a track. Those before the first row are empty.
+    pub fn has_changed(&mut self, TrackId(track): TrackId, cells: &[&dyn Cell]) -> bool {
+        self.tracks[track].has_changed(cells)
+    }
+
+    /// Logs a row of a track if its cells [have changed](Chunks::has_changed).
+    pub fn push_changed(&mut self, track: TrackId, at: Instant, cells: &[&dyn Cell]) {
+        if self.has_changed(track, cells) {
+            self.push(track, at, cells);
+        }
+    }
+
     /// Logs components of an entity at an instant of the simulation.
     pub fn log(&mut self, entity: &str, at: Instant, components: &dyn AsComponents) {
         let stage = |stage: u64| TimePoint::from_iter([(Timeline::new_sequence(STAGE), stage as i64)]);

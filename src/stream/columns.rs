@@ -26,7 +26,7 @@ const CHUNK_BYTES: usize = 384 << 10;
 const CHUNK_ROWS: usize = 4096;
 
 /// A type of the values of a component.
-pub trait Element: Clone + Send + 'static {
+pub trait Element: Clone + PartialEq + Send + 'static {
     /// The values as an array.
     ///
     /// # Errors
@@ -111,17 +111,28 @@ fn strips(lengths: impl Iterator<Item = usize>, points: Vec<Float3>) -> Result<A
 pub trait Cell {
     /// Appends them to a column of the same type, which they create if it is empty; returns their number.
     fn append(&self, column: &mut Option<Box<dyn Values>>) -> usize;
+
+    /// Whether they are the last `count` values of a column of the same type; one that is not there has none.
+    fn ends(&self, column: &mut Option<Box<dyn Values>>, count: usize) -> bool;
 }
 
 impl<T: Element> Cell for Vec<T> {
     fn append(&self, column: &mut Option<Box<dyn Values>>) -> usize {
         append(self, column)
     }
+
+    fn ends(&self, column: &mut Option<Box<dyn Values>>, count: usize) -> bool {
+        ends(self, column, count)
+    }
 }
 
 impl<T: Element, const N: usize> Cell for [T; N] {
     fn append(&self, column: &mut Option<Box<dyn Values>>) -> usize {
         append(self, column)
+    }
+
+    fn ends(&self, column: &mut Option<Box<dyn Values>>, count: usize) -> bool {
+        ends(self, column, count)
     }
 }
 
@@ -132,6 +143,13 @@ fn append<T: Element>(cell: &[T], column: &mut Option<Box<dyn Values>>) -> usize
         values.extend_from_slice(cell);
     }
     cell.len()
+}
+
+fn ends<T: Element>(cell: &[T], column: &mut Option<Box<dyn Values>>, count: usize) -> bool {
+    match column.as_mut().and_then(|values| values.as_any().downcast_mut::<Vec<T>>()) {
+        Some(values) => *cell == values[values.len() - count..],
+        None => cell.is_empty(),
+    }
 }
 
 /// The values of a column, of any type.
@@ -193,11 +211,13 @@ struct Column {
     /// `None` before the first row.
     values: Option<Box<dyn Values>>,
     lengths: Vec<usize>,
+    /// The values of the last row that was taken, and their number.
+    taken: (Option<Box<dyn Values>>, usize),
 }
 
 impl Columns {
     pub fn new(entity: &str, descriptors: Vec<ComponentDescriptor>) -> Columns {
-        let column = |descriptor| Column { descriptor, values: None, lengths: Vec::new() };
+        let column = |descriptor| Column { descriptor, values: None, lengths: Vec::new(), taken: (None, 0) };
         Columns {
             entity: EntityPath::from(entity),
             ids: Vec::new(),
@@ -223,6 +243,16 @@ impl Columns {
         }
     }
 
+    /// Whether cells, one per component, differ from those of the last row, whether or not that has been taken. The cells
+    /// before the first row are empty.
+    pub fn has_changed(&mut self, cells: &[&dyn Cell]) -> bool {
+        let is_same = |(column, cell): (&mut Column, &&dyn Cell)| match column.lengths.last() {
+            Some(&count) => cell.ends(&mut column.values, count),
+            None => cell.ends(&mut column.taken.0, column.taken.1),
+        };
+        !self.columns.iter_mut().zip(cells).all(is_same)
+    }
+
     pub fn is_empty(&self) -> bool {
         self.ids.is_empty()
     }
@@ -245,7 +275,7 @@ impl Columns {
             ids: Vec::new(),
             steps: Vec::new(),
             nanoseconds: Vec::new(),
-            columns: self.columns.iter().map(Column::fresh).collect(),
+            columns: self.columns.iter_mut().map(Column::fresh).collect(),
             shown: 0,
         };
         std::mem::replace(self, fresh).into_parts()
@@ -267,7 +297,7 @@ impl Columns {
 
     fn into_parts(self) -> Result<ChunkParts, ArrowError> {
         let mut components = Vec::with_capacity(self.columns.len());
-        for Column { descriptor, values, lengths } in self.columns {
+        for Column { descriptor, values, lengths, .. } in self.columns {
             let values = values.map_or_else(|| f64::array(Vec::new()), |values| values.array())?;
             let field = Field::new_list_field(values.data_type().clone(), true);
             let offsets = OffsetBuffer::from_lengths(lengths);
@@ -283,12 +313,20 @@ impl Columns {
 }
 
 impl Column {
-    /// An empty column with the same capacity.
-    fn fresh(&self) -> Column {
+    /// The column after its rows are taken: empty, with the same capacity.
+    fn fresh(&mut self) -> Column {
+        let taken = match self.lengths.split_last() {
+            Some((&count, before)) => {
+                let first = before.iter().sum();
+                (self.values.as_ref().map(|values| values.values_from(first)), count)
+            }
+            None => std::mem::take(&mut self.taken),
+        };
         Column {
             descriptor: self.descriptor.clone(),
             values: self.values.as_ref().map(|values| values.fresh()),
             lengths: Vec::with_capacity(self.lengths.len()),
+            taken,
         }
     }
 
@@ -299,6 +337,7 @@ impl Column {
             descriptor: self.descriptor.clone(),
             values: self.values.as_ref().map(|values| values.values_from(before)),
             lengths: self.lengths[first..].to_vec(),
+            taken: (None, 0),
         }
     }
 }

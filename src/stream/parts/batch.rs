@@ -15,7 +15,6 @@ use crate::{
     sdk::{AnyValues, InstancePoses3D, Mesh3D, Quaternion, arrow::array::UInt32Array, components::Text},
     stream::{
         chunks::{Chunks, TrackId},
-        columns::Cell,
         contract::{DEFORMING, LIT, RESTING, VERTEX, VERTEX_BODY},
         extract::{Extractor, Float3, Surface},
         light::{self, Light},
@@ -30,14 +29,14 @@ pub const DEFORMED: f64 = 1e-6;
 /// An undeformed body: its index, radius (0 if it is absent), centre and rotation.
 type Instance = (usize, f32, Float3, [f32; 4]);
 
-/// All bodies in shared entities, with the last logged values.
+/// All bodies in shared entities.
 pub struct BatchedBodies {
     track: TrackId,
     deforming: Vec<usize>,
     /// The deformed bodies that are not part of a merged surface; `None` if not logged yet.
     drawn: Option<Vec<usize>>,
-    last: Surface,
-    next: Surface,
+    /// The surfaces of the deformed bodies. Reused.
+    surface: Surface,
     /// Lit colours of the deformed bodies. Reused.
     lit: Vec<u32>,
     resting: Option<Vec<Instance>>,
@@ -70,10 +69,10 @@ impl BatchedBodies {
         let components = [Mesh3D::descriptor_vertex_positions(), Mesh3D::descriptor_vertex_normals(), LIT.descriptor()];
         let track = chunks.track(DEFORMING.path, components);
         let vertices = (detail != Detail::Surface).then(|| Vertices::new(DEFORMING.path, chunks));
-        let (last, next, numbers) = Default::default();
+        let (surface, numbers) = Default::default();
         let (drawn, resting, torn, has_rotated) = (None, None, Vec::new(), false);
         let (deforming, lit) = (Vec::new(), Vec::new());
-        BatchedBodies { track, deforming, drawn, last, next, lit, resting, torn, has_rotated, vertices, numbers }
+        BatchedBodies { track, deforming, drawn, surface, lit, resting, torn, has_rotated, vertices, numbers }
     }
 
     /// Logs changed values; `numbers` are the values of each body's vertices, if they are recorded. Bodies that are
@@ -91,9 +90,9 @@ impl BatchedBodies {
         let (deforming, resting): (Vec<usize>, Vec<usize>) = (0..now.len()).partition(|&i| {
             is_merged(i) || now[i].mesh.is_some() || now[i].max_displacement > DEFORMED * bodies[i].radius
         });
-        self.next.clear();
+        self.surface.clear();
         for &i in &deforming {
-            self.next.append_in_world(&bodies[i], &now[i], extractor);
+            self.surface.append_in_world(&bodies[i], &now[i], extractor);
         }
         if let Some(vertices) = &mut self.vertices {
             self.numbers.clear();
@@ -116,17 +115,15 @@ impl BatchedBodies {
                 self.drawn = Some(now_drawn);
             }
         }
-        if self.next != self.last {
-            std::mem::swap(&mut self.next, &mut self.last);
-            let Surface { positions, normals } = &self.last;
+        let Surface { positions, normals } = &self.surface;
+        if chunks.has_changed(self.track, &[positions, normals]) {
             let colors = self.deforming.iter().flat_map(|&i| {
                 let count = now[i].mesh_of(&bodies[i]).drawn_vertex_count();
                 std::iter::repeat_n(palette::of_body(view.schema, i), count)
             });
             self.lit.clear();
             self.lit.extend(colors.zip(normals).map(|(rgb, &normal)| Light::in_world().on(rgb, normal)));
-            let cells: [&dyn Cell; _] = [positions, normals, &self.lit];
-            chunks.push(self.track, view.at, &cells);
+            chunks.push(self.track, view.at, &[positions, normals, &self.lit]);
         }
         self.has_rotated |= resting.iter().any(|&i| now[i].rotation != DQuat::IDENTITY);
         let radius = |i: usize| if now[i].is_absent { 0.0 } else { bodies[i].radius as f32 };

@@ -16,7 +16,7 @@ use crate::{
     stream::{
         chunks::{Chunks, TrackId},
         contract::{BODY, BODY_SURFACE, LIT},
-        extract::{Extractor, Float3, Surface},
+        extract::{Extractor, Surface},
         light::{self, Light},
         palette,
         settings::Detail,
@@ -52,8 +52,8 @@ struct Lit {
     track: TrackId,
     /// The rotation with which they were last computed.
     rotation: Option<DQuat>,
-    last: Vec<u32>,
-    next: Vec<u32>,
+    /// Scratch storage, reused.
+    colors: Vec<u32>,
 }
 
 impl Lit {
@@ -66,12 +66,9 @@ impl Lit {
         }
         self.rotation = Some(rotation);
         let light = Light::in_body(rotation);
-        self.next.clear();
-        self.next.extend(surface.normals.iter().map(|&normal| light.white(normal)));
-        if self.next != self.last {
-            std::mem::swap(&mut self.next, &mut self.last);
-            chunks.push(self.track, view.at, &[&self.last]);
-        }
+        self.colors.clear();
+        self.colors.extend(surface.normals.iter().map(|&normal| light.white(normal)));
+        chunks.push_changed(self.track, view.at, &[&self.colors]);
     }
 }
 
@@ -82,7 +79,6 @@ struct Transform {
     both: TrackId,
     /// Whether the body has rotated; until then no rotation is logged.
     has_rotated: bool,
-    last: Option<(Float3, [f32; 4])>,
 }
 
 impl Transform {
@@ -90,22 +86,17 @@ impl Transform {
         let translation = chunks.track(entity, [Transform3D::descriptor_translation()]);
         // created at the start, so that its rows precede the one that marks a frame as complete
         let both = chunks.track(entity, [Transform3D::descriptor_translation(), Transform3D::descriptor_quaternion()]);
-        Transform { translation, both, has_rotated: false, last: None }
+        Transform { translation, both, has_rotated: false }
     }
 
     fn log(&mut self, view: FrameView<'_>, now: &BodyFrame, chunks: &mut Chunks) {
-        let next = (now.centre.as_vec3().to_array(), now.rotation.as_quat().to_array());
-        if self.last == Some(next) {
-            return;
-        }
         self.has_rotated |= now.rotation != DQuat::IDENTITY;
-        let (centre, rotation) = next;
+        let centre = [now.centre.as_vec3().to_array()];
         if self.has_rotated {
-            chunks.push(self.both, view.at, &[&[centre], &[rotation]]);
+            chunks.push_changed(self.both, view.at, &[&centre, &[now.rotation.as_quat().to_array()]]);
         } else {
-            chunks.push(self.translation, view.at, &[&[centre]]);
+            chunks.push_changed(self.translation, view.at, &[&centre]);
         }
-        self.last = Some(next);
     }
 }
 
@@ -130,12 +121,7 @@ impl SeparateBodies {
                 transform: Transform::new(&entity, chunks),
                 surface: chunks
                     .track(&surface, [Mesh3D::descriptor_vertex_positions(), Mesh3D::descriptor_vertex_normals()]),
-                lit: Lit {
-                    track: chunks.track(&surface, [LIT.descriptor()]),
-                    rotation: None,
-                    last: Vec::new(),
-                    next: Vec::new(),
-                },
+                lit: Lit { track: chunks.track(&surface, [LIT.descriptor()]), rotation: None, colors: Vec::new() },
                 entity: surface,
                 last: Surface::default(),
                 is_at_rest: false,

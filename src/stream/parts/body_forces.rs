@@ -36,11 +36,10 @@ pub struct BodyForces {
     /// Whether a term has acted on any body.
     has_acted: Vec<bool>,
     arrows: TrackId,
-    last: ResultantRows,
 }
 
 /// The arrows of a frame: origins, vectors, colours and labels.
-#[derive(Default, PartialEq)]
+#[derive(Default)]
 struct ResultantRows {
     origins: Vec<Float3>,
     vectors: Vec<Float3>,
@@ -65,12 +64,7 @@ impl BodyForces {
             Arrows3D::descriptor_labels(),
         ];
         let arrows = chunks.track(RESULTANTS.path, components);
-        BodyForces {
-            lines: vec![vec![None; terms]; bodies],
-            has_acted: vec![false; terms],
-            arrows,
-            last: ResultantRows::default(),
-        }
+        BodyForces { lines: vec![vec![None; terms]; bodies], has_acted: vec![false; terms], arrows }
     }
 
     /// Whether each term of the schema has acted on any body so far.
@@ -102,10 +96,7 @@ impl BodyForces {
             }
         }
         let now = ResultantRows::of(view, &resultants, !self.lines.is_empty());
-        if now != self.last {
-            chunks.push(self.arrows, view.at, &[&now.origins, &now.vectors, &now.colors, &now.labels]);
-            self.last = now;
-        }
+        chunks.push_changed(self.arrows, view.at, &[&now.origins, &now.vectors, &now.colors, &now.labels]);
     }
 }
 

@@ -35,7 +35,7 @@ pub const NET_KINDS: [(&str, Rgb, NetAcceleration); 2] = [
 /// it.
 pub const LONGEST_NET: f64 = 2.0;
 
-/// Force arrows, with the last logged values.
+/// Force arrows.
 pub struct Forces {
     terms: Vec<KindArrows>,
     /// Of each of [`NET_KINDS`]; none if no body is free.
@@ -54,8 +54,8 @@ pub struct Forces {
 struct KindArrows {
     track: TrackId,
     has_source: bool,
-    last: Arrows,
-    next: Arrows,
+    /// The arrows of the frame. Reused.
+    arrows: Arrows,
 }
 
 impl Forces {
@@ -72,7 +72,7 @@ impl Forces {
             let mut components = vec![Arrows3D::descriptor_origins(), Arrows3D::descriptor_vectors()];
             components.extend(has_source.then(Arrows3D::descriptor_class_ids));
             let track = chunks.track(&entity, components);
-            KindArrows { track, has_source, last: Arrows::default(), next: Arrows::default() }
+            KindArrows { track, has_source, arrows: Arrows::default() }
         };
         let terms =
             schema.terms.iter().map(|term| kind(term.name, term.color, term.is_uniform, term.has_source)).collect();
@@ -97,12 +97,12 @@ impl Forces {
         let longest_net = LONGEST_NET * schema.largest_radius();
         self.displacements.find(view);
         let end = self.displacements.end();
-        self.terms.iter_mut().chain(&mut self.net).for_each(|kind| kind.next.clear());
+        self.terms.iter_mut().chain(&mut self.net).for_each(|kind| kind.arrows.clear());
         for (index, (body, now)) in view.bodies().enumerate() {
-            for (arrows, (.., acceleration)) in self.net.iter_mut().zip(NET_KINDS) {
+            for (kind, (.., acceleration)) in self.net.iter_mut().zip(NET_KINDS) {
                 let Some(net) = &now.net_force else { continue };
                 let vector = schema.net_force_scale * acceleration(net, body);
-                arrows.next.append_one(now.centre, vector.clamp_length_max(longest_net), None, 1.0);
+                kind.arrows.append_one(now.centre, vector.clamp_length_max(longest_net), None, 1.0);
             }
             let numbers = &mut self.vertices[index];
             if now.is_at_rest && !now.has_forces {
@@ -118,23 +118,23 @@ impl Forces {
             numbers.clear();
             numbers.append(schema, body, now, end);
             extractor.world_positions(body, now, &mut self.origins);
-            for ((term, of_schema), arrows) in now.terms.iter().zip(&schema.terms).zip(&mut self.terms) {
+            for ((term, of_schema), kind) in now.terms.iter().zip(&schema.terms).zip(&mut self.terms) {
                 let acts = of_schema.has_source && !term.accelerations.is_empty();
                 let scale = schema.arrow_scale_of(of_schema);
                 let class = acts.then(|| self.sources.class_of(index, term.source));
                 if of_schema.is_uniform {
                     if !term.accelerations.is_empty() {
-                        arrows.next.append_one(now.centre, term.accelerations.get(0), class, scale);
+                        kind.arrows.append_one(now.centre, term.accelerations.get(0), class, scale);
                     }
                     continue;
                 }
-                arrows.next.append(&self.origins, class, &term.accelerations, scale);
+                kind.arrows.append(&self.origins, class, &term.accelerations, scale);
             }
             for force in &now.point_forces {
-                let (of_schema, arrows) = (&schema.terms[force.term], &mut self.terms[force.term]);
+                let (of_schema, kind) = (&schema.terms[force.term], &mut self.terms[force.term]);
                 let class = of_schema.has_source.then(|| self.sources.class_of(index, force.source));
                 let scale = schema.arrow_scale_of(of_schema);
-                arrows.next.append_one(now.centre + force.place, force.acceleration, class, scale);
+                kind.arrows.append_one(now.centre + force.place, force.acceleration, class, scale);
             }
         }
     }
@@ -142,12 +142,9 @@ impl Forces {
     /// Logs changed values.
     pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
         self.sources.log(view.schema, chunks);
-        for KindArrows { track, has_source, last, next } in self.terms.iter_mut().chain(&mut self.net) {
-            if next != last {
-                std::mem::swap(next, last);
-                let cells: [&dyn Cell; _] = [&last.origins, &last.vectors, &last.classes];
-                chunks.push(*track, view.at, if *has_source { &cells } else { &cells[..2] });
-            }
+        for KindArrows { track, has_source, arrows } in self.terms.iter().chain(&self.net) {
+            let cells: [&dyn Cell; _] = [&arrows.origins, &arrows.vectors, &arrows.classes];
+            chunks.push_changed(*track, view.at, if *has_source { &cells } else { &cells[..2] });
         }
     }
 }

@@ -61,15 +61,12 @@ pub fn are_bodies_labelled(schema: &Schema) -> bool {
 
 /// The numbers of the colour scale, and the mark at the largest displacement.
 pub struct Heat {
+    /// The numbers of the scale.
     ticks: TrackId,
-    /// The numbers of the scale, as they were logged last.
-    last_ticks: Vec<String>,
     mark: TrackId,
     last: Option<([DVec3; 2], String)>,
     /// The labels of bodies, if they have any.
     bodies: Option<TrackId>,
-    /// Their positions and texts, as they were logged last.
-    last_bodies: (Vec<Float3>, Vec<String>),
 }
 
 impl Heat {
@@ -94,11 +91,9 @@ impl Heat {
         let mark = [Points3D::descriptor_positions(), Points3D::descriptor_labels(), LineStrips3D::descriptor_strips()];
         Heat {
             ticks: chunks.track(&LEGEND.of(&["ticks"]), [Points2D::descriptor_labels()]),
-            last_ticks: Vec::new(),
             mark: chunks.track(LARGEST.path, mark),
             last: None,
             bodies: are_bodies_labelled(schema).then(|| lines::track_labels(LARGEST_OF_BODIES.path, schema, chunks)),
-            last_bodies: Default::default(),
         }
     }
 
@@ -111,10 +106,7 @@ impl Heat {
         if let (Some(largest), Some(last)) = (exceeding, ticks.last_mut()) {
             *last += &format!(" to {}, at {}", significant(largest.displacement), largest.place(view));
         }
-        if ticks != self.last_ticks {
-            chunks.push(self.ticks, view.at, &[&ticks]);
-            self.last_ticks = ticks;
-        }
+        chunks.push_changed(self.ticks, view.at, &[&ticks]);
         let mark = outside.filter(|largest| largest.displacement > 0.0).map(|outside| {
             let hidden = of_all.filter(|of_all| of_all.displacement > outside.displacement);
             let hidden = hidden.map(|hidden| format!("; inside another body: {}", hidden.text(view)));
@@ -131,16 +123,12 @@ impl Heat {
             self.last = mark;
         }
         let Some(bodies) = self.bodies else { return };
-        let places = (0..view.schema.bodies.len()).map(|body| lines::name_place(view, body)).collect();
+        let places: Vec<_> = (0..view.schema.bodies.len()).map(|body| lines::name_place(view, body)).collect();
         let labels = view.bodies().map(|(body, now)| match now.max_displacement {
             0.0 => body.name.clone(),
             largest => format!("{} {:.3} R", body.name, largest / body.radius),
         });
-        let of_bodies = (places, labels.collect());
-        if of_bodies != self.last_bodies {
-            chunks.push(bodies, view.at, &[&of_bodies.0, &of_bodies.1]);
-            self.last_bodies = of_bodies;
-        }
+        chunks.push_changed(bodies, view.at, &[&places, &labels.collect::<Vec<_>>()]);
     }
 }
 

@@ -26,15 +26,17 @@ pub const MAX_NAMED: usize = 16;
 const LABEL_HEIGHT: f64 = 0.08;
 const LABEL_WIDTH: f64 = 0.25;
 
-/// Pair lines, with the last logged values.
+/// Pair lines.
 pub struct Lines {
     track: TrackId,
     /// Upper limit on the number of lines; the closest pairs are shown.
     max_lines: usize,
     /// The only pairs with lines, as `A~B`; empty: all.
     only: Vec<String>,
-    last: Option<LineRows>,
-    next: LineRows,
+    /// The lines of the frame. Reused.
+    rows: LineRows,
+    /// Whether there is a row already: the first one is logged even if there are no lines.
+    has_begun: bool,
     /// Names of bodies, unless there are too many.
     names: Option<Names>,
     recent: Recent,
@@ -42,7 +44,7 @@ pub struct Lines {
     closest: Vec<PairFrame>,
 }
 
-#[derive(Clone, Default, PartialEq)]
+#[derive(Default)]
 struct LineRows {
     segments: Vec<[Float3; 2]>,
     colors: Vec<u32>,
@@ -53,8 +55,8 @@ struct LineRows {
 /// variants, the first one's, and the names of all variants.
 struct Names {
     track: TrackId,
-    last: Vec<Float3>,
-    next: Vec<Float3>,
+    /// Where the names stand in the frame. Reused.
+    places: Vec<Float3>,
     /// The bodies that were named last.
     named: Vec<usize>,
 }
@@ -74,8 +76,8 @@ impl Lines {
             track,
             max_lines: settings.pairs,
             only: settings.only.clone(),
-            last: None,
-            next: LineRows::default(),
+            rows: LineRows::default(),
+            has_begun: false,
             names: has_names.then(|| Names::new(schema, chunks)),
             recent: Recent::new(schema, chunks),
             closest: Vec::new(),
@@ -89,7 +91,7 @@ impl Lines {
 
     /// Logs changed values.
     pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
-        let LineRows { segments, colors, labels } = &mut self.next;
+        let LineRows { segments, colors, labels } = &mut self.rows;
         let is_shown =
             |pair: &&PairFrame| self.only.is_empty() || self.only.contains(&view.schema.pair_name(pair.a, pair.b));
         self.closest.clear();
@@ -126,12 +128,9 @@ impl Lines {
         if labelled == 1 && self.closest.len() > 1 {
             labels.push(String::new()); // the viewer would take a single label for that of all lines
         }
-        if self.last.as_ref() != Some(&self.next) {
-            let LineRows { segments, colors, labels } = &self.next;
-            let cells: [&dyn Cell; _] = [segments, colors, labels];
+        let cells: [&dyn Cell; _] = [segments, colors, labels];
+        if !std::mem::replace(&mut self.has_begun, true) || chunks.has_changed(self.track, &cells) {
             chunks.push(self.track, view.at, &cells);
-            let last = self.last.get_or_insert_default();
-            std::mem::swap(last, &mut self.next);
         }
         if let Some(names) = &mut self.names {
             names.log(view, chunks);
@@ -150,26 +149,22 @@ impl Names {
         chunks.log_static(NAMES.path, &style);
         Names {
             track: chunks.track(NAMES.path, [Points3D::descriptor_positions()]),
-            last: Vec::new(),
-            next: Vec::new(),
+            places: Vec::new(),
             named: if schema.bodies.iter().any(|body| body.can_be_absent) { Vec::new() } else { named },
         }
     }
 
     fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
-        self.next.clear();
+        self.places.clear();
         let bodies = &view.frame.bodies[..nameable(view.schema)];
         let named: Vec<usize> = (0..bodies.len()).filter(|&i| !bodies[i].is_absent).collect();
         if named != self.named {
             chunks.log(NAMES.path, view.at, &labelled(Points3D::update_fields(), view.schema, &named));
             self.named = named;
         }
-        self.next.extend(self.named.iter().map(|&body| name_place(view, body)));
-        self.next.extend(view.schema.variants.iter().map(|variant| variant.heading.as_vec3().to_array()));
-        if self.next != self.last {
-            std::mem::swap(&mut self.next, &mut self.last);
-            chunks.push(self.track, view.at, &[&self.last]);
-        }
+        self.places.extend(self.named.iter().map(|&body| name_place(view, body)));
+        self.places.extend(view.schema.variants.iter().map(|variant| variant.heading.as_vec3().to_array()));
+        chunks.push_changed(self.track, view.at, &[&self.places]);
     }
 }
 

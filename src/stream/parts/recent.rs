@@ -35,11 +35,10 @@ pub fn is_drawn_alone(schema: &Schema) -> bool {
     schema.bodies.len() > MAX_LABELS
 }
 
-/// The pair of the last event, with the last logged values.
+/// The pair of the last event.
 pub struct Recent {
     track: TrackId,
     event: Option<RecentEvent>,
-    last: Rows,
     /// Height of the label, above the bodies of the last frame [scene unit].
     top: f64,
     alone: Option<Alone>,
@@ -54,7 +53,7 @@ struct RecentEvent {
 }
 
 /// Lines, their colours, and the label with its position.
-#[derive(Default, PartialEq)]
+#[derive(Default)]
 struct Rows {
     strips: Vec<[Float3; 2]>,
     colors: Vec<u32>,
@@ -69,7 +68,6 @@ struct Alone {
     surface: Surface,
     pair: Option<[usize; 2]>,
     triangles: Vec<[u32; 3]>,
-    last: Vec<Float3>,
 }
 
 impl Recent {
@@ -91,7 +89,6 @@ impl Recent {
         Recent {
             track: chunks.track(RECENT.path, components),
             event: None,
-            last: Rows::default(),
             top: f64::NEG_INFINITY,
             alone: is_drawn_alone(schema).then(|| {
                 let clear = Mesh3D::update_fields().with_albedo_factor(palette::translucent([0xFF; 3]));
@@ -107,7 +104,6 @@ impl Recent {
                     surface: Surface::default(),
                     pair: None,
                     triangles: Vec::new(),
-                    last: Vec::new(),
                 }
             }),
         }
@@ -142,7 +138,7 @@ impl Recent {
     /// Logs changed values.
     pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
         self.top = label_height(view);
-        let Some(event) = &mut self.event else { return self.push(Rows::default(), view.at, chunks) };
+        let Some(event) = &mut self.event else { return self.push(&Rows::default(), view.at, chunks) };
         event.age += 1;
         let bodies = event.pair.map(|body| &view.frame.bodies[body]);
         let radii = event.pair.map(|body| view.schema.bodies[body].radius);
@@ -167,14 +163,11 @@ impl Recent {
             let radius = pair.map(|body| schema.bodies[body].radius).into_iter().fold(0.0, f64::max);
             alone.log(schema, (*pair, *rgb), bodies, (middle, radius), at, chunks);
         }
-        self.push(rows, at, chunks);
+        self.push(&rows, at, chunks);
     }
 
-    fn push(&mut self, rows: Rows, at: Instant, chunks: &mut Chunks) {
-        if rows != self.last {
-            chunks.push(self.track, at, &[&rows.strips, &rows.colors, &rows.places, &rows.colors, &rows.labels]);
-            self.last = rows;
-        }
+    fn push(&self, rows: &Rows, at: Instant, chunks: &mut Chunks) {
+        chunks.push_changed(self.track, at, &[&rows.strips, &rows.colors, &rows.places, &rows.colors, &rows.labels]);
     }
 }
 
@@ -227,9 +220,8 @@ impl Alone {
             self.triangles.clone_from(&triangles);
             chunks.log(RECENT_PAIR.path, at, &Mesh3D::update_fields().with_triangle_indices(triangles));
         }
-        if is_new || positions != self.last {
+        if is_new || chunks.has_changed(self.track, &[&positions]) {
             chunks.push(self.track, at, &[&positions, &lit]);
-            self.last = positions;
         }
     }
 }

@@ -6,6 +6,7 @@ use crate::{
     sdk::{self, Ellipsoids3D, components::FillMode},
     stream::{
         chunks::{Chunks, TrackId},
+        columns::Cell,
         contract::{INFLUENCE, PAIR_LINES},
         extract::Float3,
         palette::{self, Rgb, color},
@@ -16,7 +17,7 @@ use crate::{
 /// Line width of wireframe spheres [points on the screen].
 const LINE: f32 = 0.6;
 
-/// Influence spheres, with the last logged values.
+/// Influence spheres.
 pub struct SphereEntities {
     track: TrackId,
     /// The radii that were logged last, of spheres that change, as half sizes.
@@ -26,26 +27,20 @@ pub struct SphereEntities {
     reaching: Option<Reaching>,
     /// Colour of spheres that reach no other body.
     idle: Rgb,
+    /// The centres of the frame. Reused.
     centres: Vec<Float3>,
+    /// The colours that were logged last.
     colors: Vec<Rgb>,
     /// The deepest phase of each body; scratch storage, reused.
     phases: Vec<Option<usize>>,
-    next_centres: Vec<Float3>,
     next_colors: Vec<Rgb>,
 }
 
 /// The spheres of bodies with another body within reach, drawn with the pairs.
 struct Reaching {
     track: TrackId,
-    last: Option<SphereRows>,
-    next: SphereRows,
-}
-
-#[derive(Default, PartialEq)]
-struct SphereRows {
-    centres: Vec<Float3>,
-    half_sizes: Vec<Float3>,
-    colors: Vec<u32>,
+    /// Whether there is a row already: the first one is logged even if no sphere reaches another body.
+    has_begun: bool,
 }
 
 impl SphereEntities {
@@ -71,7 +66,6 @@ impl SphereEntities {
             centres: Vec::new(),
             colors: Vec::new(),
             phases: Vec::new(),
-            next_centres: Vec::new(),
             next_colors: Vec::new(),
         }
     }
@@ -97,12 +91,9 @@ impl SphereEntities {
                 self.phases[i] = self.phases[i].max(Some(pair.phase));
             }
         }
-        self.next_centres.clear();
-        self.next_centres.extend(view.frame.bodies.iter().map(|body| body.centre.as_vec3().to_array()));
-        if self.next_centres != self.centres {
-            std::mem::swap(&mut self.next_centres, &mut self.centres);
-            chunks.push(self.track, view.at, &[&self.centres]);
-        }
+        self.centres.clear();
+        self.centres.extend(view.frame.bodies.iter().map(|body| body.centre.as_vec3().to_array()));
+        chunks.push_changed(self.track, view.at, &[&self.centres]);
         if let Some(reaching) = &mut self.reaching {
             reaching.log(view, &self.phases, chunks);
         }
@@ -142,24 +133,20 @@ impl Reaching {
             Ellipsoids3D::descriptor_half_sizes(),
             Ellipsoids3D::descriptor_colors(),
         ];
-        Reaching { track: chunks.track(PAIR_LINES.path, components), last: None, next: SphereRows::default() }
+        Reaching { track: chunks.track(PAIR_LINES.path, components), has_begun: false }
     }
 
     fn log(&mut self, view: FrameView<'_>, phases: &[Option<usize>], chunks: &mut Chunks) {
-        let SphereRows { centres, half_sizes, colors } = &mut self.next;
-        centres.clear();
-        half_sizes.clear();
-        colors.clear();
+        let (mut centres, mut half_sizes, mut colors): (Vec<Float3>, Vec<Float3>, Vec<u32>) = Default::default();
         for (i, phase) in phases.iter().enumerate() {
             let Some(phase) = *phase else { continue };
             centres.push(view.frame.bodies[i].centre.as_vec3().to_array());
             half_sizes.push([view.schema.reach(i, view.at.time) as f32; 3]);
             colors.push(color(view.schema.phases[phase].color).to_u32());
         }
-        if self.last.as_ref() != Some(&self.next) {
-            let SphereRows { centres, half_sizes, colors } = &self.next;
-            chunks.push(self.track, view.at, &[centres, half_sizes, colors]);
-            std::mem::swap(self.last.get_or_insert_default(), &mut self.next);
+        let cells: [&dyn Cell; _] = [&centres, &half_sizes, &colors];
+        if !std::mem::replace(&mut self.has_begun, true) || chunks.has_changed(self.track, &cells) {
+            chunks.push(self.track, view.at, &cells);
         }
     }
 }

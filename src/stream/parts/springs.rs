@@ -15,19 +15,15 @@ use crate::{
 /// Line width [points on the screen].
 const LINE: f32 = 1.5;
 
-/// The springs, with the last logged values.
+/// The springs.
 pub struct Springs {
     /// Those of each body, in the order of the schema; `None` if the body has none.
-    bodies: Vec<Option<Logged>>,
-    next: Rows,
+    tracks: Vec<Option<TrackId>>,
+    /// Those of a body in the frame. Reused.
+    rows: Rows,
 }
 
-struct Logged {
-    track: TrackId,
-    last: Rows,
-}
-
-#[derive(Default, PartialEq)]
+#[derive(Default)]
 struct Rows {
     strips: Vec<[Float3; 2]>,
     colors: Vec<u32>,
@@ -39,26 +35,23 @@ impl Springs {
         if !schema.bodies.iter().any(|body| body.has_springs) {
             return None;
         }
-        let mut logged = |name: &str| {
+        let mut track = |name: &str| {
             let entity = SPRINGS.of(&[name]);
             let style = LineStrips3D::update_fields().with_radii([sdk::Radius::new_ui_points(LINE)]);
             chunks.log_static(&entity, &style);
             let components = [LineStrips3D::descriptor_strips(), LineStrips3D::descriptor_colors()];
-            Logged { track: chunks.track(&entity, components), last: Rows::default() }
+            chunks.track(&entity, components)
         };
-        let bodies = schema.bodies.iter().map(|body| body.has_springs.then(|| logged(&body.name)));
-        Some(Springs { bodies: bodies.collect(), next: Rows::default() })
+        let tracks = schema.bodies.iter().map(|body| body.has_springs.then(|| track(&body.name)));
+        Some(Springs { tracks: tracks.collect(), rows: Rows::default() })
     }
 
     /// Logs changed values.
     pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
-        for (logged, now) in self.bodies.iter_mut().zip(&view.frame.bodies) {
-            let Some(logged) = logged else { continue };
-            self.next.set(now);
-            if self.next != logged.last {
-                std::mem::swap(&mut self.next, &mut logged.last);
-                chunks.push(logged.track, view.at, &[&logged.last.strips, &logged.last.colors]);
-            }
+        for (track, now) in self.tracks.iter().zip(&view.frame.bodies) {
+            let Some(track) = *track else { continue };
+            self.rows.set(now);
+            chunks.push_changed(track, view.at, &[&self.rows.strips, &self.rows.colors]);
         }
     }
 }

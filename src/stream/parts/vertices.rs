@@ -81,37 +81,28 @@ impl VertexNumbers {
     }
 }
 
-/// The vertex values of an entity, with the last logged ones.
+/// The vertex values of an entity.
 pub struct Vertices {
     numbers: TrackId,
     reach: TrackId,
-    last: VertexNumbers,
 }
 
 impl Vertices {
-    /// Starts without logged values.
+    /// Creates the tracks.
     pub fn new(entity: &str, chunks: &mut Chunks) -> Vertices {
         let numbers = [DISPLACEMENT, VERTEX_NET_FORCE, HEAT_PLACES].map(|component| component.descriptor());
-        Vertices {
-            numbers: chunks.track(entity, numbers),
-            reach: chunks.track(entity, [REACH.descriptor()]),
-            last: VertexNumbers::default(),
-        }
+        Vertices { numbers: chunks.track(entity, numbers), reach: chunks.track(entity, [REACH.descriptor()]) }
     }
 
     /// Logs changed values.
-    pub fn log(&mut self, at: Instant, next: &VertexNumbers, chunks: &mut Chunks) {
-        let VertexNumbers { displacement, net, heat, reach } = next;
-        if (displacement, net, heat) != (&self.last.displacement, &self.last.net, &self.last.heat) {
-            chunks.push(self.numbers, at, &[displacement, net, heat]);
-            self.last.displacement.clone_from(displacement);
-            self.last.net.clone_from(net);
-            self.last.heat.clone_from(heat);
-        }
-        if *reach != self.last.reach {
-            chunks.push(self.reach, at, &[reach]);
-            self.last.reach.clone_from(reach);
-        }
+    pub fn log(
+        &self,
+        at: Instant,
+        VertexNumbers { displacement, net, heat, reach }: &VertexNumbers,
+        chunks: &mut Chunks,
+    ) {
+        chunks.push_changed(self.numbers, at, &[displacement, net, heat]);
+        chunks.push_changed(self.reach, at, &[reach]);
     }
 }
 
