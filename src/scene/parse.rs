@@ -75,8 +75,7 @@ impl Scene {
     /// Those of [`Scene::load`].
     pub fn load_watched(path: &std::path::Path, watch: Watch<'_>) -> Result<Scene, SceneError> {
         let file = path.display().to_string();
-        let rejected =
-            |message| SceneError { file: file.clone(), place: None, key: String::new(), message, help: None };
+        let rejected = |message| SceneError::plain(&file, message);
         let shown = one_line(&file);
 
         let bytes = read(path).map_err(|error| {
@@ -95,7 +94,7 @@ impl Scene {
             SceneError { place: Some(Place::of(&valid, offset)), ..rejected(message) }
                 .with_help("save the file as UTF-8")
         })?;
-        Scene::parse_with_files(text, path, watch)
+        parse_beside(text, path, watch)
     }
 
     /// Parses `text` as [`Scene::load`] would from the file at `path`: meshes are read from files, relative to its
@@ -104,13 +103,7 @@ impl Scene {
     /// # Errors
     /// Those of [`Scene::parse`]; or a mesh cannot be read or is not the surface of a body.
     pub fn parse_beside(text: &str, path: &std::path::Path) -> Result<Scene, SceneError> {
-        Scene::parse_with_files(text, path, &|_, _| ())
-    }
-
-    fn parse_with_files(text: &str, path: &std::path::Path, watch: Watch<'_>) -> Result<Scene, SceneError> {
-        let file = path.display().to_string();
-        let folder = path.parent().unwrap_or(std::path::Path::new(""));
-        on_deep_stack(|| read_scene(&Source { text, file: &file }, &mut Meshes::beside(Files::Folder(folder, watch))))
+        parse_beside(text, path, &|_, _| ())
     }
 
     /// Parses a built-in scene, with its mesh files.
@@ -119,7 +112,7 @@ impl Scene {
         file: &str,
         meshes: &'static [(&'static str, &'static str)],
     ) -> Result<Scene, SceneError> {
-        on_deep_stack(|| read_scene(&Source { text, file }, &mut Meshes::beside(Files::Given(meshes))))
+        parse(text, file, Files::Given(meshes))
     }
 
     /// The text of the scene's file, given [`Scene::source`]: without the embedded meshes.
@@ -135,7 +128,7 @@ impl Scene {
     /// the [limits](self#limits)), inconsistent values, or a mesh that is not embedded in the text (no other file is
     /// read).
     pub fn parse(text: &str, file: &str) -> Result<Scene, SceneError> {
-        on_deep_stack(|| read_scene(&Source { text, file }, &mut Meshes::beside(Files::None)))
+        parse(text, file, Files::None)
     }
 }
 
@@ -160,9 +153,19 @@ pub(crate) fn on_deep_stack<T: Send>(work: impl Fn() -> T + Sync) -> T {
     })
 }
 
-fn read_scene(source: &Source<'_>, meshes: &mut Meshes<'_>) -> Result<Scene, SceneError> {
-    let scene = read_document(source, &source.document()?, meshes)?;
-    Ok(Scene { source: meshes.carried_by(source.text), ..scene })
+/// Parses a text as that of the file at `path`.
+fn parse_beside(text: &str, path: &std::path::Path, watch: Watch<'_>) -> Result<Scene, SceneError> {
+    let folder = path.parent().unwrap_or(std::path::Path::new(""));
+    parse(text, &path.display().to_string(), Files::Folder(folder, watch))
+}
+
+/// Parses a text; `file` is its name in errors, and `files` are the meshes that it may name.
+fn parse(text: &str, file: &str, files: Files<'_>) -> Result<Scene, SceneError> {
+    on_deep_stack(|| {
+        let (source, mut meshes) = (Source { text, file }, Meshes::beside(files));
+        let scene = read_document(&source, &source.document()?, &mut meshes)?;
+        Ok(Scene { source: meshes.carried_by(text), ..scene })
+    })
 }
 
 /// The scene of a document, which may differ from the text; [`Scene::source`] is left empty.

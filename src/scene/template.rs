@@ -9,7 +9,10 @@ use toml::de::{DeTable, DeValue};
 
 use super::{
     Scene, SceneError, builtin,
-    parse::{Files, Meshes, Watch, on_deep_stack, read_document, reader::Source},
+    parse::{
+        Files, Meshes, Watch, on_deep_stack, read_document,
+        reader::{Source, is_bare},
+    },
 };
 use crate::text::did_you_mean;
 
@@ -62,9 +65,7 @@ impl KeyPath {
     /// The text is not names separated by dots, with indices in brackets; the error says what was expected.
     pub fn parse(text: &str) -> Result<KeyPath, String> {
         let expected = || "expected the path of a key, such as influence.merge_at or body.b.radius".to_owned();
-        let is_name = |name: &str| {
-            !name.is_empty() && name.bytes().all(|byte| byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_'))
-        };
+        let is_name = |name: &str| !name.is_empty() && name.bytes().all(is_bare);
         let mut parts = Vec::new();
         for part in text.split('.') {
             let (name, mut rest) = part.split_at(part.find('[').unwrap_or(part.len()));
@@ -173,8 +174,7 @@ impl Scene {
         }
         let set = [&self.set, overrides].concat();
         let scene = on_deep_stack(|| {
-            let settings: Vec<_> = set.iter().map(|one| (&one.key, one.value.clone())).collect();
-            Template::new(&self.source, file, None)?.varied_scene(&settings)
+            Template::new(&self.source, file, None)?.scene(set.iter().map(|one| (&one.key, &one.value)))
         })?;
         Ok(Scene { source: self.source, set, ..scene })
     }
@@ -189,8 +189,7 @@ impl Scene {
             return Ok(self);
         }
         let text = on_deep_stack(|| {
-            let settings: Vec<_> = self.set.iter().map(|one| (&one.key, one.value.clone())).collect();
-            Template::new(&self.source, file, None)?.varied_text(&settings)
+            Template::new(&self.source, file, None)?.text(self.set.iter().map(|one| (&one.key, &one.value)))
         })?;
         Ok(Scene { name: self.name, ..Scene::parse(&text, file)? })
     }
@@ -231,21 +230,16 @@ impl<'a> Template<'a> {
         &self.base
     }
 
-    /// The scene with these values at these keys. Its [`Scene::source`] is empty: see [`Template::text`].
+    /// The scene with these values, which are TOML, at these keys. Its [`Scene::source`] is empty: see [`Template::text`].
     ///
     /// # Errors
     /// A key does not exist, or the resulting scene is invalid.
     pub fn scene<'s>(
         &self,
-        settings: impl IntoIterator<Item = (&'s KeyPath, &'s Setting)>,
+        settings: impl IntoIterator<Item = (&'s KeyPath, impl fmt::Display)>,
     ) -> Result<Scene, SceneError> {
-        let settings: Vec<(&KeyPath, String)> =
-            settings.into_iter().map(|(key, setting)| (key, setting.to_string())).collect();
-        self.varied_scene(&settings)
-    }
-
-    fn varied_scene(&self, settings: &[(&KeyPath, String)]) -> Result<Scene, SceneError> {
-        let document = self.varied(settings)?;
+        let settings = written(settings);
+        let document = self.varied(&settings)?;
         // a mesh that the text does not name may be read from its file
         read_document(&self.source, &document, &mut self.meshes.clone()).map_err(|error| {
             // the position would be inside the replaced value, not in the text
@@ -260,15 +254,10 @@ impl<'a> Template<'a> {
     /// Those of [`Template::scene`].
     pub fn text<'s>(
         &self,
-        settings: impl IntoIterator<Item = (&'s KeyPath, &'s Setting)>,
+        settings: impl IntoIterator<Item = (&'s KeyPath, impl fmt::Display)>,
     ) -> Result<String, SceneError> {
-        let settings: Vec<(&KeyPath, String)> =
-            settings.into_iter().map(|(key, setting)| (key, setting.to_string())).collect();
-        self.varied_text(&settings)
-    }
-
-    fn varied_text(&self, settings: &[(&KeyPath, String)]) -> Result<String, SceneError> {
-        let document = self.varied(settings)?;
+        let settings = written(settings);
+        let document = self.varied(&settings)?;
         read_document(&self.source, &document, &mut self.meshes.clone())?;
         let text = toml::to_string(&table(&document)).map_err(|error| self.error(String::new(), error.to_string()))?;
         // embeds the meshes, because the text may be read without their files
@@ -283,27 +272,32 @@ impl<'a> Template<'a> {
         let mut document: DeTable<'s> = self.document.clone();
         for (key, setting) in settings {
             let value = DeValue::parse(setting).map_err(|error| self.error(key.text.clone(), error.to_string()))?;
-            let table = DeValue::Table(std::mem::take(&mut document));
-            let mut root = table;
-            set(&mut root, &key.parts, value.into_inner()).map_err(|message| self.error(key.text.clone(), message))?;
-            if let DeValue::Table(table) = root {
-                document = table;
-            }
+            replace(&mut document, key, value.into_inner()).map_err(|message| self.error(key.text.clone(), message))?;
         }
         Ok(document)
     }
 
     fn error(&self, key: String, message: String) -> SceneError {
-        SceneError { file: self.source.file.to_owned(), place: None, key, message, help: None }
+        SceneError { key, ..SceneError::plain(self.source.file, message) }
     }
 }
 
-/// Sets the value at a path.
+/// Settings with their values as text.
+fn written<'s>(settings: impl IntoIterator<Item = (&'s KeyPath, impl fmt::Display)>) -> Vec<(&'s KeyPath, String)> {
+    settings.into_iter().map(|(key, value)| (key, value.to_string())).collect()
+}
+
+/// Sets the value at a path of a document.
 ///
 /// # Errors
-/// There is no such place.
-pub(super) fn replace<'a>(root: &mut DeValue<'a>, path: &KeyPath, value: DeValue<'a>) -> Result<(), String> {
-    set(root, &path.parts, value)
+/// There is no such place. The document is then empty.
+pub(super) fn replace<'a>(document: &mut DeTable<'a>, path: &KeyPath, value: DeValue<'a>) -> Result<(), String> {
+    let mut root = DeValue::Table(std::mem::take(document));
+    set(&mut root, &path.parts, value)?;
+    if let DeValue::Table(table) = root {
+        *document = table;
+    }
+    Ok(())
 }
 
 /// Sets the value at the path `parts`. Creates missing tables, and zero vectors where an index follows; the scene's

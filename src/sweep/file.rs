@@ -317,8 +317,7 @@ enum Home<'a> {
 }
 
 fn read(path: &Path, file: &str) -> Result<String, SceneError> {
-    let error_of =
-        |message: String| SceneError { file: file.to_owned(), place: None, key: String::new(), message, help: None };
+    let error_of = |message: String| SceneError::plain(file, message);
     let metadata = fs::metadata(path).map_err(|error| error_of(format!("cannot read \"{file}\": {error}")))?;
     if !metadata.is_file() || metadata.len() > Scene::LARGEST_TEXT {
         return Err(error_of(format!("\"{file}\" is not a file of at most {} MiB", Scene::LARGEST_TEXT >> 20)));
@@ -531,7 +530,7 @@ fn try_values(sweep: &Sweep, axes: &[Table<'_>], sets: &[Table<'_>]) -> Result<(
             _ => return Ok(()),
         };
         let (file, key) = (sweep.scene_file.clone(), invalid.key.unwrap_or_default());
-        Err(SceneError { file, place: None, key, message: invalid.text, help: None })
+        Err(SceneError { key, ..SceneError::plain(&file, invalid.text) })
     };
     for index in 0..sweep.set.len() {
         if let Err(error) = check(index + 1, &[]) {

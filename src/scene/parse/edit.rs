@@ -1,6 +1,6 @@
 //! `[[edit]]`: other values from an instant on.
 
-use toml::de::{DeTable, DeValue};
+use toml::de::DeTable;
 
 use super::{
     Meshes, SceneError, key, read_document,
@@ -46,11 +46,7 @@ pub(super) fn read(
         let mut lines = Vec::with_capacity(entries.len());
         for (name, value) in &entries {
             let path = editable(name, value)?;
-            let mut root = DeValue::Table(std::mem::take(&mut edited));
-            replace(&mut root, &path, value.raw().clone()).map_err(|message| value.error(message))?;
-            if let DeValue::Table(table) = root {
-                edited = table;
-            }
+            replace(&mut edited, &path, value.raw().clone()).map_err(|message| value.error(message))?;
             lines.push(format!("{name} = {}", owned(value.raw())));
         }
         let after = read_document(source, &edited, &mut meshes.clone()).map_err(|error| {

@@ -32,6 +32,11 @@ pub struct Place {
 }
 
 impl SceneError {
+    /// An error that concerns the whole file.
+    pub(crate) fn plain(file: &str, message: String) -> SceneError {
+        SceneError { file: file.to_owned(), place: None, key: String::new(), message, help: None }
+    }
+
     /// Line of the error, from 1.
     pub fn line(&self) -> Option<u32> {
         self.place.map(|place| place.line)

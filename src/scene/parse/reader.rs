@@ -34,7 +34,7 @@ impl<'a> Source<'a> {
         let message = one_line(error.message().trim_end_matches(", expected nothing"));
         let Some(span) = error.span() else {
             let message = format!("\"{}\" is not valid TOML: {message}", one_line(self.file));
-            return SceneError { file: self.file.to_owned(), place: None, key: String::new(), message, help: None };
+            return SceneError::plain(self.file, message);
         };
         let mut message = format!("not valid TOML: {message}");
         match self.text.get(span.clone()) {
@@ -84,7 +84,7 @@ impl fmt::Display for Path<'_> {
 }
 
 /// Whether `byte` may appear in a TOML key without quotes, and in the name of a body.
-fn is_bare(byte: u8) -> bool {
+pub(crate) fn is_bare(byte: u8) -> bool {
     byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_')
 }
 
