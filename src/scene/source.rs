@@ -2,6 +2,13 @@
 
 use super::{ForFree, Model, Scene, SceneError};
 
+/// The name of the first of these fields in which two values differ.
+macro_rules! first_difference {
+    ($one:expr, $other:expr; $($field:ident),+) => {
+        [$((stringify!($field), $one.$field == $other.$field)),+].into_iter().find(|(_, is_same)| !is_same).map(|(name, _)| name)
+    };
+}
+
 impl Scene {
     /// What a run of this scene changes in its text, as lines of TOML: the keys that were [set](Scene::set), then the
     /// model, the integrator, the step, the tolerance, and the number of steps (`None`: until stopped).
@@ -57,28 +64,18 @@ impl Scene {
 
     /// A field in which the scene differs from another one, apart from its name and what [`Scene::overrides`] lists.
     fn difference(&self, other: &Scene) -> Option<String> {
-        let same = [
-            ("bodies", self.bodies.len() == other.bodies.len()),
-            ("lattice", self.lattice == other.lattice),
-            ("fem", self.fem == other.fem),
-            ("influence", self.influence == other.influence),
-            ("thresholds", self.thresholds == other.thresholds),
-            ("core_width", self.core_width == other.core_width),
-            ("for_free", self.for_free == other.for_free),
-            ("pairs", self.pairs == other.pairs),
-            ("gravity", self.gravity == other.gravity),
-            ("planes", self.planes == other.planes),
-            ("blend", self.blend == other.blend),
-            ("points", self.points == other.points),
-            ("pushes", self.pushes == other.pushes),
-            ("edits", self.edits == other.edits),
-        ];
-        let named = same.into_iter().find(|(_, is_same)| !is_same).map(|(field, _)| field.to_owned());
+        let named = match self.bodies.len() == other.bodies.len() {
+            true => first_difference!(
+                self, other; lattice, fem, influence, thresholds, core_width, for_free, pairs, gravity, planes, blend, points,
+                pushes, edits
+            ),
+            false => Some("bodies"),
+        };
         let of_body = || {
             let mut bodies = self.bodies.iter().zip(&other.bodies).enumerate();
             bodies.find_map(|(index, (body, other))| Some(format!("bodies[{index}].{}", body.difference(other)?)))
         };
-        named.or_else(of_body)
+        named.map(str::to_owned).or_else(of_body)
     }
 
     fn has_core_defaults(&self) -> bool {
@@ -105,18 +102,7 @@ impl Scene {
 impl super::Body {
     /// A field in which the body differs from another one.
     fn difference(&self, other: &super::Body) -> Option<&'static str> {
-        let same = [
-            ("name", self.name == other.name),
-            ("radius", self.radius == other.radius),
-            ("reach", self.reach == other.reach),
-            ("material", self.material == other.material),
-            ("shape", self.shape == other.shape),
-            ("mass", self.mass == other.mass),
-            ("group", self.group == other.group),
-            ("color", self.color == other.color),
-            ("motion", self.motion == other.motion),
-            ("force", self.force.is_none() && other.force.is_none()),
-        ];
-        same.into_iter().find(|(_, is_same)| !is_same).map(|(field, _)| field)
+        let named = first_difference!(self, other; name, radius, reach, material, shape, mass, group, color, motion);
+        named.or((self.force.is_some() || other.force.is_some()).then_some("force"))
     }
 }
