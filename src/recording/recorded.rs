@@ -1,6 +1,7 @@
 //! The inputs that reproduce a run, and the run's results.
 
 use std::{
+    collections::BTreeMap,
     path::{Path, PathBuf},
     sync::Arc,
 };
@@ -99,15 +100,8 @@ pub struct RecordedEvent {
 pub(super) struct Found {
     pub id: String,
     application: String,
-    scene: Option<String>,
-    settings: Option<String>,
-    overrides: Option<String>,
-    version: Option<String>,
-    machine: Option<String>,
-    blessed: Option<String>,
-    counts: Option<String>,
-    failure: Option<String>,
-    digest: Option<String>,
+    /// The texts among its properties, by the names of these.
+    texts: BTreeMap<&'static str, String>,
     format: Option<f64>,
     sums: ReadChecksums,
     events: Vec<RecordedEvent>,
@@ -202,7 +196,7 @@ impl Found {
 
     /// Whether the run has written its end.
     pub fn has_end(&self) -> bool {
-        self.digest.is_some()
+        self.texts.contains_key(DIGEST.0)
     }
 
     /// Reads a chunk of properties, checksums or events; `read` bytes of the file have been read.
@@ -224,17 +218,7 @@ impl Found {
 
     /// Reads the properties in a chunk; `read` bytes of the file have been read.
     fn take_properties(&mut self, chunk: &Chunk, read: u64) -> Result<(), String> {
-        for (field, property) in [
-            (&mut self.scene, SCENE),
-            (&mut self.settings, SETTINGS),
-            (&mut self.overrides, OVERRIDES),
-            (&mut self.version, VERSION),
-            (&mut self.machine, MACHINE),
-            (&mut self.blessed, BLESSED),
-            (&mut self.counts, COUNTS),
-            (&mut self.failure, FAILURE),
-            (&mut self.digest, DIGEST),
-        ] {
+        for property in [SCENE, SETTINGS, OVERRIDES, VERSION, MACHINE, BLESSED, COUNTS, FAILURE, DIGEST] {
             if let Some(text) = cell::<Utf8>(chunk, &property.descriptor(), 0).into_iter().next() {
                 let text = text.as_str();
                 let limit = match property {
@@ -244,7 +228,7 @@ impl Found {
                 if text.len() > limit {
                     return Err(format!("its {} has {} bytes, over the limit of {limit}", property.0, text.len()));
                 }
-                *field = Some(text.to_owned());
+                self.texts.insert(property.0, text.to_owned());
             }
         }
         self.format =
@@ -254,12 +238,13 @@ impl Found {
 
     /// Recreates the experiment.
     pub fn into_recorded(self, path: &Path, read: &ReadExperiment<'_>, end: End) -> Result<Recorded, ReadError> {
-        let Found { id, sums, events, contacts, has_words_alone, .. } = self;
+        let Found { id, mut texts, format, sums, events, contacts, has_words_alone, .. } = self;
+        let mut text = |property: Component| texts.remove(property.0);
         let foreign = |what: &str| ReadError::Foreign { path: path.to_owned(), what: what.to_owned() };
         let unsupported = |what: String| ReadError::Unsupported { path: path.to_owned(), what };
         let scene_error = |what: String| ReadError::Scene { path: path.to_owned(), what };
-        let Some(format) = self.format else {
-            return Err(match (self.scene, end) {
+        let Some(format) = format else {
+            return Err(match (text(SCENE), end) {
                 (Some(_), _) => unsupported(
                     "was made before recordings carried checksums, so there is nothing to verify: run its scene again"
                         .to_owned(),
@@ -269,21 +254,21 @@ impl Found {
             });
         };
         if format != f64::from(FORMAT) {
-            let version = self.version.unwrap_or_default();
+            let version = text(VERSION).unwrap_or_default();
             return Err(unsupported(format!(
                 "has format {format}, made by meldscope {version}, and this program reads format {FORMAT}: use that version"
             )));
         }
-        let (Some(text), Some(settings), Some(version)) = (self.scene, self.settings, self.version) else {
+        let (Some(scene), Some(settings), Some(version)) = (text(SCENE), text(SETTINGS), text(VERSION)) else {
             return Err(foreign("it has no scene, no settings or no version"));
         };
         let file = path.file_name().unwrap_or_default().to_string_lossy();
         // The id contains a hash of these texts, which reveals any change to them.
         let ending = |id: &str| id.rsplit('-').next().unwrap_or_default().to_owned();
-        let is_as_made = ending(&id) == ending(&recording_id("", &text, &settings, &version));
+        let is_as_made = ending(&id) == ending(&recording_id("", &scene, &settings, &version));
         let run: toml::Table = settings.parse().unwrap_or_default();
         let cannot_run = |what: String| unsupported(format!("cannot be run here: {what}"));
-        let experiment = match read(&file, &text, &run) {
+        let experiment = match read(&file, &scene, &run) {
             Err(Refusal::Source(what)) => return Err(scene_error(what)),
             _ if !is_as_made => {
                 let what = "its scene or settings do not match its id".to_owned();
@@ -300,7 +285,7 @@ impl Found {
         }
         let damaged = |what: String| ReadError::Damaged { path: path.to_owned(), at: None, what };
         let last = sums.first + (sums.values.len() as u64).saturating_sub(1);
-        match (settings.steps, &self.digest) {
+        match (settings.steps, text(DIGEST)) {
             (Some(steps), _) if last > steps => {
                 return Err(damaged(format!("it has a checksum of step {last}, but its last step is {steps}")));
             }
@@ -310,7 +295,7 @@ impl Found {
             }
             (_, Some(digest)) => {
                 let found = hash::sequence(sums.values.iter().copied());
-                if *digest != format!("{found:016x}") {
+                if digest != format!("{found:016x}") {
                     return Err(damaged("its checksums do not match its digest".to_owned()));
                 }
             }
@@ -324,12 +309,12 @@ impl Found {
             schema,
             run,
             settings,
-            overrides: self.overrides.unwrap_or_default(),
+            overrides: text(OVERRIDES).unwrap_or_default(),
             version,
-            machine: self.machine.unwrap_or_else(|| "an unnamed machine".to_owned()),
-            blessed: self.blessed,
-            counts: self.counts,
-            failure: self.failure,
+            machine: text(MACHINE).unwrap_or_else(|| "an unnamed machine".to_owned()),
+            blessed: text(BLESSED),
+            counts: text(COUNTS),
+            failure: text(FAILURE),
             first: sums.first,
             checksums: sums.values,
             events,
