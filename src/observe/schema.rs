@@ -456,6 +456,11 @@ impl Schema {
         self.bodies.iter().map(|body| body.radius).fold(0.0, f64::max)
     }
 
+    /// The index of the body with this name.
+    pub fn body(&self, name: &str) -> Option<usize> {
+        self.bodies.iter().position(|body| body.name == name)
+    }
+
     /// Name of a pair: `A~B`, in the order of the bodies.
     pub fn pair_name(&self, a: usize, b: usize) -> String {
         format!("{}~{}", self.bodies[a].name, self.bodies[b].name)

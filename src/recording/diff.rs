@@ -267,15 +267,13 @@ pub fn save(
     path: &std::path::Path,
 ) -> Result<Result<Option<Saved>, SinkError>, ReadError> {
     let schema = &recorded[0].schema;
-    let index = |worst: &Worst| schema.bodies.iter().position(|body| body.name == worst.body);
-    let mut bodies: Vec<usize> = difference.bodies.iter().filter_map(index).collect();
+    let mut bodies: Vec<usize> = difference.bodies.iter().filter_map(|worst| schema.body(&worst.body)).collect();
     if bodies.is_empty() {
         bodies = (0..schema.bodies.len()).collect();
     }
     let mut pairs: Vec<[usize; 2]> = Vec::new();
     for change in events::listed(&difference.events, LISTED) {
-        let body = |name: &str| schema.bodies.iter().position(|body| body.name == name);
-        let pair = change.event().pair.split_once('~').and_then(|(a, b)| Some([body(a)?, body(b)?]));
+        let pair = change.event().pair.split_once('~').and_then(|(a, b)| Some([schema.body(a)?, schema.body(b)?]));
         pairs.extend(pair.filter(|pair| pairs.len() < MAX_PAIRS && !pairs.contains(pair)));
     }
     let plan = Plan {

@@ -416,8 +416,7 @@ fn show(
     path: &Path,
 ) -> Result<(), SinkError> {
     let worst = difference.worst.as_ref();
-    let body = |name: &str| schema.bodies.iter().position(|body| body.name == name);
-    let mut bodies: Vec<usize> = worst.and_then(|worst| body(&worst.body)).into_iter().collect();
+    let mut bodies: Vec<usize> = worst.and_then(|worst| schema.body(&worst.body)).into_iter().collect();
     for &index in details.states.values().flat_map(|state| state.bodies.keys()) {
         if !bodies.contains(&index) {
             bodies.push(index);
