@@ -146,10 +146,7 @@ pub fn sweep(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> 
     // shapes stay cached as long as they are referenced
     let base = template.iter().flat_map(|template| &template.base().bodies);
     let _shapes: Vec<_> = base.map(|body| body.shape.mesh()).collect();
-    let runner = match &template {
-        Some(template) => Runner::new(&sweep, template, Some(&STOP)),
-        None => Runner::of_own(&sweep, Some(&STOP)),
-    };
+    let runner = Runner::new(&sweep, template.as_ref(), Some(&STOP));
     let running = RunningSweep { runner, sweep: &sweep, store: &store, start: Instant::now() };
     if let (Some(shard), Some(level)) = (arguments.shard, arguments.level) {
         let mut known = Known::new(&sweep, arguments.refine);

@@ -111,14 +111,14 @@ pub struct Runner<'a> {
 pub struct Interrupted;
 
 impl<'a> Runner<'a> {
-    /// Prepares the runs of a sweep; they end when `interrupt` is set.
-    pub fn new(sweep: &'a Sweep, template: &'a Template<'a>, interrupt: Option<&'static AtomicBool>) -> Runner<'a> {
-        Runner { sweep, template: Some(template), interrupt }
-    }
-
-    /// Prepares the runs of a sweep over an experiment that is not a scene; they end when `interrupt` is set.
-    pub fn of_own(sweep: &'a Sweep, interrupt: Option<&'static AtomicBool>) -> Runner<'a> {
-        Runner { sweep, template: None, interrupt }
+    /// Prepares the runs of a sweep, of whose scene this is the template; `None` if it is over another experiment. They end
+    /// when `interrupt` is set.
+    pub fn new(
+        sweep: &'a Sweep,
+        template: Option<&'a Template<'a>>,
+        interrupt: Option<&'static AtomicBool>,
+    ) -> Runner<'a> {
+        Runner { sweep, template, interrupt }
     }
 
     /// The classes of the outcomes.
@@ -142,11 +142,16 @@ impl<'a> Runner<'a> {
     pub fn cells(&self, point: &[Setting]) -> Result<Vec<Cell>, Interrupted> {
         let start = Instant::now();
         let mut cells: Vec<Cell> = point.iter().map(Cell::from).collect();
-        let Some(template) = self.template else {
-            own::run(self.sweep, point, self.interrupt, &mut cells)?;
-            cells.push(Cell::F64(start.elapsed().as_secs_f64()));
-            return Ok(cells);
-        };
+        match self.template {
+            Some(template) => self.run(template, point, &mut cells)?,
+            None => own::run(self.sweep, point, self.interrupt, &mut cells)?,
+        }
+        cells.push(Cell::F64(start.elapsed().as_secs_f64()));
+        Ok(cells)
+    }
+
+    /// Runs the scene of a point.
+    fn run(&self, template: &Template<'_>, point: &[Setting], cells: &mut Vec<Cell>) -> Result<(), Interrupted> {
         let scene = template.scene(self.sweep.settings(point)).map_err(|error| error.to_string());
         let scene = scene.and_then(|scene| {
             models::need_oscillators(&scene, "a sweep").map_err(|error| error.to_string()).map(|()| scene)
@@ -154,11 +159,10 @@ impl<'a> Runner<'a> {
         let options = Options { interrupt: self.interrupt, ..Options::default() };
         let world = scene.and_then(|scene| World::with_options(scene, options).map_err(|error| error.to_string()));
         match world {
-            Ok(world) => Run::new(world, self.sweep).finish(&mut cells)?,
+            Ok(world) => Run::new(world, self.sweep).finish(cells)?,
             Err(error) => cells.extend(without_results(self.sweep, error)),
         }
-        cells.push(Cell::F64(start.elapsed().as_secs_f64()));
-        Ok(cells)
+        Ok(())
     }
 }
 

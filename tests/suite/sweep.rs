@@ -299,7 +299,7 @@ fn shards_in_one_process_keep_their_files_apart() {
     let sweep = Sweep::load(&dir.file("s.toml")).unwrap();
     let columns = of(&dir);
     let template = sweep.template().unwrap();
-    let point = Runner::new(&sweep, &template, None).row(0).unwrap().1;
+    let point = Runner::new(&sweep, Some(&template), None).row(0).unwrap().1;
     for round in 0..8 {
         let out = dir.file(&format!("out{round}"));
         let start = Barrier::new(12);
