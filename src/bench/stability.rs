@@ -50,9 +50,6 @@ const INSTANTS: u64 = 32;
 /// Largest amplification of neighbouring solutions; beyond it, [`Outcome::allowed`] would permit anything.
 const LARGEST_GROWTH: f64 = 1e4;
 
-/// Maximum number of cases.
-pub const MOST_CASES: u64 = 1_000_000;
-
 /// Settings of the sweep.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {

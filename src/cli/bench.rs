@@ -359,10 +359,9 @@ impl Claimed {
         {
             return Err(Failure::Input("--csv and --svg name the same file: give each its own".to_owned()));
         }
-        let table = |path: PathBuf| match table::Table::create(&path, report::file_columns(columns)) {
-            Ok(table) => Ok((path, table)),
-            Err(TableError::Refused(why)) => Err(Failure::Input(why)),
-            Err(TableError::Failed(why)) => Err(Failure::Run(why)),
+        let table = |path: PathBuf| {
+            let table = table::Table::create(&path, report::file_columns(columns))?;
+            Ok::<_, TableError>((path, table))
         };
         let csv = arguments.csv.clone().map(table).transpose()?;
         let svg = arguments.svg.clone().map(|path| begin_diagram(&path).map(|file| (path, file))).transpose()?;
