@@ -75,6 +75,12 @@ pub fn change(x: f64) -> String {
     format!("{sign}{}", short(x))
 }
 
+/// A written number without the zeros at the end of its fraction.
+#[cfg(feature = "viewer")]
+pub fn trimmed(number: &str) -> &str {
+    if number.contains('.') { number.trim_end_matches('0').trim_end_matches('.') } else { number }
+}
+
 /// A measured number of any magnitude, with four significant digits.
 pub fn short(x: f64) -> String {
     match x.abs() {

@@ -16,7 +16,7 @@ use crate::{
     geometry::Vectors,
     observe::{BodyFrame, Frame, PairEvent, PairFrame, Run, Schema, Simulation, Want},
     recording::existing::Existing,
-    text::{counted, did_you_mean, short, thousands},
+    text::{counted, did_you_mean, short, thousands, trimmed},
 };
 
 /// Bodies and pairs that are listed unless some are named.
@@ -104,8 +104,7 @@ struct Wanted {
 impl Wanted {
     fn of(arguments: &Arguments, schema: &Schema) -> Result<Wanted, Failure> {
         let find = |option: &str, name: &str| {
-            let found = schema.bodies.iter().position(|body| body.name == name);
-            found.ok_or_else(|| {
+            schema.body(name).ok_or_else(|| {
                 let hint = did_you_mean(name, schema.bodies.iter().map(|body| body.name.as_str()));
                 Failure::Input(format!("{option}: there is no body {name:?}{hint}"))
             })
@@ -396,7 +395,7 @@ fn largest(of: &Vectors) -> Option<(f64, usize)> {
 
 /// A number that a scene gives, without the rounding of its arithmetic.
 fn exact(x: f64) -> String {
-    format!("{x:.9}").trim_end_matches('0').trim_end_matches('.').to_owned()
+    trimmed(&format!("{x:.9}")).to_owned()
 }
 
 /// A vector; 0 where it is below the rounding of the arithmetic that made it, from numbers of the size `usual`.

@@ -226,7 +226,13 @@ impl Pace {
         self.seen.last().map_or(Duration::ZERO, |(at, _)| self.now - *at)
     }
 
-    /// Units per second.
+    /// Units per second since the start.
+    fn mean(&self) -> Option<f64> {
+        let seconds = (self.now - self.start).as_secs_f64();
+        (self.done() > 0 && seconds > 0.0).then(|| self.done() as f64 / seconds)
+    }
+
+    /// Units per second of late.
     fn rate(&self) -> Option<f64> {
         let (Some((first, was)), Some((_, is))) = (self.seen.first(), self.seen.last()) else { return None };
         let seconds = (self.now - *first).as_secs_f64();
@@ -253,7 +259,9 @@ fn line(what: &str, work: Work, time: Option<f64>, size: Option<u64>, pace: &Pac
             None => {}
         }
     }
-    if let (Some(total), Some(rate)) = (work.total(), pace.rate()) {
+    // a share grows in few and unequal parts, so that the last ones say little about the rest
+    let rate = if let Work::Share = work { pace.mean() } else { pace.rate() };
+    if let (Some(total), Some(rate)) = (work.total(), rate) {
         parts.push(format!("{} left", span(total.saturating_sub(done) as f64 / rate)));
     }
     parts.extend(size.map(bytes));
@@ -314,6 +322,9 @@ mod tests {
             line("measuring two", Work::Share, None, None, &pace(&[(2.0, 400)])),
             "measuring two: 40 %, 3 s left"
         );
+        // a part that takes long among some that do not
+        let uneven = pace(&[(1.0, 158), (60.0, 160), (64.0, 160)]);
+        assert_eq!(line("bodies", Work::Share, None, None, &uneven), "bodies: 16 %, 5 min 36 s left");
         assert_eq!(
             line("building bodies", Work::Uncounted, None, None, &pace(&[(4000.0, 0)])),
             "building bodies: 1 h 06 min"

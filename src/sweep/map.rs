@@ -11,7 +11,7 @@ use super::{
     row::Cell,
     store::{Store, StoreError},
 };
-use crate::{scene::template::Setting, stream::palette, svg, table::Kind};
+use crate::{scene::template::Setting, stream::palette, svg, table::Kind, text::trimmed};
 
 /// Maximum number of points of a map along an axis.
 const MAX_POINTS: u64 = 1200;
@@ -304,10 +304,5 @@ pub fn ticks(axis: &Axis) -> Vec<(f64, String)> {
 
 /// A number of an axis, without trailing zeros.
 pub fn written(x: f64) -> String {
-    let text = format!("{x:.6}");
-    if x != 0.0 && !(1e-3..1e6).contains(&x.abs()) {
-        format!("{x:e}")
-    } else {
-        text.trim_end_matches('0').trim_end_matches('.').to_owned()
-    }
+    if x != 0.0 && !(1e-3..1e6).contains(&x.abs()) { format!("{x:e}") } else { trimmed(&format!("{x:.6}")).to_owned() }
 }

@@ -9,7 +9,7 @@ use crate::{
         parts::{body_forces, forces, recent, trails},
         settings::{Detail, Entities, Frames, Settings},
     },
-    text::{self, counted, significant},
+    text::{self, counted, significant, trimmed},
 };
 
 /// A force term with its colour.
@@ -28,15 +28,10 @@ fn lengths(schema: &Schema, is_listed: impl Fn(&TermSchema) -> bool) -> String {
             None => lengths.push((scale, vec![called(term)])),
         }
     }
-    let lengths =
-        lengths.iter().map(|(scale, terms)| format!("{} = {} unit/s²", terms.join(", "), short(radius / scale)));
+    let lengths = lengths
+        .iter()
+        .map(|(scale, terms)| format!("{} = {} unit/s²", terms.join(", "), trimmed(&significant(radius / scale))));
     lengths.collect::<Vec<_>>().join("; ")
-}
-
-/// A number with three digits at most.
-fn short(x: f64) -> String {
-    let text = significant(x);
-    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
 
 /// The text about the arrows at the centres of free bodies.
@@ -46,7 +41,7 @@ fn at_centres(schema: &Schema) -> String {
     format!(
         "- **At the centres** of free bodies: {} (over M, and over M R), {} unit/s² is 1 R long; at most {} R\n",
         of.join(", "),
-        short(radius / schema.net_force_scale),
+        trimmed(&significant(radius / schema.net_force_scale)),
         forces::LONGEST_NET,
     )
 }
@@ -63,7 +58,7 @@ pub fn arrows(schema: &Schema) -> String {
         "**By body**: what each cause does to a body as a whole, all on one scale{}.\n\n\
          **Others**: an arrow of **1 R = {} unit** means: {}.\n\nArrows begin at vertices{}.{}\n",
         if is_crowd { "" } else { "; the strongest is labelled with its value [unit/s²]" },
-        short(radius),
+        trimmed(&significant(radius)),
         lengths(schema, |_| true),
         if is_uniform { "; those of uniform forces, at the centre" } else { "" },
         match is_crowd {
