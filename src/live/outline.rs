@@ -85,27 +85,19 @@ impl Outline {
     pub fn answer(&self, number: u64, contacts: Option<&[SurfaceEvent]>) -> Value {
         let schema = &self.schema;
         let events = rows(&self.events, contacts.unwrap_or_default(), &self.bodies).into_iter().map(|row| {
-            let (name, pair, q, color) = match &row {
-                EventRow::Phase(event, _) => {
-                    (event.name, Some(schema.pair_name(event.a, event.b)), Some(event.q), schema.phases[event.to].color)
-                }
-                EventRow::Contact(event) => {
-                    (event.name(), Some(schema.pair_name(event.a, event.b)), Some(event.q), colors::SILVER)
-                }
-                EventRow::Body(event) => (event.name, None, None, colors::SILVER),
-            };
-            let whom = match (&pair, &row) {
-                (Some(pair), _) => pair.clone(),
-                (None, EventRow::Body(event)) => schema.bodies[event.body].name.clone(),
-                (None, _) => String::new(),
+            let pair = row.pair().map(|([a, b], _)| schema.pair_name(a, b));
+            let (color, whom) = match &row {
+                EventRow::Phase(event, _) => (schema.phases[event.to].color, pair.as_deref()),
+                EventRow::Contact(_) => (colors::SILVER, pair.as_deref()),
+                EventRow::Body(event) => (colors::SILVER, Some(&*schema.bodies[event.body].name)),
             };
             let (time, step, text) = (row.time(), row.step(), row.describe(schema));
             json!({
-                "event": format!("{name} {whom}"),
+                "event": format!("{} {}", row.name(), whom.unwrap_or_default()),
                 "pair": pair,
                 "time": time,
                 "step": step,
-                "q": q,
+                "q": row.pair().map(|(_, q)| q),
                 "is_contact": matches!(row, EventRow::Contact(_)),
                 "color": hex(color),
                 "text": text,

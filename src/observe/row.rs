@@ -14,6 +14,24 @@ pub enum EventRow<'a> {
 }
 
 impl EventRow<'_> {
+    /// Its kind.
+    pub fn name(&self) -> &'static str {
+        match self {
+            EventRow::Phase(event, _) => event.name,
+            EventRow::Contact(event) => event.name(),
+            EventRow::Body(event) => event.name,
+        }
+    }
+
+    /// Its pair, and the centre distance of that over the sum of the radii; `None` if it is of a single body.
+    pub fn pair(&self) -> Option<([usize; 2], f64)> {
+        match self {
+            EventRow::Phase(event, _) => Some(([event.a, event.b], event.q)),
+            EventRow::Contact(event) => Some(([event.a, event.b], event.q)),
+            EventRow::Body(_) => None,
+        }
+    }
+
     /// When it happens [s].
     pub fn time(&self) -> f64 {
         match self {

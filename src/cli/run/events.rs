@@ -29,14 +29,11 @@ impl Events {
     /// Adds an event.
     pub fn add(&mut self, row: &EventRow<'_>, schema: &Schema) {
         self.count += 1;
-        let what = match row {
-            EventRow::Body(_) => {
-                self.of_bodies += 1;
-                return;
-            }
-            EventRow::Phase(event, _) => format!("{} {}", event.name, schema.pair_name(event.a, event.b)),
-            EventRow::Contact(event) => format!("{} {}", event.name(), schema.pair_name(event.a, event.b)),
+        let Some(([a, b], _)) = row.pair() else {
+            self.of_bodies += 1;
+            return;
         };
+        let what = format!("{} {}", row.name(), schema.pair_name(a, b));
         let line = match row {
             EventRow::Phase(event, surfaces) => {
                 // other simulations need not know it
