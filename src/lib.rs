@@ -64,7 +64,7 @@
 //! | [`model`] | the equations, scalar and readable, each with its number | | |
 //! | `text` | formatting of numbers and text for output | | |
 //! | [`hash`] | hashes of exact states | | |
-//! | `random` | random numbers, the same on every machine | | |
+//! | `random` | random numbers, the same on every machine | `hash` | |
 //! | `disjoint_sets` | sets of what is connected | | |
 //! | [`geometry`] | rest shapes (positions, normals, triangles, masses) and the union of overlapping surfaces | `random`, `disjoint_sets` | |
 //! | [`colors`] | a palette | | |

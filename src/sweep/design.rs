@@ -7,7 +7,8 @@
 //! point belongs to the first level that contains it.
 
 use crate::{
-    hash::mix,
+    hash::{SEED, mix},
+    random::unit,
     scene::template::{KeyPath, Setting},
 };
 
@@ -247,16 +248,11 @@ impl Design {
     }
 }
 
-/// A number in [0, 1) with 53 bits.
-fn unit(bits: u64) -> f64 {
-    (bits >> 11) as f64 / (1u64 << 53) as f64
-}
-
 /// The coordinate of a row of a Latin hypercube on axis `k`, in [0, 1). Its interval is a permutation of the row: a
 /// Feistel network over the next power of four, iterated until the value is in range (cycle walking), which needs no
 /// table.
 fn latin(row: u64, count: u64, seed: u64, k: u64) -> f64 {
-    let key = mix(mix(seed.wrapping_add(0x9e37_79b9_7f4a_7c15)).wrapping_add(k));
+    let key = mix(mix(seed.wrapping_add(SEED)).wrapping_add(k));
     let bits = (64 - (count.max(2) - 1).leading_zeros()).div_ceil(2);
     let mask = (1u64 << bits) - 1;
     let mut x = row;
