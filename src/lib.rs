@@ -146,6 +146,28 @@
 // No input may crash the program.
 #![cfg_attr(not(test), warn(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+/// Defines an enum whose variants have names for users, with all variants in order.
+macro_rules! named {
+    ($(#[$about:meta])* pub enum $Name:ident { $($(#[$of_variant:meta])* $Variant:ident = $name:literal,)+ }) => {
+        $(#[$about])*
+        pub enum $Name {
+            $($(#[$of_variant])* $Variant,)+
+        }
+
+        impl $Name {
+            /// All of them, in the order in which they are listed to users.
+            pub const ALL: [$Name; [$($name),+].len()] = [$($Name::$Variant),+];
+
+            /// The name in files and tables, and on the command line.
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $($Name::$Variant => $name,)+
+                }
+            }
+        }
+    };
+}
+
 pub mod analysis;
 #[cfg(feature = "viewer")]
 #[cfg_attr(not(feature = "cli"), allow(dead_code))] // recordings need a part of it

@@ -47,31 +47,18 @@ const RUNS: usize = 20;
 /// A verification ends with the run during which it has taken this long.
 const LONGEST_VERIFICATION: Duration = Duration::from_secs(10);
 
-/// Where frames are sent.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Destination {
-    /// Nowhere: frames are simulated only, or recorded and dropped.
-    None,
-    /// A file.
-    File,
-    /// A gRPC server on this machine.
-    Server,
-    /// A file, by the SDK's `log()` for each entity.
-    Log,
-}
-
-impl Destination {
-    /// All destinations.
-    pub const ALL: [Destination; 4] = [Destination::None, Destination::File, Destination::Server, Destination::Log];
-
-    /// The name used in tables.
-    pub fn name(self) -> &'static str {
-        match self {
-            Destination::None => "none",
-            Destination::File => "file",
-            Destination::Server => "gRPC server",
-            Destination::Log => "file, by log()",
-        }
+named! {
+    /// Where frames are sent.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum Destination {
+        /// Nowhere: frames are simulated only, or recorded and dropped.
+        None = "none",
+        /// A file.
+        File = "file",
+        /// A gRPC server on this machine.
+        Server = "gRPC server",
+        /// A file, by the SDK's `log()` for each entity.
+        Log = "file, by log()",
     }
 }
 

@@ -22,29 +22,17 @@ impl Default for Lattice {
     }
 }
 
-/// How a lattice tears.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum TearMode {
-    /// It does not tear.
-    #[default]
-    None,
-    /// Overstretched springs are cut with their cells; volume is lost.
-    Cut,
-    /// Overloaded nodes are split; volume is kept.
-    Split,
-}
-
-impl TearMode {
-    /// All modes, in the order in which they are listed to users.
-    pub const ALL: [TearMode; 3] = [TearMode::None, TearMode::Cut, TearMode::Split];
-
-    /// The name in scene files.
-    pub fn name(self) -> &'static str {
-        match self {
-            TearMode::None => "none",
-            TearMode::Cut => "cut",
-            TearMode::Split => "split",
-        }
+named! {
+    /// How a lattice tears.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+    pub enum TearMode {
+        /// It does not tear.
+        #[default]
+        None = "none",
+        /// Overstretched springs are cut with their cells; volume is lost.
+        Cut = "cut",
+        /// Overloaded nodes are split; volume is kept.
+        Split = "split",
     }
 }
 

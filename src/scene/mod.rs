@@ -411,44 +411,22 @@ impl Push {
     }
 }
 
-/// Time integration schemes; see [`crate::sim::integrator`] for what each does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Integrator {
-    /// (3.6)–(3.10) exactly as printed: advances the position twice per step and converges to the wrong equation.
-    Thesis,
-    /// The prediction–correction that the thesis builds on: consistent, first order.
-    Mps,
-    /// Semi-implicit (symplectic) Euler, first order.
-    Euler,
-    /// Velocity Verlet with symmetric damping, second order.
-    Verlet,
-    /// Classical Runge–Kutta, fourth order between phase switches.
-    Rk4,
-    /// Exact oscillator flow with φ-functions for the force: fifth order, with error control and located jumps.
-    Exponential,
-}
-
-impl Integrator {
-    /// All integrators, in the order in which they are listed to users.
-    pub const ALL: [Integrator; 6] = [
-        Integrator::Thesis,
-        Integrator::Mps,
-        Integrator::Euler,
-        Integrator::Verlet,
-        Integrator::Rk4,
-        Integrator::Exponential,
-    ];
-
-    /// The name in scene files and on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Integrator::Thesis => "thesis",
-            Integrator::Mps => "mps",
-            Integrator::Euler => "euler",
-            Integrator::Verlet => "verlet",
-            Integrator::Rk4 => "rk4",
-            Integrator::Exponential => "exponential",
-        }
+named! {
+    /// Time integration schemes; see [`crate::sim::integrator`] for what each does.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+    pub enum Integrator {
+        /// (3.6)–(3.10) exactly as printed: advances the position twice per step and converges to the wrong equation.
+        Thesis = "thesis",
+        /// The prediction–correction that the thesis builds on: consistent, first order.
+        Mps = "mps",
+        /// Semi-implicit (symplectic) Euler, first order.
+        Euler = "euler",
+        /// Velocity Verlet with symmetric damping, second order.
+        Verlet = "verlet",
+        /// Classical Runge–Kutta, fourth order between phase switches.
+        Rk4 = "rk4",
+        /// Exact oscillator flow with φ-functions for the force: fifth order, with error control and located jumps.
+        Exponential = "exponential",
     }
 }
 
@@ -458,32 +436,19 @@ impl fmt::Display for Integrator {
     }
 }
 
-/// Models of a soft body: the thesis's own, and those discussed in its chapter 2; see [`crate::models`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub enum Model {
-    /// The thesis's model: every vertex is a damped oscillator about its rest position.
-    #[default]
-    Oscillators,
-    /// A density around each centre, with a level set as the surface (2.2.3).
-    Metaballs,
-    /// Cubes of masses and springs (2.1.1, 2.2.2).
-    Lattice,
-    /// Linear finite elements (2.1.2).
-    Fem,
-}
-
-impl Model {
-    /// All models, in the order in which they are listed to users.
-    pub const ALL: [Model; 4] = [Model::Oscillators, Model::Metaballs, Model::Lattice, Model::Fem];
-
-    /// The name in scene files and on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Model::Oscillators => "oscillators",
-            Model::Metaballs => "metaballs",
-            Model::Lattice => "lattice",
-            Model::Fem => "fem",
-        }
+named! {
+    /// Models of a soft body: the thesis's own, and those discussed in its chapter 2; see [`crate::models`].
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+    pub enum Model {
+        /// The thesis's model: every vertex is a damped oscillator about its rest position.
+        #[default]
+        Oscillators = "oscillators",
+        /// A density around each centre, with a level set as the surface (2.2.3).
+        Metaballs = "metaballs",
+        /// Cubes of masses and springs (2.1.1, 2.2.2).
+        Lattice = "lattice",
+        /// Linear finite elements (2.1.2).
+        Fem = "fem",
     }
 }
 

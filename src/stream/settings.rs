@@ -75,25 +75,14 @@ impl Detail {
     }
 }
 
-/// How bodies are distributed over entities.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Entities {
-    /// Each body has its own entity, `/world/bodies/NAME`.
-    Body,
-    /// All bodies share `/world/resting/SHAPE` and `/world/deforming`.
-    Batch,
-}
-
-impl Entities {
-    /// Both variants.
-    pub const ALL: [Entities; 2] = [Entities::Body, Entities::Batch];
-
-    /// The name on the command line and in recordings.
-    pub fn name(self) -> &'static str {
-        match self {
-            Entities::Body => "body",
-            Entities::Batch => "batch",
-        }
+named! {
+    /// How bodies are distributed over entities.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum Entities {
+        /// Each body has its own entity, `/world/bodies/NAME`.
+        Body = "body",
+        /// All bodies share `/world/resting/SHAPE` and `/world/deforming`.
+        Batch = "batch",
     }
 }
 
@@ -255,7 +244,7 @@ pub fn pair(text: &str, schema: &Schema) -> Result<String, String> {
         return Err(format!("{:?} is not a pair: give two bodies as a~b", printable(text)));
     };
     let find = |name: &str| {
-        schema.bodies.iter().position(|body| body.name == name).ok_or_else(|| {
+        schema.body(name).ok_or_else(|| {
             let hint = did_you_mean(name, schema.bodies.iter().map(|body| body.name.as_str()));
             format!("no body {:?}{hint}", printable(name))
         })

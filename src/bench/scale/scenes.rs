@@ -31,35 +31,20 @@ const CUBE: &str = "
 v -1 -1 -1\nv 1 -1 -1\nv 1 1 -1\nv -1 1 -1\nv -1 -1 1\nv 1 -1 1\nv 1 1 1\nv -1 1 1
 f 1 4 3 2\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8";
 
-/// Which bodies move, and how.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Family {
-    /// All of them on paths, in pairs.
-    Contact,
-    /// One pair in a hundred on paths, and at least one; the others stand still.
-    Hundredth,
-    /// One pair on paths; the others stand still.
-    Rest,
-    /// All of them free, in pairs.
-    FreeContact,
-    /// A free body that a body on a path carries along; the others are free and rest on a plane.
-    FreeRest,
-}
-
-impl Family {
-    /// All families.
-    pub const ALL: [Family; 5] =
-        [Family::Contact, Family::Hundredth, Family::Rest, Family::FreeContact, Family::FreeRest];
-
-    /// The name used in tables.
-    pub fn name(self) -> &'static str {
-        match self {
-            Family::Contact => "all in contact",
-            Family::Hundredth => "1 % in contact",
-            Family::Rest => "all at rest but one pair",
-            Family::FreeContact => "free, all in contact",
-            Family::FreeRest => "free, all at rest but one",
-        }
+named! {
+    /// Which bodies move, and how.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+    pub enum Family {
+        /// All of them on paths, in pairs.
+        Contact = "all in contact",
+        /// One pair in a hundred on paths, and at least one; the others stand still.
+        Hundredth = "1 % in contact",
+        /// One pair on paths; the others stand still.
+        Rest = "all at rest but one pair",
+        /// All of them free, in pairs.
+        FreeContact = "free, all in contact",
+        /// A free body that a body on a path carries along; the others are free and rest on a plane.
+        FreeRest = "free, all at rest but one",
     }
 }
 

@@ -7,33 +7,22 @@ use super::parts::Part;
 /// The mark of a file written by this program.
 pub const GENERATOR: &str = "meldscope export";
 
-/// A format of mesh files.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Format {
-    /// glTF 2.0 in one binary file: a node for each surface; normals and colours.
-    Glb,
-    /// Wavefront OBJ: an object for each surface; normals, and colours after the positions.
-    Obj,
-    /// Stanford PLY, binary: all surfaces as one mesh; normals and colours.
-    Ply,
-    /// STL, binary: all triangles; neither vertex normals nor colours.
-    Stl,
+named! {
+    /// A format of mesh files.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum Format {
+        /// glTF 2.0 in one binary file: a node for each surface; normals and colours.
+        Glb = "glb",
+        /// Wavefront OBJ: an object for each surface; normals, and colours after the positions.
+        Obj = "obj",
+        /// Stanford PLY, binary: all surfaces as one mesh; normals and colours.
+        Ply = "ply",
+        /// STL, binary: all triangles; neither vertex normals nor colours.
+        Stl = "stl",
+    }
 }
 
 impl Format {
-    /// All formats.
-    pub const ALL: [Format; 4] = [Format::Glb, Format::Obj, Format::Ply, Format::Stl];
-
-    /// The name on the command line, and the extension of the files.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Format::Glb => "glb",
-            Format::Obj => "obj",
-            Format::Ply => "ply",
-            Format::Stl => "stl",
-        }
-    }
-
     /// Writes surfaces.
     pub fn write(self, parts: &[Part], to: &mut impl Write) -> io::Result<()> {
         match self {

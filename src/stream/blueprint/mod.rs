@@ -167,43 +167,25 @@ pub fn of_map(measures: &[&str], recording: &StoreId, picture: [f64; 2]) -> Vec<
     layout.finish(root)
 }
 
-/// A tab of the layout.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Tab {
-    /// An overview of everything.
-    Scene,
-    /// One 3D view per force term.
-    Forces,
-    /// Surfaces coloured by displacement, with selectable vertices.
-    Displacement,
-    /// The surfaces of groups, and geometric measures of pairs beside their phases.
-    Surface,
-    /// Distances, phases and events of pairs.
-    Pairs,
-    /// Durations of stages.
-    Timings,
-    /// Energy and other scalars of the state.
-    Energy,
-    /// The stages inside steps.
-    Stages,
-}
-
-impl Tab {
-    /// All tabs, in the order of the viewer.
-    pub const ALL: [Tab; 8] =
-        [Tab::Scene, Tab::Surface, Tab::Forces, Tab::Displacement, Tab::Pairs, Tab::Timings, Tab::Energy, Tab::Stages];
-
-    /// The name of the tab on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Tab::Scene => "scene",
-            Tab::Forces => "forces",
-            Tab::Displacement => "displacement",
-            Tab::Surface => "surface",
-            Tab::Pairs => "pairs",
-            Tab::Timings => "timings",
-            Tab::Energy => "energy",
-            Tab::Stages => "stages",
-        }
+named! {
+    /// A tab of the layout.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum Tab {
+        /// An overview of everything.
+        Scene = "scene",
+        /// The surfaces of groups, and geometric measures of pairs beside their phases.
+        Surface = "surface",
+        /// One 3D view per force term.
+        Forces = "forces",
+        /// Surfaces coloured by displacement, with selectable vertices.
+        Displacement = "displacement",
+        /// Distances, phases and events of pairs.
+        Pairs = "pairs",
+        /// Durations of stages.
+        Timings = "timings",
+        /// Energy and other scalars of the state.
+        Energy = "energy",
+        /// The stages inside steps.
+        Stages = "stages",
     }
 }
