@@ -281,6 +281,27 @@ fn actions_equal_reactions() {
     }
 }
 
+/// The cause of a source of [`World::surroundings`] is that under which its force is observed: also at the rim of a core,
+/// on the outer side of which a sphere attracts in the phase `core`.
+#[test]
+fn surroundings_and_forces_agree_on_causes() {
+    let mut world = World::new(Scene::builtin("collide").expect("a built-in scene")).expect("enough memory");
+    let (mut forces, mut found) = (BodyForces::default(), vec![]);
+    for _ in 0..180 {
+        step(&mut world);
+        for index in 0..2 {
+            world.forces(index, &mut forces);
+            let acts = |cause: &Cause| forces.of(*cause).iter().any(|force| force != DVec3::ZERO);
+            let observed = [Cause::Attraction, Cause::Repulsion, Cause::Core].into_iter().find(acts);
+            for source in world.surroundings(index).sources {
+                assert!(observed.is_none_or(|cause| cause == source.cause()), "{observed:?} {source:?}");
+                found.push((world.phase(0, 1), source.cause()));
+            }
+        }
+    }
+    assert!(found.contains(&(Phase::Core, Cause::Attraction)), "the rim is never crossed");
+}
+
 // ---- changes between steps -----------------------------------------------------------------------------------------
 
 /// Two bodies that fall on a plane and on each other, and one that approaches them on a path.

@@ -77,12 +77,7 @@ impl Sphere {
     /// Cause, source body, position relative to the body acted on, strength [1/s²] and radius [scene unit].
     fn at(&self, body: u32, apart: DVec3) -> (Cause, u32, DVec3, f64, f64) {
         let strength = self.law.strength(self.phase, apart.length() / self.radii) * self.scale;
-        let cause = match (self.phase, strength > 0.0) {
-            _ if self.is_of_point => Cause::Point,
-            (_, true) => Cause::Attraction,
-            (Phase::Core | Phase::Merged, false) => Cause::Core,
-            (Phase::Apart, false) => Cause::Repulsion,
-        };
+        let cause = if self.is_of_point { Cause::Point } else { Cause::of_sphere(self.phase, strength) };
         (cause, body, apart, strength * self.share, self.radius)
     }
 }

@@ -10,7 +10,7 @@ use super::{
     force::{Contact, Seen, Sphere},
     step::Place,
 };
-use crate::{geometry::Vectors, model::phase::Phase};
+use crate::geometry::Vectors;
 
 /// Forces on a body, by cause.
 #[derive(Clone, Debug, Default)]
@@ -165,11 +165,7 @@ impl<'a> Snapshot<'a> {
         }
         let (a, b) = (self.bodies[pair.a as usize], self.bodies[pair.b as usize]);
         let q = a.centre.distance(b.centre) / (a.radius + b.radius);
-        match (pair.phase, pair.law.strength(pair.phase, q) > 0.0) {
-            (_, true) => Cause::Attraction,
-            (Phase::Apart, false) => Cause::Repulsion,
-            (Phase::Merged | Phase::Core, false) => Cause::Core,
-        }
+        Cause::of_sphere(pair.phase, pair.law.strength(pair.phase, q))
     }
 
     /// Calls `each` with the vertices of body `index` that the other body's sphere acts on and their accelerations, and

@@ -47,9 +47,17 @@ macro_rules! terms {
                     Cause::Net => "net",
                 }
             }
-        }
 
-        impl Cause {
+            /// The cause of the force of a body's sphere, by the phase of the pair and the signed strength. A core with a
+            /// gradual rim attracts on the outer side of the rim and repels on the inner side, whatever the phase is.
+            pub fn of_sphere(phase: Phase, strength: f64) -> Cause {
+                match phase {
+                    _ if strength > 0.0 => Cause::Attraction,
+                    Phase::Apart => Cause::Repulsion,
+                    Phase::Merged | Phase::Core => Cause::Core,
+                }
+            }
+
             /// The causes that can occur in a scene, in the order of [`Cause::ALL`].
             pub fn of(scene: &Scene) -> impl Iterator<Item = Cause> + use<> {
                 let (is_coupled, has_points) = (scene.is_coupled(), !scene.points.is_empty());

@@ -69,11 +69,9 @@ pub struct Source {
 impl Source {
     /// The cause that its force counts as.
     pub fn cause(&self) -> Cause {
-        match (self.origin, self.strength > 0.0) {
-            (Origin::Point { .. }, _) => Cause::Point,
-            (Origin::Body { phase: Phase::Core, .. }, _) => Cause::Core,
-            (Origin::Body { .. }, true) => Cause::Attraction,
-            (Origin::Body { .. }, false) => Cause::Repulsion,
+        match self.origin {
+            Origin::Point { .. } => Cause::Point,
+            Origin::Body { phase, .. } => Cause::of_sphere(phase, self.strength),
         }
     }
 
