@@ -177,7 +177,7 @@ impl Single<'_> {
             steps += 1;
             if steps == self.max_steps {
                 let weights = Weights::new(course.oscillator(), course.end() - start);
-                part.prepare_part(course, self.whole, self.carried, start, &weights);
+                part.prepare_part(self.trajectories(), start, &weights);
                 let held = hold(course, part, vertex, state);
                 error += (held.x - state.x).length();
                 excess += (held.x - state.x).length();
@@ -186,8 +186,8 @@ impl Single<'_> {
             }
             let is_outside = has_kink && spheres.iter().all(|&word| word == 0);
             outcome = if is_outside && vertex.local == DVec3::ZERO {
-                part.prepare_ends(course, self.whole, self.carried, start, h);
-                free(course, state, h)
+                part.prepare_ends(self.trajectories(), start, h);
+                coast(course, state, h)
             } else {
                 // the length of the part beyond a rim does not recur, so its weights are not cached
                 let once;
@@ -197,7 +197,7 @@ impl Single<'_> {
                     once = Weights::new(course.oscillator(), h);
                     &once
                 };
-                part.prepare_part(course, self.whole, self.carried, start, weights);
+                part.prepare_part(self.trajectories(), start, weights);
                 let from = Start { vertex, inside: has_kink.then_some(&**spheres), state, crossed };
                 collocate(course, part, from, self.wanted(h, steps), pulls)
             };
@@ -222,7 +222,7 @@ impl Single<'_> {
         if inside.iter().all(|&word| word == 0) {
             return State { x, u }; // the force is constant
         }
-        self.whole.sample_at(course, self.carried, step.start + ASIDE * step.h, aside);
+        self.trajectories().sample_at(step.start + ASIDE * step.h, aside);
         let displaced = Dense::new(course.oscillator(), step.h, ASIDE).state(state, forces).x;
         let position = vertex.rest + displaced;
         let mut found = vertex.local;
@@ -237,6 +237,11 @@ impl Single<'_> {
         x += bend_x * *bend;
         u += bend_u * *bend + skew_u * (found - cubic - BEND_ASIDE * *bend);
         State { x, u }
+    }
+
+    /// The positions of the spheres relative to vertices in the interval.
+    fn trajectories(&self) -> Trajectories<'_> {
+        Trajectories { course: self.course, whole: self.whole, carried: self.carried }
     }
 
     /// The acceptable error of a step of length `h` [s] that is the `steps`-th [scene unit].
@@ -311,12 +316,11 @@ impl Single<'_> {
             return Ok(None);
         }
         let motion = Motion::new(self.course, step, vertex, state, outcome);
-        let trajectories = Trajectories { course: self.course, whole: self.whole, carried: self.carried };
         let mut first: Option<(f64, usize)> = None;
         for j in near {
             let mut samples_left = rim::MAX_SAMPLES;
             let rim = Rim { sphere: j, is_inside: is_inside(inside, j), is_start: crossed == Some(j) };
-            let crossing = motion.crossing(trajectories, step, rim, &mut samples_left);
+            let crossing = motion.crossing(self.trajectories(), step, rim, &mut samples_left);
             let samples = u64::from(rim::MAX_SAMPLES - samples_left);
             let work_of_sample = if self.whole.smooth { SAMPLE } else { SAMPLE_EXACTLY };
             if !self.work.spend(samples * work_of_sample) {
@@ -371,7 +375,7 @@ fn hold(course: &Course<'_>, step: &Step, vertex: &Vertex, state: State) -> Stat
 }
 
 /// The exact flow of a vertex on which nothing acts.
-fn free(course: &Course<'_>, State { x, u }: State, h: f64) -> Outcome {
+fn coast(course: &Course<'_>, State { x, u }: State, h: f64) -> Outcome {
     let [xx, xu, ux, uu] = course.oscillator().flow(h);
     Outcome {
         end: State { x: xx * x + xu * u, u: ux * x + uu * u },

@@ -357,7 +357,7 @@ impl Step {
                 moment.uniform = course.sample(time_of(sample, course.start, h), &mut moment.centres);
             }
         }
-        let forces: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].uniform);
+        let forces = self.uniforms();
         let State { x, u } = carried;
         self.ringing = self.shared_ringing(carried);
         for (sample, moment) in self.moments[..5].iter_mut().enumerate() {
@@ -447,8 +447,13 @@ impl Step {
     /// The shared response of all vertices at the end of the step, given that at its start.
     pub fn carried_at_end(&self, State { x, u }: State) -> State {
         let Weights { ux, uu, velocity, .. } = &self.weights;
-        let forces: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].uniform);
+        let forces = self.uniforms();
         State { x: self.moments[3].carried, u: *ux * x + *uu * u + combine(velocity, forces) }
+    }
+
+    /// The acceleration that all vertices share, at the nodes.
+    fn uniforms(&self) -> [DVec3; 4] {
+        std::array::from_fn(|node| self.moments[node].uniform)
     }
 
     /// Bounds on the speed and the acceleration of the shared motion within the step.
@@ -462,7 +467,7 @@ impl Step {
     /// The error caused by interpolating the shared acceleration by a cubic [scene unit]; see [`Group::collocate`].
     pub fn uniform_error(&self) -> f64 {
         let weights = &self.weights;
-        let forces: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].uniform);
+        let forces = self.uniforms();
         let gain = weights.gain();
         let left_out = (self.moments[4].uniform - combine(&weights.polynomial, forces)).length();
         // not `f64::max`, which would drop NaN
@@ -473,21 +478,21 @@ impl Step {
     /// See [`Step::ringing`].
     fn shared_ringing(&self, State { x, u }: State) -> f64 {
         let Some(modes) = &self.weights.ringing else { return 0.0 };
-        let forces: [DVec3; 4] = std::array::from_fn(|node| self.moments[node].uniform);
+        let forces = self.uniforms();
         let of_mode = |mode: &Mode| (mode.x * x + mode.u * u + combine(&mode.force, forces)).length();
         modes.iter().map(of_mode).sum()
     }
 
-    /// Prepares the step over a part of an interval; `whole` is the step over all of it.
-    pub fn prepare_part(&mut self, course: &Course<'_>, whole: &Step, carried: State, start: f64, weights: &Weights) {
+    /// Prepares the step over a part of an interval.
+    pub fn prepare_part(&mut self, of: Trajectories<'_>, start: f64, weights: &Weights) {
         self.start = start;
         self.set_weights(weights);
-        self.ringing = if self.weights.ringing.is_some() { whole.ringing } else { 0.0 };
+        self.ringing = if self.weights.ringing.is_some() { of.whole.ringing } else { 0.0 };
         for sample in 0..self.moments.len() {
-            self.sample_within(course, whole, carried, sample);
+            of.sample_at(time_of(sample, start, self.h), &mut self.moments[sample]);
         }
-        self.bound_within(course, whole);
-        self.noise = whole.noise;
+        self.bound_within(of.course, of.whole);
+        self.noise = of.whole.noise;
     }
 
     /// Sets the weights, which are usually set already: copying them is expensive.
@@ -501,27 +506,13 @@ impl Step {
 
     /// Like [`Step::prepare_part`], for a vertex on which nothing acts: only the positions of the spheres at the start
     /// and at the end.
-    pub fn prepare_ends(&mut self, course: &Course<'_>, whole: &Step, carried: State, start: f64, h: f64) {
+    pub fn prepare_ends(&mut self, of: Trajectories<'_>, start: f64, h: f64) {
         self.start = start;
         self.h = h;
         for sample in [0, 3] {
-            self.sample_within(course, whole, carried, sample);
+            of.sample_at(time_of(sample, start, h), &mut self.moments[sample]);
         }
-        self.bound_within(course, whole);
-    }
-
-    fn sample_within(&mut self, course: &Course<'_>, whole: &Step, carried: State, sample: usize) {
-        let t = time_of(sample, self.start, self.h);
-        whole.sample_at(course, carried, t, &mut self.moments[sample]);
-    }
-
-    /// Sets a moment to time `t` [s] of this step, which is that over the whole interval.
-    pub fn sample_at(&self, course: &Course<'_>, carried: State, t: f64, moment: &mut Moment) {
-        if self.smooth {
-            self.interpolate((t - self.start) / self.h, moment);
-        } else {
-            moment.sample(Trajectories { course, whole: self, carried }, t);
-        }
+        self.bound_within(of.course, of.whole);
     }
 
     /// Sphere positions at `theta` of this step, interpolated by the quartics through its five moments.
@@ -636,10 +627,20 @@ impl<'a> Trajectories<'a> {
         Apart::Quartic(c)
     }
 
+    /// Sets a moment to time `t` [s] of the interval.
+    pub fn sample_at(self, t: f64, moment: &mut Moment) {
+        let whole = self.whole;
+        if whole.smooth {
+            whole.interpolate((t - whole.start) / whole.h, moment);
+        } else {
+            moment.sample(self, t);
+        }
+    }
+
     /// The shared response of all vertices at `t` [s].
     fn carried_at(&self, t: f64) -> State {
         let Trajectories { course, whole, carried } = *self;
-        let forces: [DVec3; 4] = std::array::from_fn(|node| whole.moments[node].uniform);
+        let forces = whole.uniforms();
         if t <= whole.start || (carried.is_zero() && forces == [DVec3::ZERO; 4]) {
             return carried;
         }
