@@ -6,7 +6,7 @@ use pulp::Arch;
 use super::{
     body::Body,
     field::{Field, Pair, Push},
-    kernels::{self, Detect, Kernel, Pull},
+    kernels::{Detect, Kernel, Pull, PullAt},
     split::{hold, passages},
     step::{Course, Held, Place, Reaction, Span},
 };
@@ -100,7 +100,10 @@ impl Contact<'_> {
                 ((sphere.radius - distance) * (sphere.radius + distance), -2.0 * d.dot(v))
             }
             Contact::Plane(plane) => (plane.depth(place.centre + s), -plane.normal.dot(place.velocity + rate)),
-            Contact::Push(push) => (-push.direction.dot(unit(a)), -push.direction.dot(turning.cross(unit(a)))),
+            Contact::Push(push) => {
+                let facing = a.normalize_or_zero(); // zero at the mass centre, where a vertex faces nothing
+                (-push.direction.dot(facing), -push.direction.dot(turning.cross(facing)))
+            }
         }
     }
 
@@ -133,7 +136,7 @@ impl Contact<'_> {
                 influence(d, weight, sphere.radius, sphere.strength[sample])
             }
             Contact::Plane(plane) => plane.acceleration(plane.depth(place.centre + s), place.velocity + rate),
-            Contact::Push(push) => push.direction * (-push.strength * push.direction.dot(unit(a))),
+            Contact::Push(push) => push.direction * (-push.strength * push.direction.dot(a.normalize_or_zero())),
         }
     }
 }
@@ -144,12 +147,6 @@ pub(super) fn influence(d: DVec3, weight: Weight, radius: f64, strength: f64) ->
     let z = d.length() / radius;
     let w = if weight == Weight::Linear { weight.inside(z) } else { weight.at(z) };
     d * (strength * w)
-}
-
-/// a/|a|; zero at the mass centre, where a vertex faces nothing.
-#[inline]
-fn unit(a: DVec3) -> DVec3 {
-    a.normalize_or_zero()
 }
 
 impl Acting {
@@ -366,7 +363,8 @@ impl Acting {
             let apart = sphere.places[sample].centre - places[sample].centre;
             let mut force = DVec3::ZERO;
             if apart.length() < sphere.radius + extent {
-                force = -kernels::pull_at(arch, &mut course.active, sphere, field.weight, sample, apart);
+                let active = &mut course.active;
+                force = -PullAt { active, sphere, weight: field.weight, sample, apart }.find(arch);
             }
             match course.reactions.iter_mut().find(|known| known.source == sphere.source) {
                 Some(known) => known.force[sample] = force,

@@ -28,29 +28,20 @@ pub type Lane = [f64; WIDTH];
 pub type Lanes = [Lane; 3];
 
 #[inline(always)]
-pub(super) fn load<S: Simd, const W: usize>(simd: S, [x, y, z]: &Lanes) -> Vector<S, W> {
-    Vector { x: Reals::load(simd, x, 0), y: Reals::load(simd, y, 0), z: Reals::load(simd, z, 0) }
+pub(super) fn load<S: Simd, const W: usize>(simd: S, lanes: &Lanes) -> Vector<S, W> {
+    Vector::of_block(simd, lanes, 0)
 }
 
 /// The lanes from `at` on that fill one register. Kernels that need many registers process the [`WIDTH`] lanes one
 /// register at a time.
 #[inline(always)]
-fn part<S: Simd>(simd: S, [x, y, z]: &Lanes, at: usize) -> Vector<S, 1> {
-    Vector { x: Reals::load(simd, x, at), y: Reals::load(simd, y, at), z: Reals::load(simd, z, at) }
+fn part<S: Simd>(simd: S, lanes: &Lanes, at: usize) -> Vector<S, 1> {
+    Vector::of_block(simd, lanes, at)
 }
 
 #[inline(always)]
-fn store_part<S: Simd>(v: Vector<S, 1>, [x, y, z]: &mut Lanes, at: usize) {
-    v.x.store(x, at);
-    v.y.store(y, at);
-    v.z.store(z, at);
-}
-
-#[inline(always)]
-pub(super) fn store<S: Simd, const W: usize>(v: Vector<S, W>, [x, y, z]: &mut Lanes) {
-    v.x.store(x, 0);
-    v.y.store(y, 0);
-    v.z.store(z, 0);
+pub(super) fn store<S: Simd, const W: usize>(v: Vector<S, W>, lanes: &mut Lanes) {
+    v.into_block(lanes, 0);
 }
 
 #[inline(always)]
@@ -284,13 +275,9 @@ impl Kernel for Largest<'_> {
 }
 
 /// Moments of all vertices, with the masses of [`Start`]: of the inactive ones.
-pub fn moments(arch: Arch, start: &Start, rest: &[Lanes]) -> Moments {
-    Sum { start, rest }.find(arch)
-}
-
-struct Sum<'a> {
-    start: &'a Start,
-    rest: &'a [Lanes],
+pub struct Sum<'a> {
+    pub start: &'a Start,
+    pub rest: &'a [Lanes],
 }
 
 impl Kernel for Sum<'_> {
@@ -304,18 +291,14 @@ impl Kernel for Sum<'_> {
 }
 
 /// Moments of active vertices at the start.
-pub fn moments_of_active(arch: Arch, active: &Active) -> Moments {
-    SumActive(&active.blocks).find(arch)
-}
-
-struct SumActive<'a>(&'a [Block]);
+pub struct SumActive<'a>(pub &'a Active);
 
 impl Kernel for SumActive<'_> {
     type Output = Moments;
 
     #[inline(always)]
     fn run<S: Simd, const W: usize>(self, simd: S) -> Moments {
-        sum::<S, W, _>(simd, || self.0.iter().map(|b| (&b.masses, &b.rest, &b.x[0], &b.u[0])))
+        sum::<S, W, _>(simd, || self.0.blocks.iter().map(|b| (&b.masses, &b.rest, &b.x[0], &b.u[0])))
     }
 }
 
@@ -602,8 +585,8 @@ impl Kernel for Move<'_> {
                 fast[i] = fast[i].larger((u - u_before).length_squared());
                 max_x[i] = max_x[i].larger(x.length_squared());
                 max_u[i] = max_u[i].larger(u.length_squared());
-                store_part(x, &mut block.x[sample], at);
-                store_part(u, &mut block.u[sample], at);
+                x.into_block(&mut block.x[sample], at);
+                u.into_block(&mut block.u[sample], at);
                 let mx = x * Reals::load(simd, &block.masses, at);
                 diagonal[i] = diagonal[i] + Vector { x: mx.x * x.x, y: mx.y * x.y, z: mx.z * x.z };
                 beside[i] = beside[i] + Vector { x: mx.y * x.z, y: mx.z * x.x, z: mx.x * x.y };
@@ -621,14 +604,10 @@ impl Kernel for Move<'_> {
 }
 
 /// Computes the positions of active vertices relative to the centre, for these axes.
-pub fn place(arch: Arch, active: &mut Active, sample: usize, axes: DMat3) {
-    PlaceAll { active, sample, axes }.find(arch);
-}
-
-struct PlaceAll<'a> {
-    active: &'a mut Active,
-    sample: usize,
-    axes: DMat3,
+pub struct PlaceAll<'a> {
+    pub active: &'a mut Active,
+    pub sample: usize,
+    pub axes: DMat3,
 }
 
 impl Kernel for PlaceAll<'_> {
@@ -805,17 +784,14 @@ impl Kernel for Pull<'_> {
     }
 }
 
-/// Adds the force of a sphere at a single sample on the active vertices inside it. Returns Σ m f.
-pub fn pull_at(arch: Arch, active: &mut Active, sphere: &Sphere, weight: Weight, sample: usize, apart: DVec3) -> DVec3 {
-    PullAt { active, sphere, weight, sample, apart }.find(arch)
-}
-
-struct PullAt<'a> {
-    active: &'a mut Active,
-    sphere: &'a Sphere,
-    weight: Weight,
-    sample: usize,
-    apart: DVec3,
+/// Adds the force of a sphere at a single sample on the active vertices inside it, and finds Σ m f.
+pub struct PullAt<'a> {
+    pub active: &'a mut Active,
+    pub sphere: &'a Sphere,
+    pub weight: Weight,
+    pub sample: usize,
+    /// The sphere's centre relative to the body's.
+    pub apart: DVec3,
 }
 
 impl Kernel for PullAt<'_> {
@@ -864,14 +840,10 @@ impl Default for Gathered {
 }
 
 /// Sums the accelerations of active vertices at a sample; then adds `turning`×x to them.
-pub fn gather(arch: Arch, active: &mut Active, sample: usize, turning: DVec3) -> Gathered {
-    Gather { active, sample, turning }.find(arch)
-}
-
-struct Gather<'a> {
-    active: &'a mut Active,
-    sample: usize,
-    turning: DVec3,
+pub struct Gather<'a> {
+    pub active: &'a mut Active,
+    pub sample: usize,
+    pub turning: DVec3,
 }
 
 impl Kernel for Gather<'_> {
@@ -906,16 +878,12 @@ impl Kernel for Gather<'_> {
 
 /// Σ m (Φ − Φ(r_e)) of the active vertices at a node, in a sphere of radius r_e with its centre at `apart` from the
 /// body's.
-pub fn potential(arch: Arch, active: &Active, node: usize, weight: Weight, radius: f64, apart: DVec3) -> f64 {
-    Potential { active, node, weight, radius, apart }.find(arch)
-}
-
-struct Potential<'a> {
-    active: &'a Active,
-    node: usize,
-    weight: Weight,
-    radius: f64,
-    apart: DVec3,
+pub struct Potential<'a> {
+    pub active: &'a Active,
+    pub node: usize,
+    pub weight: Weight,
+    pub radius: f64,
+    pub apart: DVec3,
 }
 
 impl Kernel for Potential<'_> {
@@ -967,11 +935,7 @@ impl Kernel for AddResidual<'_> {
 }
 
 /// The largest error of x and of u of an active vertex, squared.
-pub fn largest_errors(arch: Arch, active: &Active) -> [f64; 2] {
-    LargestErrors(active).find(arch)
-}
-
-struct LargestErrors<'a>(&'a Active);
+pub struct LargestErrors<'a>(pub &'a Active);
 
 impl Kernel for LargestErrors<'_> {
     type Output = [f64; 2];
@@ -992,15 +956,11 @@ impl Kernel for LargestErrors<'_> {
 }
 
 /// Σ m |u − spin×x + slip l|² of active vertices at a node.
-pub fn slipping(arch: Arch, active: &Active, node: usize, spin: DVec3, slip: DMat3) -> f64 {
-    Slipping { active, node, spin, slip }.find(arch)
-}
-
-struct Slipping<'a> {
-    active: &'a Active,
-    node: usize,
-    spin: DVec3,
-    slip: DMat3,
+pub struct Slipping<'a> {
+    pub active: &'a Active,
+    pub node: usize,
+    pub spin: DVec3,
+    pub slip: DMat3,
 }
 
 impl Kernel for Slipping<'_> {

@@ -12,7 +12,7 @@ use pulp::Arch;
 use super::{
     body::Body,
     field::{Field, Pair},
-    kernels,
+    kernels::{Kernel, Potential, Slipping},
     split::{By, Touch},
     step::{Course, Place},
 };
@@ -151,7 +151,8 @@ impl Done<'_> {
             let [x, mut others] = course.others[node];
             others.add_times(-1.0, &x.crossed(frame.spin));
             others.by_rest += slip;
-            -rate * (course.moments.square(&others) + kernels::slipping(self.arch, active, node, frame.spin, slip))
+            let slipping = Slipping { active, node, spin: frame.spin, slip }.find(self.arch);
+            -rate * (course.moments.square(&others) + slipping)
         }))
     }
 
@@ -249,9 +250,9 @@ impl Done<'_> {
                 let to_source = self.places[source][node].centre - place.centre;
                 let own = &self.bodies[own];
                 let (field, source) = (self.field, &self.bodies[source]);
-                let r_e = source.sphere_radius;
-                let sum = kernels::potential(self.arch, &course.active, node, field.weight, r_e, to_source);
-                field.scale(own.radius, source.radius) * sum
+                let (active, weight, radius) = (&course.active, field.weight, source.sphere_radius);
+                let potential = Potential { active, node, weight, radius, apart: to_source };
+                field.scale(own.radius, source.radius) * potential.find(self.arch)
             };
             slope * rate * (of(a, b) + of(b, a))
         }))

@@ -22,7 +22,10 @@ use super::{
     body::{Body, Sums},
     field::{Driven, Field, Paths},
     force::{Acting, View},
-    kernels::{self, Active, AddResidual, Finish, Gathered, Kernel, Move, Moved, Reach, Start, WIDTH},
+    kernels::{
+        self, Active, AddResidual, Finish, Gather, Gathered, Kernel, LargestErrors, Move, Moved, PlaceAll, Reach,
+        Start, Sum, SumActive, WIDTH,
+    },
     passive::{Linear, Maxima, Moments, Scaled},
     split::{By, Motion, Piece, Split},
 };
@@ -388,10 +391,10 @@ impl Course {
         let frame = &mut self.frames[0];
         if body.is_free() {
             if active.len() < n {
-                self.moments = kernels::moments(arch, &self.start, &shape.lanes);
+                self.moments = Sum { start: &self.start, rest: &shape.lanes }.find(arch);
             }
             if active.len() > 0 {
-                self.first = kernels::moments_of_active(arch, active);
+                self.first = SumActive(active).find(arch);
             }
             self.sums[0] = self.first.at_start();
             frame.sums = self.moments.at_start() + self.sums[0];
@@ -617,7 +620,7 @@ impl Course {
         if self.active.len() == 0 {
             return;
         }
-        kernels::place(arch, &mut self.active, sample, self.frames[sample].axes);
+        PlaceAll { active: &mut self.active, sample, axes: self.frames[sample].axes }.find(arch);
     }
 
     /// Sums the forces on the active vertices at a sample, then adds the part of the damping that is not in −2κ x′.
@@ -628,7 +631,7 @@ impl Course {
         let frame = &mut self.frames[sample];
         let twice_damped = 2.0 * body.oscillator.damping * frame.spin;
         if self.active.len() > 0 {
-            let mut gathered = kernels::gather(arch, &mut self.active, sample, twice_damped);
+            let mut gathered = Gather { active: &mut self.active, sample, turning: twice_damped }.find(arch);
             let Gathered { force, by_rest, spinning } = gathered;
             (frame.mean, frame.turning, frame.spinning) = (force / body.mass(), moment(frame.axes * by_rest), spinning);
             let damping = cross_matrix(twice_damped);
@@ -806,7 +809,7 @@ impl Course {
         let touching = f64::min(touching, body.mass());
         let Errors { x, u, centre, velocity, momentum, turn, split, split_all } = self.errors;
         let swing = 1.0 / body.oscillator.omega.max(2.0 * body.oscillator.damping).max(1.0);
-        let [far, fast] = kernels::largest_errors(arch, &self.active).map(f64::sqrt);
+        let [far, fast] = LargestErrors(&self.active).find(arch).map(f64::sqrt);
         let gain = 1.0 + swing * contact.sqrt();
         let vertex = gain * larger(far, x.bound(&self.maxima)) + swing * larger(fast, u.bound(&self.maxima));
         let mut error = larger(vertex, gain * split.0 + swing * split.1) + velocity.length();

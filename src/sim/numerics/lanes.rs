@@ -9,7 +9,7 @@ use glam::DVec3;
 use pulp::Simd;
 
 pub use super::arrays::LANES;
-use super::arrays::{self, Vectors};
+use super::arrays::Vectors;
 use crate::model::influence::Real;
 
 #[cfg(test)]
@@ -114,44 +114,28 @@ impl<S: Simd, const W: usize> Real for Reals<S, W> {
     }
 }
 
-impl<S: Simd, const W: usize> Add for Reals<S, W> {
-    type Output = Reals<S, W>;
+/// An operator on the lanes of two numbers, by the instruction for a register.
+macro_rules! operator {
+    ($Operator:ident, $name:ident, $of_registers:ident) => {
+        impl<S: Simd, const W: usize> $Operator for Reals<S, W> {
+            type Output = Reals<S, W>;
 
-    #[inline(always)]
-    fn add(self, other: Reals<S, W>) -> Reals<S, W> {
-        let mut v = self.v;
-        for w in 0..W {
-            v[w] = self.simd.add_f64s(v[w], other.v[w]);
+            #[inline(always)]
+            fn $name(self, other: Reals<S, W>) -> Reals<S, W> {
+                let mut v = self.v;
+                for w in 0..W {
+                    v[w] = self.simd.$of_registers(v[w], other.v[w]);
+                }
+                Reals { v, ..self }
+            }
         }
-        Reals { v, ..self }
-    }
+    };
 }
 
-impl<S: Simd, const W: usize> Sub for Reals<S, W> {
-    type Output = Reals<S, W>;
-
-    #[inline(always)]
-    fn sub(self, other: Reals<S, W>) -> Reals<S, W> {
-        let mut v = self.v;
-        for w in 0..W {
-            v[w] = self.simd.sub_f64s(v[w], other.v[w]);
-        }
-        Reals { v, ..self }
-    }
-}
-
-impl<S: Simd, const W: usize> Mul for Reals<S, W> {
-    type Output = Reals<S, W>;
-
-    #[inline(always)]
-    fn mul(self, other: Reals<S, W>) -> Reals<S, W> {
-        let mut v = self.v;
-        for w in 0..W {
-            v[w] = self.simd.mul_f64s(v[w], other.v[w]);
-        }
-        Reals { v, ..self }
-    }
-}
+operator!(Add, add, add_f64s);
+operator!(Sub, sub, sub_f64s);
+operator!(Mul, mul, mul_f64s);
+operator!(Div, div, div_f64s);
 
 /// The same number in all lanes.
 impl<S: Simd, const W: usize> Mul<f64> for Reals<S, W> {
@@ -160,19 +144,6 @@ impl<S: Simd, const W: usize> Mul<f64> for Reals<S, W> {
     #[inline(always)]
     fn mul(self, other: f64) -> Reals<S, W> {
         self * Reals::splat(self.simd, other)
-    }
-}
-
-impl<S: Simd, const W: usize> Div for Reals<S, W> {
-    type Output = Reals<S, W>;
-
-    #[inline(always)]
-    fn div(self, other: Reals<S, W>) -> Reals<S, W> {
-        let mut v = self.v;
-        for w in 0..W {
-            v[w] = self.simd.div_f64s(v[w], other.v[w]);
-        }
-        Reals { v, ..self }
     }
 }
 
@@ -275,14 +246,14 @@ impl<S: Simd, const W: usize> Vector<S, W> {
 
     /// Loads vectors from a block, from `lane` on.
     #[inline(always)]
-    pub fn of_block(simd: S, [x, y, z]: &arrays::Lanes, lane: usize) -> Vector<S, W> {
+    pub fn of_block<const N: usize>(simd: S, [x, y, z]: &[[f64; N]; 3], lane: usize) -> Vector<S, W> {
         let load = |axis: &[f64]| Reals::load(simd, axis, lane);
         Vector { x: load(x), y: load(y), z: load(z) }
     }
 
     /// Stores the vectors into a block, from `lane` on.
     #[inline(always)]
-    pub fn into_block(self, [x, y, z]: &mut arrays::Lanes, lane: usize) {
+    pub fn into_block<const N: usize>(self, [x, y, z]: &mut [[f64; N]; 3], lane: usize) {
         self.x.store(x, lane);
         self.y.store(y, lane);
         self.z.store(z, lane);
