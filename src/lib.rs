@@ -66,12 +66,14 @@
 //! | [`hash`] | hashes of exact states | | |
 //! | `random` | random numbers, the same on every machine | `hash` | |
 //! | `disjoint_sets` | sets of what is connected | | |
-//! | [`geometry`] | rest shapes (positions, normals, triangles, masses) and the union of overlapping surfaces | `random`, `disjoint_sets` | |
+//! | `interrupt` | flags that end what takes long | | |
+//! | `parallel` | work on several threads | | |
+//! | [`geometry`] | rest shapes (positions, normals, triangles, masses) and the union of overlapping surfaces | `random`, `disjoint_sets`, `interrupt`, `parallel` | |
 //! | [`colors`] | a palette | | |
 //! | [`scene`] | scene files: parsing, validation, centre paths | `model`, `geometry`, `random`, `text` | |
-//! | [`sim`] | the world and its step: forces, integrators, events, solver of free bodies | `model`, `geometry`, `text`, `hash`, `scene` | |
+//! | [`sim`] | the world and its step: forces, integrators, events, solver of free bodies | `model`, `geometry`, `text`, `hash`, `disjoint_sets`, `interrupt`, `parallel`, `scene` | |
 //! | [`observe`] | the contract between a simulation and its observers: schema, frames, events | `model`, `text`, `geometry`, `colors` | |
-//! | [`analysis`] | what is computed from frames: surfaces, touches, closest approaches | `disjoint_sets`, `geometry`, `observe` | |
+//! | [`analysis`] | what is computed from frames: surfaces, touches, closest approaches | `disjoint_sets`, `interrupt`, `parallel`, `geometry`, `observe` | |
 //! | [`view`] | how the world presents itself: titles, colours, plots, arrows, cameras | all above but `analysis` | |
 //! | [`models`] | the models of a soft body, and which of them runs a scene | all above | |
 //! | `atomic` | files that are either complete or not there | | `viewer` |
@@ -181,11 +183,13 @@ mod disjoint_sets;
 pub mod geometry;
 #[doc(hidden)]
 pub mod hash;
+mod interrupt;
 #[cfg(feature = "cli")]
 pub mod live;
 pub mod model;
 pub mod models;
 pub mod observe;
+mod parallel;
 #[doc(hidden)]
 pub mod random;
 #[cfg(feature = "viewer")]

@@ -18,19 +18,20 @@ use std::{
 };
 
 use glam::DVec3;
-use rayon::prelude::*;
 
 use crate::{
     disjoint_sets::DisjointSets,
     geometry::{
         Facets, Mesh, Vectors,
         fairing::Seamed,
-        union::{self, Body, Budget, Hint, Origin, Topology, Union, is_raised},
+        union::{self, Body, Budget, Hint, Origin, Topology, Union},
     },
+    interrupt::is_raised,
     observe::{
         Frame, PairFrame, Schema,
         surface::{Group, PairMeasures, SeamLine, Surfaced, Surfaces, VertexOrigin},
     },
+    parallel,
 };
 
 /// Budget of work steps for the unions of one frame, see [`Budget`]: an estimated one to three seconds. It is a count
@@ -109,7 +110,7 @@ impl Closed {
     /// The measures of a pair whose vertices are at these positions [scene unit]; `None` if they cannot be computed.
     pub fn measure(&self, schema: &Schema, pair: [usize; 2], positions: [&[DVec3]; 2]) -> Option<PairMeasures> {
         let [a, b] = [0, 1].map(|k| self.body(pair[k], positions[k]));
-        let budget = Budget { work: FRAME_WORK, time: None, interrupt: self.interrupt };
+        let budget = Budget { work: FRAME_WORK, interrupt: self.interrupt };
         measures(schema, pair, [&a?, &b?], &budget, &mut Hint::default())
     }
 
@@ -198,7 +199,7 @@ impl Merger {
         let scene = Scene { schema, closed, bodies, built: &built };
 
         let interrupt = closed.interrupt;
-        let budget = Budget { work: *work / groups.len().max(1) as u64, time: None, interrupt };
+        let budget = Budget { work: *work / groups.len().max(1) as u64, interrupt };
         let united: Vec<(Option<Arc<Group>>, Option<PairMeasures>)> = for_all(groups, |group| {
             let is_asked_for = || pairs.iter().any(|pair| pair[..] == group[..]);
             match last_groups.get(group) {
@@ -215,7 +216,7 @@ impl Merger {
         let of_groups: BTreeMap<&[usize], PairMeasures> = (groups.iter().zip(&united))
             .filter_map(|(group, (_, measures))| Some((group.as_slice(), (*measures)?)))
             .collect();
-        let budget = Budget { work: *work / pairs.len().max(1) as u64, time: None, interrupt };
+        let budget = Budget { work: *work / pairs.len().max(1) as u64, interrupt };
         let measured = for_all(pairs, |pair| {
             if let Some(measures) = of_groups.get(&pair[..]) {
                 return (Some(*measures), Hint::default());
@@ -474,7 +475,7 @@ pub fn connected(frame: &Frame, is_joined: impl Fn(&PairFrame) -> bool) -> Vec<V
 
 /// Maps all items, in parallel if there are several.
 pub fn for_all<T: Sync, R: Send>(items: &[T], map: impl Fn(&T) -> R + Sync + Send) -> Vec<R> {
-    if items.len() > 1 { items.par_iter().map(map).collect() } else { items.iter().map(map).collect() }
+    parallel::collect(items.len() > 1, items, map)
 }
 
 #[cfg(test)]

@@ -18,8 +18,9 @@ use super::surface::{Closed, for_all};
 use crate::{
     geometry::{
         Vectors,
-        union::{Contact, Crossing, contact, is_raised},
+        union::{Aabb, Contact, Crossing, contact},
     },
+    interrupt::is_raised,
     observe::{
         Frame, NearPair, PairEvent, PairFrame, Schema, Simulation, SurfaceEvent, Want, between, state_within,
         surface::Finding,
@@ -315,12 +316,8 @@ impl Touches {
                     inside.bodies[b].centre = inside.bodies[a].centre + apart; // paths need no interpolation
                 }
             }
-            for body in bodies {
-                self.placed.remove(&body);
-                self.place(body, &inside);
-            }
             known = before;
-            self.update_contact(bodies, &mut known);
+            self.update_contact_in(&inside, bodies, &mut known);
             if known.is_touching == before.is_touching {
                 break;
             }
@@ -348,11 +345,7 @@ impl Touches {
                 break;
             }
             state_within(simulation, &self.schema, [&self.before, now], middle, &bodies, &mut inside);
-            for body in bodies {
-                self.placed.remove(&body);
-                self.place(body, &inside);
-            }
-            self.update_contact(bodies, &mut known);
+            self.update_contact_in(&inside, bodies, &mut known);
             if known.is_touching == before.is_touching { low = middle } else { high = middle }
         }
         state_within(simulation, &self.schema, [&self.before, now], high, &bodies, &mut inside);
@@ -384,6 +377,15 @@ impl Touches {
         a.centre.distance(b.centre) > reach * (1.0 + 1e-9)
     }
 
+    /// Updates whether the surfaces of a pair touch, at their positions in a frame within the step.
+    fn update_contact_in(&mut self, inside: &Frame, bodies: [usize; 2], known: &mut Known) {
+        for body in bodies {
+            self.placed.remove(&body);
+            self.place(body, inside);
+        }
+        self.update_contact(bodies, known);
+    }
+
     /// Updates whether the surfaces of a pair touch, at their current positions.
     fn update_contact(&self, [a, b]: [usize; 2], known: &mut Known) {
         let (Some(first), Some(second)) = (self.placed.get(&a), self.placed.get(&b)) else { return };
@@ -391,12 +393,8 @@ impl Touches {
             known.is_touching = true;
             return;
         }
-        let bounds = |of: &[DVec3]| {
-            let low = of.iter().fold(DVec3::INFINITY, |low, position| low.min(*position));
-            (low, of.iter().fold(DVec3::NEG_INFINITY, |high, position| high.max(*position)))
-        };
-        let ((low, high), (other_low, other_high)) = (bounds(first), bounds(second));
-        if !(low.cmple(other_high).all() && other_low.cmple(high).all()) {
+        let [bounds, other_bounds] = [first, second].map(|of| Aabb::of(of.iter().copied()));
+        if !bounds.meets(&other_bounds) {
             (known.is_touching, known.crossing) = (false, None);
             return;
         }

@@ -10,7 +10,7 @@
 use glam::{DVec3, Vec3A};
 use rustc_hash::FxHashMap;
 
-use super::mesh::signed_volume;
+use super::{grouped, mesh::signed_volume};
 
 /// Default blend distance [radii].
 pub const BLEND: f64 = 0.25;
@@ -334,25 +334,13 @@ impl<T: Copy> Seamed<T> {
         let fixed = moved.len() as u32;
         let corners: Vec<[u32; 3]> =
             band.iter().map(|&t| self.triangles[t as usize].map(|v| number[v as usize].min(fixed))).collect();
-        let mut first = vec![0u32; moved.len() + 2];
-        for &v in corners.iter().flatten().filter(|&&v| v < fixed) {
-            first[v as usize + 2] += 1;
-        }
-        for i in 2..first.len() {
-            first[i] += first[i - 1];
-        }
-        let mut neighbours = vec![fixed; first[first.len() - 1] as usize];
+        let next = corners.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]).filter(|&(v, _)| v < fixed);
+        let (first, neighbours) = grouped(moved.len(), next);
         let mut means = vec![DVec3::ZERO; moved.len()];
         for (&t, numbers) in band.iter().zip(&corners) {
-            let triangle = self.triangles[t as usize];
-            for k in 0..3 {
-                let (v, next) = (numbers[k] as usize, (k + 1) % 3);
-                if numbers[k] == fixed {
-                    continue;
-                }
-                neighbours[first[v + 1] as usize] = numbers[next];
-                first[v + 1] += 1;
-                means[v] += self.positions[triangle[next] as usize] - self.positions[triangle[k] as usize];
+            let at = self.triangles[t as usize].map(|v| self.positions[v as usize]);
+            for k in (0..3).filter(|&k| numbers[k] < fixed) {
+                means[numbers[k] as usize] += at[(k + 1) % 3] - at[k];
             }
         }
         // the same origin for all volumes: the volume of an open band depends on it
@@ -442,21 +430,8 @@ struct Beside {
 
 impl Beside {
     fn new(vertices: usize, triangles: &[[u32; 3]]) -> Beside {
-        let mut first = vec![0; vertices + 2];
-        for &v in triangles.iter().flatten() {
-            first[v as usize + 2] += 1;
-        }
-        for v in 2..first.len() {
-            first[v] += first[v - 1];
-        }
-        let mut around = vec![(0, 0); 3 * triangles.len()];
-        for (&[a, b, c], t) in triangles.iter().zip(0..) {
-            for (v, next) in [(a, b), (b, c), (c, a)] {
-                let slot = &mut first[v as usize + 1];
-                around[*slot as usize] = (t, next);
-                *slot += 1;
-            }
-        }
+        let of_triangle = |(&[a, b, c], t): (&[u32; 3], u32)| [(a, (t, b)), (b, (t, c)), (c, (t, a))];
+        let (first, around) = grouped(vertices, triangles.iter().zip(0..).flat_map(of_triangle));
         Beside { first, around, merged: vec![NONE; vertices] }
     }
 

@@ -36,6 +36,24 @@ pub fn bounds(spheres: impl Iterator<Item = (DVec3, f64)>) -> [DVec3; 2] {
     })
 }
 
+/// Sorts items by the number of their group, below `groups`, and by their order in each. Returns where each group starts,
+/// followed by the number of items; and the items.
+fn grouped<T: Copy + Default>(groups: usize, items: impl Iterator<Item = (u32, T)> + Clone) -> (Vec<u32>, Vec<T>) {
+    // Counts are kept two places ahead of their groups, and starts one place ahead: each of these has advanced to the
+    // next one in the end.
+    let mut starts = vec![0; groups + 2];
+    items.clone().for_each(|(group, _)| starts[group as usize + 2] += 1);
+    (2..starts.len()).for_each(|group| starts[group] += starts[group - 1]);
+    let mut sorted = vec![T::default(); starts[groups + 1] as usize];
+    for (group, item) in items {
+        let next = &mut starts[group as usize + 1];
+        sorted[*next as usize] = item;
+        *next += 1;
+    }
+    starts.pop();
+    (starts, sorted)
+}
+
 shape::shapes! {
     sphere::Sphere: "sphere",
 }

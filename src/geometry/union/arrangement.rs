@@ -8,12 +8,13 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::{
+    bits::Ranks,
     candidates::{AT_ONCE, EdgeAndTriangle},
     exact::{Bounded, Number, Plane, Polynomial},
     placement::Placement,
-    ranks::Ranks,
     report::{Failure, Meter},
 };
+use crate::parallel;
 
 /// An end of a line: a node, or a vertex (numbered uniquely over all bodies).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -457,11 +458,8 @@ impl Arrangement {
     /// Finds the triple points on all segments that are not buried.
     pub fn find_triple_points(&mut self, placement: &Placement, meter: &Meter, threads: bool) -> Result<(), Failure> {
         let cut: Vec<&[(u32, u32)]> = self.cut_triangles().filter(|segments| segments.len() > 1).collect();
-        let found: Result<Vec<Vec<TriplePoint>>, Failure> = if threads && cut.len() > 256 {
-            cut.par_iter().map(|segments| self.triple_points_in(placement, segments, meter)).collect()
-        } else {
-            cut.iter().map(|segments| self.triple_points_in(placement, segments, meter)).collect()
-        };
+        let of = |segments: &&[(u32, u32)]| self.triple_points_in(placement, segments, meter);
+        let found: Result<Vec<Vec<TriplePoint>>, Failure> = parallel::collect(threads && cut.len() > 256, &cut, of);
         let found = found?.concat();
 
         for (number, point) in found.iter().enumerate() {

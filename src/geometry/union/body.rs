@@ -30,7 +30,7 @@ impl Aabb {
     }
 
     #[inline]
-    pub(super) fn of(points: impl IntoIterator<Item = DVec3>) -> Aabb {
+    pub(crate) fn of(points: impl IntoIterator<Item = DVec3>) -> Aabb {
         let mut hull = Aabb::EMPTY;
         for point in points {
             hull.take_in(point);
@@ -49,7 +49,7 @@ impl Aabb {
     }
 
     #[inline]
-    pub(super) fn meets(&self, other: &Aabb) -> bool {
+    pub(crate) fn meets(&self, other: &Aabb) -> bool {
         self.min.cmple(other.max).all() && other.min.cmple(self.max).all()
     }
 

@@ -2,7 +2,6 @@
 //! of pairs that straddle each other's plane.
 
 use glam::{DVec3, Vec3A};
-use rayon::prelude::*;
 
 use super::{
     body::{Aabb, higher, lower},
@@ -11,6 +10,7 @@ use super::{
     report::{Failure, Meter},
     sweep::sweep,
 };
+use crate::parallel;
 
 /// Two bodies with overlapping boxes, and the blocks of each that overlap the hull of the other.
 pub struct Meeting {
@@ -47,7 +47,7 @@ pub fn near(placement: &Placement, meetings: &[Meeting], meter: &Meter, threads:
         let [first, second] = &meeting.blocks;
         Near::between(placement, meeting.bodies, [first, second], None, meter)
     };
-    if threads { meetings.par_iter().map(of_meeting).collect() } else { meetings.iter().map(of_meeting).collect() }
+    parallel::collect(threads, meetings, of_meeting)
 }
 
 /// The triangles of a body that are near each other; if `suspects` are given, only those of them.
@@ -144,8 +144,7 @@ pub fn edges_and_triangles(
         }
         Ok(found)
     };
-    let found: Result<Vec<Vec<EdgeAndTriangle>>, Failure> =
-        if threads { near.par_iter().map(of_near).collect() } else { near.iter().map(of_near).collect() };
+    let found: Result<Vec<Vec<EdgeAndTriangle>>, Failure> = parallel::collect(threads, near, of_near);
     found?.into_iter().for_each(|mut found| known.append(&mut found));
     known.sort_unstable();
     known.dedup();

@@ -44,13 +44,7 @@ fn hierarchy(boxes: &[Aabb]) -> Vec<Branch> {
         }
         let hull = Aabb::of(blocks.iter().map(|&b| middles[b as usize]));
         let extent = hull.max - hull.min;
-        let axis = if extent.x >= extent.y.max(extent.z) {
-            0
-        } else if extent.y >= extent.z {
-            1
-        } else {
-            2
-        };
+        let axis = extent.max_position();
         let middle = blocks.len() / 2;
         let key = |b: u32| middles[b as usize][axis];
         blocks.select_nth_unstable_by(middle, |&a, &b| key(a).total_cmp(&key(b)).then(a.cmp(&b)));
@@ -133,8 +127,7 @@ impl<'t, 'a> Tree<'t, 'a> {
                 Feature::Inside => break,
                 Feature::Corner(k) | Feature::Edge(k) => {
                     let edge = self.body.topology.triangle_edges[best.triangle as usize][k];
-                    let [one, other] = self.body.topology.edge_triangles[edge as usize];
-                    if one == best.triangle { other } else { one }
+                    self.body.topology.beside(edge, best.triangle)
                 }
             };
             let next = of(across, self.corners(across));

@@ -100,15 +100,13 @@ fn winding(body: &Body, at: &[DVec3], is_turned: &[bool], displaced: f64) -> Opt
             if beside.iter().any(|&side| side > bound) && beside.iter().any(|&side| side < -bound) {
                 continue;
             }
-            let is_positive = beside.iter().all(|&side| side > bound);
-            if !is_turned {
-                // seen from its inner side: either in this direction, in the opposite one, or undecided
-                match beside.iter().all(|&side| side < -bound) {
-                    true => continue,
-                    false if is_positive => winding += 1,
-                    false => return None,
-                }
-            } else {
+            if is_turned {
+                return None;
+            }
+            // seen from its inner side: either in this direction, in the opposite one, or undecided
+            if beside.iter().all(|&side| side > bound) {
+                winding += 1;
+            } else if !beside.iter().all(|&side| side < -bound) {
                 return None;
             }
         }

@@ -174,8 +174,7 @@ fn samples(united: &Union, body: usize) -> Vec<Sample> {
         let corners = topology.triangles[t as usize];
         for (k, edge) in topology.triangle_edges[t as usize].into_iter().enumerate() {
             let ends = [corners[k], corners[(k + 1) % 3]];
-            let [one, other] = topology.edge_triangles[edge as usize];
-            let beside = if one == t { other } else { one };
+            let beside = topology.beside(edge, t);
             // if both triangles of the edge were removed, the first one samples it
             let is_first = t < beside || !united.is_removed(body as u32, beside);
             if is_first && ends.iter().all(|&v| is_lost[v as usize]) {

@@ -52,6 +52,7 @@
 //! computed on request.
 
 mod arrangement;
+mod bits;
 mod body;
 mod candidates;
 mod contact;
@@ -61,7 +62,6 @@ mod faces;
 mod folds;
 mod measures;
 mod placement;
-mod ranks;
 mod report;
 mod seams;
 mod self_contact;
@@ -76,7 +76,7 @@ mod winding;
 pub use body::{Aabb, Body, BodyError};
 pub use contact::{Contact, Crossing, contact};
 pub use measures::{Hint, PairMeasures, measures_apart, measures_of};
-pub use report::{Budget, UnionError, is_raised};
+pub use report::{Budget, UnionError};
 pub use seams::Seam;
 pub use self_contact::{SelfContactError, self_contact};
 pub use surface::{NewTriangle, NewVertex, Origin, Statistics, Union, UnionMesh};
@@ -84,6 +84,7 @@ pub use topology::{Topology, TopologyError};
 
 use rayon::prelude::*;
 
+use crate::parallel;
 use arrangement::Arrangement;
 use candidates::{EdgeAndTriangle, Near};
 use faces::Faces;
@@ -198,9 +199,7 @@ fn folds(placement: &mut Placement, meter: &Meter, threads: bool) -> Result<Vec<
         let near = candidates::near_itself(placement, body, suspects.as_deref(), meter)?;
         Ok((suspects.is_some(), near))
     };
-    let near: Result<Vec<(bool, Near)>, Failure> =
-        if threads { folds.par_iter().map(near).collect() } else { folds.iter().map(near).collect() };
-    let near = near?;
+    let near: Vec<(bool, Near)> = parallel::collect::<_, _, Result<_, _>>(threads, &folds, near)?;
     for (body, triangles) in near.iter().flat_map(|(_, near)| near.triangles()) {
         placement.place(body, triangles);
     }

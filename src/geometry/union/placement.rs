@@ -9,6 +9,7 @@
 use glam::DVec3;
 
 use super::{
+    bits::Bits,
     body::{Aabb, Body},
     candidates::Meeting,
     sweep::body_pairs,
@@ -47,8 +48,8 @@ pub struct Placement<'a, 'b> {
     pub displaced: Vec<f64>,
     /// Whether each body is to be tested against itself.
     pub folds: Vec<bool>,
-    /// A bit for every triangle that is known to lie inside another body; empty if there are none.
-    buried: Vec<u64>,
+    /// The triangles that are known to lie inside another body.
+    buried: Bits,
     /// For every body, whether each block has triangles that are not buried, and a box of these blocks; empty if
     /// `buried` is.
     shown: Vec<(Vec<bool>, Aabb)>,
@@ -105,7 +106,7 @@ impl<'a, 'b> Placement<'a, 'b> {
             pairs,
             displaced,
             folds,
-            buried: Vec::new(),
+            buried: Bits::default(),
             shown: Vec::new(),
             slots: vec![0; vertices],
             positions: vec![DVec3::ZERO],
@@ -124,7 +125,7 @@ impl<'a, 'b> Placement<'a, 'b> {
     /// intersect themselves are not marked, because computing such a body's own winding numbers requires all of its
     /// triangles.
     pub fn bury(&mut self, meetings: &[Meeting]) {
-        let mut buried = vec![0u64; self.first_triangle[self.bodies.len()] as usize / 64 + 1];
+        let mut buried = Bits::new(self.first_triangle[self.bodies.len()] as usize);
         let mut shown: Vec<Vec<bool>> = self.bodies.iter().map(|body| vec![true; body.block_bounds.len()]).collect();
         let mut is_any = false;
         for meeting in meetings {
@@ -149,12 +150,11 @@ impl<'a, 'b> Placement<'a, 'b> {
                     for &t in mesh.topology.block(block as usize) {
                         let is_inside = || mesh.corners(t).iter().all(|at| at.distance_squared(centre) < squared);
                         let global = t + self.first_triangle[me];
-                        let (word, bit) = (&mut buried[global as usize / 64], 1 << (global % 64));
                         if is_whole || is_inside() {
-                            *word |= bit;
+                            buried.insert(global);
                             is_any = true;
                         }
-                        is_shown |= *word & bit == 0;
+                        is_shown |= !buried.contains(global);
                     }
                     shown[me][block as usize] = is_shown;
                 }
@@ -184,18 +184,18 @@ impl<'a, 'b> Placement<'a, 'b> {
     /// Whether a triangle lies inside another body.
     #[inline]
     pub fn is_buried(&self, triangle: u32) -> bool {
-        self.buried.get(triangle as usize / 64).is_some_and(|word| word & (1 << (triangle % 64)) != 0)
+        self.buried.contains(triangle)
     }
 
     /// The triangles that lie inside another body.
     pub fn buried(&self) -> impl Iterator<Item = u32> {
-        (self.buried.iter().zip(0..)).flat_map(|(&word, k)| ones(word).map(move |bit| 64 * k + bit))
+        self.buried.iter()
     }
 
     /// Whether both triangles of an edge of a body lie inside other bodies, by the number of the edge in its body.
     #[inline]
     pub fn is_edge_buried(&self, edge: u32, body: u32) -> bool {
-        !self.buried.is_empty() && {
+        !self.buried.is_none() && {
             let first = self.first_triangle[body as usize];
             let sides = self.bodies[body as usize].topology.edge_triangles[edge as usize];
             sides.iter().all(|&t| self.is_buried(t + first))
@@ -318,15 +318,6 @@ impl<'a, 'b> Placement<'a, 'b> {
     pub fn body_of_vertex(&self, vertex: u32) -> u32 {
         self.first_vertex.partition_point(|&first| first <= vertex) as u32 - 1
     }
-}
-
-/// The bits of a number that are 1, ascending.
-pub fn ones(mut word: u64) -> impl Iterator<Item = u32> {
-    std::iter::from_fn(move || {
-        let bit = word.trailing_zeros();
-        word &= word.wrapping_sub(1);
-        (bit < u64::BITS).then_some(bit)
-    })
 }
 
 /// The smallest power of two above `x`; 1 for 0.

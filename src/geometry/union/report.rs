@@ -7,14 +7,14 @@ use std::{
 
 use thiserror::Error;
 
+use crate::interrupt::is_raised;
+
 /// The cost limit of a union, beyond which it gives up.
 #[derive(Clone, Copy, Debug)]
 pub struct Budget {
     /// Work steps, each 50 to 300 nanoseconds and a few tens of bytes; the count is the same on every machine and for
     /// any number of threads.
     pub work: u64,
-    /// Wall-clock time. Whether it suffices depends on the machine, but a result obtained within it does not.
-    pub time: Option<Duration>,
     /// A flag that ends the union once it is set.
     pub interrupt: Option<&'static AtomicBool>,
 }
@@ -22,7 +22,7 @@ pub struct Budget {
 impl Default for Budget {
     /// A hundred million steps: about ten seconds, and at most a few gigabytes.
     fn default() -> Self {
-        Budget { work: 100_000_000, time: None, interrupt: None }
+        Budget { work: 100_000_000, interrupt: None }
     }
 }
 
@@ -73,21 +73,20 @@ impl Meter {
         Meter { budget, start: Instant::now(), spent: AtomicU64::new(0) }
     }
 
-    /// Counts `steps`; fails if the work or the time budget is exhausted.
+    /// Counts `steps`; fails if the budget is exhausted or the union is interrupted.
     #[inline]
     pub fn spend(&self, steps: u64) -> Result<(), Failure> {
         let before = self.spent.fetch_add(steps, Ordering::Relaxed);
         if before + steps > self.budget.work {
             return Err(Failure::GaveUp);
         }
-        // The clock is read only every few thousand steps.
+        // The flag is read only every few thousand steps.
         if before >> 12 != (before + steps) >> 12 { self.check() } else { Ok(()) }
     }
 
-    /// Fails if the time is exhausted or the union is interrupted.
+    /// Fails if the union is interrupted.
     pub fn check(&self) -> Result<(), Failure> {
-        let is_late = self.budget.time.is_some_and(|time| self.start.elapsed() > time);
-        if is_late || is_raised(self.budget.interrupt) { Err(Failure::GaveUp) } else { Ok(()) }
+        if is_raised(self.budget.interrupt) { Err(Failure::GaveUp) } else { Ok(()) }
     }
 
     pub fn spent(&self) -> u64 {
@@ -97,9 +96,4 @@ impl Meter {
     pub fn gave_up(&self) -> UnionError {
         UnionError::GaveUp { work: self.spent(), elapsed: self.start.elapsed() }
     }
-}
-
-/// Whether a flag, if there is one, is set.
-pub fn is_raised(flag: Option<&AtomicBool>) -> bool {
-    flag.is_some_and(|flag| flag.load(Ordering::Relaxed))
 }

@@ -7,14 +7,15 @@ use rustc_hash::FxHashMap;
 
 use super::{
     arrangement::Arrangement,
+    bits::Bits,
     body::Body,
     faces::{Faces, Points},
-    placement::{Placement, ones},
+    placement::Placement,
     report::Failure,
     seams::{Seam, seams},
     winding::Classified,
 };
-use crate::disjoint_sets::DisjointSets;
+use crate::{disjoint_sets::DisjointSets, geometry::grouped};
 
 /// Origin of a vertex of the union. Vertices, edges and triangles are numbered as in the given bodies.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -96,7 +97,7 @@ pub struct Union<'a, 'b> {
     /// Triangles of each body that are not in the union or no longer whole, ascending.
     pub removed: Vec<Vec<u32>>,
     /// The removed triangles of each body as bits.
-    is_removed: Vec<Vec<u64>>,
+    is_removed: Vec<Bits>,
     /// Whether each body is left out from the start: it is a copy of another, or too small to be resolved.
     absent: Vec<bool>,
     /// Whether each body may intersect itself: of those that were placed, it is known.
@@ -128,8 +129,6 @@ pub struct UnionMesh<L = Origin> {
     pub origins: Vec<L>,
     /// Vertices of each triangle, counter-clockwise from outside.
     pub triangles: Vec<[u32; 3]>,
-    /// The body and triangle that each triangle equals or is part of, `[triangle_count]`.
-    pub sources: Vec<[u32; 2]>,
     /// Index in this mesh of each vertex numbered as in [`Union::first_vertex`]; `u32::MAX` if it is not in the union.
     pub names: Vec<u32>,
 }
@@ -145,7 +144,7 @@ impl<'a, 'b> Union<'a, 'b> {
             bodies,
             first_vertex,
             removed: vec![Vec::new(); bodies.len()],
-            is_removed: vec![Vec::new(); bodies.len()],
+            is_removed: vec![Bits::default(); bodies.len()],
             absent: included.iter().map(|included| !included).collect(),
             may_cross_itself: vec![true; bodies.len()],
             new_vertices: Vec::new(),
@@ -172,7 +171,7 @@ impl<'a, 'b> Union<'a, 'b> {
         order: &[u32],
     ) -> Result<Union<'a, 'b>, Failure> {
         let points = Points::new(placement, arrangement);
-        let marks = Marks::new(placement, arrangement, classified);
+        let gone = gone(placement, arrangement, classified);
 
         // numbering: the bodies' vertices in the caller's order, then new ones as they occur
         let mut names = vec![u32::MAX; points.first_added as usize + faces.added.len() - points.first_node as usize];
@@ -234,7 +233,7 @@ impl<'a, 'b> Union<'a, 'b> {
             seam_edges.push(if a < b { ([a, b], from, to) } else { ([b, a], to, from) });
         }
         let mut body = 0;
-        for triangle in marks.gone() {
+        for triangle in gone.iter() {
             while !placement.is_triangle_of(triangle, body) {
                 body += 1;
             }
@@ -275,19 +274,16 @@ impl<'a, 'b> Union<'a, 'b> {
     /// Updates `is_removed` from `removed`.
     fn mark_removed(&mut self) {
         for ((removed, bits), body) in self.removed.iter().zip(&mut self.is_removed).zip(self.bodies) {
-            bits.clear();
-            if !removed.is_empty() {
-                bits.resize(body.topology.triangles.len() / 64 + 1, 0);
+            *bits = if removed.is_empty() { Bits::default() } else { Bits::new(body.topology.triangles.len()) };
+            for &t in removed {
+                bits.insert(t);
             }
-            removed.iter().for_each(|&t| bits[t as usize / 64] |= 1 << (t % 64));
         }
     }
 
     #[inline]
     pub(super) fn is_removed(&self, body: u32, triangle: u32) -> bool {
-        self.is_removed[body as usize]
-            .get(triangle as usize / 64)
-            .is_some_and(|word| word & (1 << (triangle % 64)) != 0)
+        self.is_removed[body as usize].contains(triangle)
     }
 
     /// Checks that new triangles close the holes left by removed ones: each of their edges is paired with an opposite
@@ -360,13 +356,16 @@ impl<'a, 'b> Union<'a, 'b> {
             }
             for &t in removed {
                 for edge in topology.triangle_edges[t as usize] {
-                    let [one, other] = topology.edge_triangles[edge as usize];
-                    let beside = if one == t { other } else { one };
-                    open += usize::from(!self.is_removed(b as u32, beside));
+                    open += usize::from(!self.is_removed(b as u32, topology.beside(edge, t)));
                 }
             }
         }
         if open == unpaired { Ok(()) } else { Err(Failure::Inconsistent("an edge left open")) }
+    }
+
+    /// The bodies that were not left out.
+    fn present(&self) -> impl Iterator<Item = &Body<'a>> {
+        self.bodies.iter().zip(&self.absent).filter(|(_, absent)| !**absent).map(|(body, _)| body)
     }
 
     /// Removed triangles by body, for the bodies that were not left out.
@@ -397,14 +396,12 @@ impl<'a, 'b> Union<'a, 'b> {
 
     /// Volume [scene unit³]. Takes time proportional to the meshes of the bodies, for their volumes.
     pub fn volume(&self) -> f64 {
-        let present = self.bodies.iter().zip(&self.absent).filter(|(_, absent)| !**absent);
-        present.fold(0.0, |sum, (body, _)| sum + body.volume()) + self.change().volume
+        self.present().fold(0.0, |sum, body| sum + body.volume()) + self.change().volume
     }
 
     /// Area [scene unit²]. Takes time proportional to the meshes of the bodies, for their areas.
     pub fn area(&self) -> f64 {
-        let present = self.bodies.iter().zip(&self.absent).filter(|(_, absent)| !**absent);
-        present.fold(0.0, |sum, (body, _)| sum + body.area()) + self.change().area
+        self.present().fold(0.0, |sum, body| sum + body.area()) + self.change().area
     }
 
     /// Whether the union of a body with itself is that body: it does not intersect itself, has one part, and is not
@@ -422,10 +419,9 @@ impl<'a, 'b> Union<'a, 'b> {
 
     /// Euler characteristic: vertices − edges + triangles.
     pub fn euler(&self) -> i64 {
-        let present = self.bodies.iter().zip(&self.absent).filter(|(_, absent)| !**absent);
-        let of_bodies: i64 = present
-            .map(|(body, _)| i64::from(body.topology.used_vertices) - body.topology.triangles.len() as i64 / 2)
-            .sum();
+        let of_body =
+            |body: &Body<'_>| i64::from(body.topology.used_vertices) - body.topology.triangles.len() as i64 / 2;
+        let of_bodies: i64 = self.present().map(of_body).sum();
         // the number of edges is 3/2 of that of triangles
         let removed: usize = self.removed_of_present().map(|(_, removed)| removed.len()).sum();
         of_bodies + self.new_vertices.len() as i64
@@ -510,18 +506,9 @@ impl<'a, 'b> Union<'a, 'b> {
 
     /// (vertex, new triangle), ascending.
     fn new_triangles_about_vertices(&self) -> Vec<(u32, u32)> {
-        let corners = || (0..).zip(&self.new_triangles).flat_map(|(i, t)| t.corners.map(|v| (v, i)));
-        // sorted by counting
-        let mut start = vec![0; self.first_vertex[self.bodies.len()] as usize + self.new_vertices.len() + 1];
-        corners().for_each(|(v, _)| start[v as usize + 1] += 1);
-        (1..start.len()).for_each(|v| start[v] += start[v - 1]);
-        let mut about = vec![(0, 0); 3 * self.new_triangles.len()];
-        for corner in corners() {
-            let next = &mut start[corner.0 as usize];
-            about[*next] = corner;
-            *next += 1;
-        }
-        about
+        let vertices = self.first_vertex[self.bodies.len()] as usize + self.new_vertices.len();
+        let corners = (0..).zip(&self.new_triangles).flat_map(|(i, t)| t.corners.map(|v| (v, (v, i))));
+        grouped(vertices, corners).1
     }
 
     /// Triangles about a vertex that are unchanged triangles of its body.
@@ -570,7 +557,6 @@ impl<'a, 'b> Union<'a, 'b> {
             positions: Vec::with_capacity(count),
             origins: Vec::with_capacity(count),
             triangles: Vec::with_capacity(triangles),
-            sources: Vec::with_capacity(triangles),
             names: vec![u32::MAX; count],
         };
         for (b, body) in self.bodies.iter().enumerate() {
@@ -579,12 +565,10 @@ impl<'a, 'b> Union<'a, 'b> {
             for to in self.removed[b].iter().copied().chain([body.topology.triangles.len() as u32]) {
                 let kept = &body.topology.triangles[from as usize..to as usize];
                 mesh.triangles.extend(kept.iter().map(|corners| corners.map(|v| v + first)));
-                mesh.sources.extend((from..to).map(|t| [b as u32, t]));
                 from = to + 1;
             }
         }
         mesh.triangles.extend(self.new_triangles.iter().map(|t| t.corners));
-        mesh.sources.extend(self.new_triangles.iter().map(|t| t.part_of));
         for &v in mesh.triangles.iter().flatten() {
             mesh.names[v as usize] = 0;
         }
@@ -654,10 +638,8 @@ impl<'a, 'b> Union<'a, 'b> {
         for (b, topology) in self.bodies.iter().map(|body| body.topology).enumerate() {
             let blocks = is_partial[b].iter().enumerate().filter(|(_, is_partial)| **is_partial);
             for &t in blocks.flat_map(|(block, _)| topology.block(block)).filter(|&&t| !self.is_removed(b as u32, t)) {
-                for beside in
-                    topology.triangle_edges[t as usize].into_iter().flat_map(|e| topology.edge_triangles[e as usize])
-                {
-                    if beside != t && !self.is_removed(b as u32, beside) {
+                for beside in topology.triangle_edges[t as usize].map(|edge| topology.beside(edge, t)) {
+                    if !self.is_removed(b as u32, beside) {
                         parts.join(singles[b][t as usize], part_of(b, beside));
                     }
                 }
@@ -722,52 +704,34 @@ fn fans(vertex: u32, corners: &[[u32; 3]]) -> Result<Vec<Vec<usize>>, Failure> {
     Ok(fans)
 }
 
-/// Triangles that are not in the union, or not whole, as bits.
-struct Marks {
-    gone: Vec<u64>,
-}
-
-impl Marks {
-    fn new(placement: &Placement, arrangement: &Arrangement, classified: &Classified) -> Marks {
-        let words = placement.first_triangle[placement.bodies.len()] as usize / 64 + 1;
-        let (mut gone, mut seen) = (vec![0u64; words], vec![0u64; words]);
-        let mark = |bits: &mut [u64], t: u32| {
-            let (word, bit) = (&mut bits[t as usize / 64], 1 << (t % 64));
-            let is_new = *word & bit == 0;
-            *word |= bit;
-            is_new
-        };
-        for segments in arrangement.cut_triangles() {
-            mark(&mut gone, segments[0].0);
+/// The triangles that are not in the union, or not whole.
+fn gone(placement: &Placement, arrangement: &Arrangement, classified: &Classified) -> Bits {
+    let mut gone = Bits::new(placement.first_triangle[placement.bodies.len()] as usize);
+    for segments in arrangement.cut_triangles() {
+        gone.insert(segments[0].0);
+    }
+    for t in placement.buried() {
+        gone.insert(t);
+    }
+    let mut seen = gone.clone();
+    let mut body = 0;
+    for &vertex in classified.vertices.iter().chain(&classified.fan_vertices) {
+        if !placement.is_vertex_of(vertex, body) {
+            body = placement.body_of_vertex(vertex);
         }
-        for t in placement.buried() {
-            mark(&mut gone, t);
-        }
-        seen.copy_from_slice(&gone);
-        let mut body = 0;
-        for &vertex in classified.vertices.iter().chain(&classified.fan_vertices) {
-            if !placement.is_vertex_of(vertex, body) {
-                body = placement.body_of_vertex(vertex);
-            }
-            let b = body as usize;
-            let topology = placement.bodies[b].topology;
-            let local = vertex - placement.first_vertex[b];
-            let is_shown = |edge: u32| classified.is_shown_at(vertex, edge + placement.first_edge[b], body);
-            let edges = topology.edges_at(local);
-            let is_shown_on_all =
-                if classified.is_plain(vertex) { edges.first().map(|&edge| is_shown(edge)) } else { None };
-            for &edge in edges {
-                let t = topology.triangle_left_of(edge, local).0 + placement.first_triangle[b];
-                if mark(&mut seen, t) && !is_shown_on_all.unwrap_or_else(|| is_shown(edge)) {
-                    mark(&mut gone, t);
-                }
+        let b = body as usize;
+        let topology = placement.bodies[b].topology;
+        let local = vertex - placement.first_vertex[b];
+        let is_shown = |edge: u32| classified.is_shown_at(vertex, edge + placement.first_edge[b], body);
+        let edges = topology.edges_at(local);
+        let is_shown_on_all =
+            if classified.is_plain(vertex) { edges.first().map(|&edge| is_shown(edge)) } else { None };
+        for &edge in edges {
+            let t = topology.triangle_left_of(edge, local).0 + placement.first_triangle[b];
+            if seen.insert(t) && !is_shown_on_all.unwrap_or_else(|| is_shown(edge)) {
+                gone.insert(t);
             }
         }
-        Marks { gone }
     }
-
-    /// The marked triangles, ascending.
-    fn gone(&self) -> impl Iterator<Item = u32> {
-        (self.gone.iter().zip(0..)).flat_map(|(&word, k)| ones(word).map(move |bit| 64 * k + bit))
-    }
+    gone
 }

@@ -5,7 +5,8 @@ use std::sync::{OnceLock, atomic::AtomicBool};
 use rustc_hash::FxHashMap;
 use thiserror::Error;
 
-use super::{distance::Branch, report::is_raised};
+use super::distance::Branch;
+use crate::{geometry::grouped, interrupt::is_raised};
 
 /// Checks a flag.
 type Check<'c> = &'c dyn Fn() -> Result<(), TopologyError>;
@@ -237,9 +238,8 @@ impl Topology {
                 while !seen[t][k] {
                     seen[t][k] = true;
                     let edge = self.triangle_edges[t][(k + 2) % 3];
-                    let [one, other] = self.edge_triangles[edge as usize];
                     self.triangles[t][k] = name;
-                    t = if one as usize == t { other } else { one } as usize;
+                    t = self.beside(edge, t as u32) as usize;
                     k = self.triangle_edges[t].iter().position(|&e| e == edge).unwrap_or(0);
                 }
             }
@@ -259,22 +259,9 @@ impl Topology {
 
     fn list_edges_of_vertices(&mut self) {
         let vertices = self.vertex_count as usize + self.copies.len();
-        self.vertex_start = vec![0; vertices + 1];
-        for &v in self.edges.iter().flatten() {
-            self.vertex_start[v as usize + 1] += 1;
-        }
-        for v in 0..vertices {
-            self.vertex_start[v + 1] += self.vertex_start[v];
-        }
+        let ends = self.edges.iter().zip(0..).flat_map(|(ends, edge)| ends.map(|v| (v, edge)));
+        (self.vertex_start, self.vertex_edges) = grouped(vertices, ends);
         self.used_vertices = self.vertex_start.windows(2).filter(|w| w[0] < w[1]).count() as u32;
-        let mut next = self.vertex_start.clone();
-        self.vertex_edges = vec![0; self.vertex_start[vertices] as usize];
-        for (e, ends) in self.edges.iter().enumerate() {
-            for &v in ends {
-                self.vertex_edges[next[v as usize] as usize] = e as u32;
-                next[v as usize] += 1;
-            }
-        }
     }
 
     /// Groups neighbouring triangles into blocks by breadth-first search: up to [`BLOCK`] from each start, with the
@@ -299,8 +286,7 @@ impl Topology {
                     let t = self.block_triangles[at];
                     at += 1;
                     for edge in self.triangle_edges[t as usize] {
-                        let [one, other] = self.edge_triangles[edge as usize];
-                        let beside = if one == t { other } else { one };
+                        let beside = self.beside(edge, t);
                         if taken[beside as usize] {
                             continue;
                         }
@@ -410,6 +396,13 @@ impl Topology {
     pub(super) fn edges_at(&self, vertex: u32) -> &[u32] {
         let (from, to) = (self.vertex_start[vertex as usize], self.vertex_start[vertex as usize + 1]);
         &self.vertex_edges[from as usize..to as usize]
+    }
+
+    /// The other triangle of an edge of triangle `t`.
+    #[inline]
+    pub(super) fn beside(&self, edge: u32, t: u32) -> u32 {
+        let [one, other] = self.edge_triangles[edge as usize];
+        if one == t { other } else { one }
     }
 
     /// The triangle in which an edge leaves one of its ends counter-clockwise, and the corner of that end.

@@ -72,14 +72,7 @@ impl Region {
     pub fn fill(&mut self, normal: DVec3, position: impl Fn(u32) -> DVec3, filling: &mut Filling) -> Option<()> {
         self.list_points();
         // project along the axis nearest to the normal
-        let absolute = normal.abs();
-        let axis = if absolute.x >= absolute.y.max(absolute.z) {
-            0
-        } else if absolute.y >= absolute.z {
-            1
-        } else {
-            2
-        };
+        let axis = normal.abs().max_position();
         let (mut x, mut y) = ((axis + 1) % 3, (axis + 2) % 3);
         if normal[axis] < 0.0 {
             std::mem::swap(&mut x, &mut y);

@@ -10,10 +10,10 @@ use rustc_hash::FxHashMap;
 
 use super::{
     arrangement::{Arrangement, End, is_in_front},
+    bits::Ranks,
     body::Aabb,
     candidates::Meeting,
     placement::Placement,
-    ranks::Ranks,
     report::{Failure, Meter},
 };
 

@@ -21,7 +21,7 @@ use super::{
 use crate::{
     analysis::surface::{connected, for_all},
     disjoint_sets::DisjointSets,
-    geometry::union::is_raised,
+    interrupt::is_raised,
     models::cells::TETRAHEDRA,
     observe::{
         Frame, Schema,
@@ -37,8 +37,6 @@ const SPACING: f64 = 0.2;
 const MAX_SQUARES: f64 = 2000.0;
 /// Upper limit on the nodes of a grid; beyond it, the grid is coarser.
 const MAX_NODES: f64 = 2e6;
-/// Upper limit on the balls of a group; larger groups get no surface.
-const MAX_BALLS: usize = 4096;
 
 /// The surfaces of a scene of metaballs.
 #[derive(Clone, Debug)]
@@ -91,7 +89,7 @@ impl Surfaces for LevelSet {
 
 impl LevelSet {
     fn unite(&self, schema: &Schema, frame: &Frame, group: &[usize], interrupt: Option<&AtomicBool>) -> Option<Group> {
-        if group.len() > MAX_BALLS || is_raised(interrupt) {
+        if is_raised(interrupt) {
             return None;
         }
         let balls = self.around(schema, frame, group);

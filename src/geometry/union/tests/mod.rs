@@ -49,13 +49,20 @@ fn try_unite(shapes: &[Shape], budget: &Budget) -> Result<Checked, UnionError> {
         union.volume()
     );
     assert!((sum(&|c| c.area) - union.area()).abs() <= 1e-10 * size);
+    let kept = (0..).zip(&union.removed).flat_map(|(b, removed)| {
+        let all = 0..shapes[b as usize].triangles.len() as u32;
+        all.filter(|t| !removed.contains(t)).map(move |t| [b, t])
+    });
+    let sources = kept.chain(union.new_triangles.iter().map(|triangle| triangle.part_of)).collect();
     let (volume, area, seams, statistics) = (union.volume(), union.area(), union.seams.clone(), union.statistics);
-    Ok(Checked { mesh, components, volume, area, seams, statistics })
+    Ok(Checked { mesh, sources, components, volume, area, seams, statistics })
 }
 
 /// A union that is closed, manifold and oriented.
 struct Checked {
     mesh: UnionMesh,
+    /// The body and triangle that each triangle of the mesh equals or is part of.
+    sources: Vec<[u32; 2]>,
     components: Vec<Component>,
     volume: f64,
     area: f64,

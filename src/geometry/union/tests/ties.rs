@@ -148,8 +148,6 @@ fn a_budget_ends_the_union() {
     let budget = Budget { work: 10_000, ..Budget::default() };
     let Err(UnionError::GaveUp { work, .. }) = try_unite(&shapes, &budget) else { panic!("it did not") };
     assert!(work > 10_000 && work < 100_000);
-    let budget = Budget { time: Some(std::time::Duration::ZERO), ..Budget::default() };
-    assert!(matches!(try_unite(&shapes, &budget), Err(UnionError::GaveUp { .. })));
 }
 
 /// Candidates take most of the time of a crumpled body: if they did not count, neither a budget nor an interrupt would
@@ -297,7 +295,7 @@ fn vertices_lie_on_their_origins() {
                 Origin::Within { body, triangle } => assert!(off_plane(*position, [body, triangle]) < 1e-6),
             }
         }
-        for (corners, source) in union.mesh.triangles.iter().zip(&union.mesh.sources) {
+        for (corners, source) in union.mesh.triangles.iter().zip(&union.sources) {
             for v in corners {
                 assert!(off_plane(union.mesh.positions[*v as usize], *source) < 1e-6);
             }
