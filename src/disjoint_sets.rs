@@ -2,7 +2,7 @@
 
 /// A partition of the integers below a count. The least element of a set represents it, so that results do not depend
 /// on the order in which sets are joined.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub(crate) struct DisjointSets {
     parent: Vec<u32>,
     /// Number of sets.
@@ -15,6 +15,13 @@ impl DisjointSets {
         let mut sets = DisjointSets::default();
         sets.add(count);
         sets
+    }
+
+    /// Makes sets of one element each.
+    pub fn reset(&mut self, count: usize) {
+        self.parent.clear();
+        self.count = 0;
+        self.add(count);
     }
 
     /// Adds elements, each a set of its own, and returns the first.

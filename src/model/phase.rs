@@ -62,6 +62,13 @@ pub struct Transition {
     pub to: Phase,
 }
 
+impl Transition {
+    /// Whether its level lies strictly behind a pair at distance `q`.
+    pub fn is_passed(&self, q: f64) -> bool {
+        if self.falling { q < self.level } else { q > self.level }
+    }
+}
+
 impl Thresholds {
     /// The phase of a pair that starts at distance `q`.
     pub fn initial(&self, q: f64) -> Phase {

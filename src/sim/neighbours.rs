@@ -65,6 +65,14 @@ pub(super) struct FatBounds {
     pub skin: f64,
 }
 
+/// The pairs of all bodies with these neighbours, in ascending order of their bodies.
+pub(super) fn later_neighbours<'a>(of: impl Iterator<Item = &'a Neighbours>) -> impl Iterator<Item = PairId> {
+    (0..).zip(of).flat_map(|(index, neighbours)| {
+        let later = neighbours.iter().filter(move |neighbour| neighbour.other > index);
+        later.map(|neighbour| neighbour.pair)
+    })
+}
+
 /// A listed pair, as the solver knows it.
 pub(super) trait Listed {
     /// Its bodies, ascending.

@@ -11,6 +11,8 @@ use std::{
     sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering},
 };
 
+use crate::interrupt::is_raised;
+
 /// Debt that ends a run [units].
 const MAX_DEBT: u64 = 600_000_000;
 /// Debt that is announced [units].
@@ -185,7 +187,7 @@ impl Work {
 
     /// Whether the run was interrupted.
     pub fn is_interrupted(&self) -> bool {
-        self.interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed))
+        is_raised(self.interrupt)
     }
 
     /// The turn of the body that did the most work, among those up to the one that exceeded the limit, given the total

@@ -6,7 +6,8 @@ use crate::{
     scene::{self, Scene},
     sim::{
         body::{BodyView, Solved},
-        free::{self, Field, Pair, Snapshot, Window},
+        free::{self, Field, Pair, Snapshot},
+        neighbours::{PairId, later_neighbours},
         solver::Setting,
         span::Span,
         terms::{self, Cause, Origin, Source, Surroundings, Weighted},
@@ -34,10 +35,12 @@ impl Coupled {
 
     /// All pairs that are near each other or not apart, in ascending order of their bodies.
     pub fn pairs(&self) -> impl Iterator<Item = &free::Pair> + '_ {
-        (0..).zip(&self.members).flat_map(|(index, member)| {
-            let later = member.neighbours.iter().filter(move |neighbour| neighbour.other > index);
-            later.map(|neighbour| self.near.get(neighbour.pair))
-        })
+        self.pair_ids().map(|pair| self.near.get(pair))
+    }
+
+    /// The same by their places in the list.
+    pub(super) fn pair_ids(&self) -> impl Iterator<Item = PairId> + '_ {
+        later_neighbours(self.members.iter().map(|member| &member.neighbours))
     }
 
     /// The pairs of a body, with the other body's index.
@@ -145,10 +148,7 @@ impl Coupled {
         let here = Span { start: time, end: time };
         let on = |body: u32| {
             let near = self.points_near(scene, here, body as usize);
-            near.map(move |(source, point)| {
-                let window = Window { start: point.start, end: point.end() };
-                Pair::with_point(body, source, point.strength, window, time)
-            })
+            near.map(move |(source, point)| Pair::with_point(body, source, point, time))
         };
         let with_points = (0..self.members.len() as u32).flat_map(on);
         Snapshot::new(bodies, self.pairs().copied().chain(with_points).collect(), self.field(scene, time), time)

@@ -25,7 +25,7 @@ const MEMORY: usize = 256 << 20;
 const MOST_STATES: usize = 256;
 
 /// The states of a step.
-pub(super) struct Dense {
+pub(super) struct DenseOutput {
     field: Field,
     tolerance: f64,
     scratch: Scratch,
@@ -86,7 +86,7 @@ impl Interpolated<'_> {
     }
 }
 
-impl Dense {
+impl DenseOutput {
     /// Repeats a step from `start` to `end` [s]; `None` if that fails or exceeds `work`.
     pub fn new(
         parts: Parts,
@@ -95,13 +95,13 @@ impl Dense {
         scratch: Scratch,
         paths: &OfScene<'_>,
         work: &Tally<'_>,
-    ) -> Option<Dense> {
+    ) -> Option<DenseOutput> {
         let size: usize = parts.bodies.iter().map(|body| size_of::<Body>() + 48 * body.x.len()).sum();
         let most_states = (MEMORY / size.max(1)).clamp(8, MOST_STATES);
         let field = parts.field.clone();
         let (states, spans) = (Vec::new(), Vec::new());
         let mut dense =
-            Dense { field, tolerance, scratch: Scratch::default(), states, spans, own_spans: 0, most_states };
+            DenseOutput { field, tolerance, scratch: Scratch::default(), states, spans, own_spans: 0, most_states };
         let mut island = Island::resume(parts, tolerance, start);
         let mut scratch = scratch;
         let mut advance = island.begin(&mut scratch, end);

@@ -10,7 +10,7 @@ use crate::{
     scene::{self, Scene},
     sim::{
         events::Event,
-        free::{self, Field, Pair, Snapshot, Window},
+        free::{self, Field, Pair, Snapshot},
         neighbours::{Neighbour, PairId},
         report::StepReport,
         solver::Takeover,
@@ -40,8 +40,7 @@ impl Coupled {
                 Some(old) => member.resume(&before.members[*old]),
                 None => {
                     if let Some(path) = scene.bodies[index].path() {
-                        let motion = path.at(time);
-                        (member.body.centre, member.body.velocity) = (motion.position, motion.velocity);
+                        member.body.follow(path.at(time));
                     }
                 }
             }
@@ -76,9 +75,8 @@ impl Coupled {
             member.sleeping_hash = member.hash(body);
             self.sleeping_hash = self.sleeping_hash.wrapping_add(member.sleeping_hash);
         }
-        self.started = self.starts.partition_point(|start| start.0 < time);
-        for start in 0..self.started {
-            let body = self.starts[start].1;
+        self.starts.go_to(time);
+        for body in self.starts.reached().collect::<Vec<_>>() {
             let member = &self.members[body as usize];
             if !member.is_awake && member.pushes.iter().any(|push| push.start < time && time < push.end) {
                 self.wake(body);
@@ -88,11 +86,8 @@ impl Coupled {
         let brought = self.energy(scene, time) - before.energy(takeover.scene, time);
         self.ledger.edits += brought;
         report.ledger.edits += brought;
-        let known = (0..).zip(&self.members).flat_map(|(a, member)| {
-            let later = member.neighbours.iter().filter(move |neighbour| neighbour.other > a);
-            later.map(|neighbour| neighbour.pair)
-        });
-        self.enter_phases(scene, time, &known.collect::<Vec<PairId>>(), report);
+        let known: Vec<PairId> = self.pair_ids().collect();
+        self.enter_phases(scene, time, &known, report);
         true
     }
 
@@ -123,9 +118,7 @@ impl Coupled {
         self.shapes.forget_unused();
         self.job_of.pop();
         self.forget_results();
-        self.starts.retain(|&(_, pushed)| pushed != body as u32);
-        self.starts.iter_mut().for_each(|(_, pushed)| *pushed -= u32::from(*pushed > body as u32));
-        self.started = self.starts.partition_point(|start| start.0 < time);
+        self.starts.remove(body, time);
         for member in self.members.iter_mut().filter(|member| !member.is_awake) {
             (member.is_awake, member.slow_steps) = (true, 0);
         }
@@ -150,8 +143,7 @@ impl Coupled {
     fn awakened(&mut self, scene: &Scene, body: usize, time: f64) -> Member {
         let mut member = Member::new(scene, body, &mut self.shapes);
         if let Some(path) = scene.bodies[body].path() {
-            let motion = path.at(time);
-            (member.body.centre, member.body.velocity) = (motion.position, motion.velocity);
+            member.body.follow(path.at(time));
         }
         member.is_awake = true;
         member.bound_motion(&scene.bodies[body], scene.free_fall(), Span { start: time, end: time + scene.dt });
@@ -191,31 +183,23 @@ impl Coupled {
         let pairs = neighbours.iter().map(|&Neighbour { other, pair, .. }| {
             let free::Pair { law, phase, .. } = self.near.get(pair);
             let other = &self.members[other as usize].body;
-            let q = own.centre.distance(other.centre) / (own.radius + other.radius);
-            free::influence_energy(own, other, &field, law.strength(*phase, q))
+            free::influence_energy(own, other, &field, law.strength(*phase, own.q(other)))
         });
         let pairs: f64 = pairs.sum();
         let alone = Field { pushes: Vec::new(), forces: Vec::new(), first_point: 1, ..field };
         let here = Span { start: time, end: time };
-        let with_points = self.points_near(scene, here, body).map(|(source, point)| {
-            let window = Window { start: point.start, end: point.end() };
-            Pair::with_point(0, 1 + source - scene.bodies.len() as u32, point.strength, window, time)
-        });
+        let with_points = self
+            .points_near(scene, here, body)
+            .map(|(source, point)| Pair::with_point(0, 1 + source - scene.bodies.len() as u32, point, time));
         let bodies = std::iter::once(own).chain(&self.points).collect();
         pairs + Snapshot::new(bodies, with_points.collect(), alone, time).conserved().energy()
     }
 
     /// Adds a push, which the scene has already.
     pub fn push(&mut self, push: &scene::Push, time: f64) {
-        let member = &mut self.members[push.body];
-        member.add_push(push);
-        let index = self.starts.partition_point(|start| start.0 <= push.start);
-        self.starts.insert(index, (push.start, push.body as u32));
-        if push.start < time {
-            self.started += 1;
-            if time < push.end() {
-                self.wake_up(push.body);
-            }
+        self.members[push.body].add_push(push);
+        if self.starts.insert(push, time) && time < push.end() {
+            self.wake_up(push.body);
         }
     }
 
@@ -230,9 +214,7 @@ impl Coupled {
         for &index in pairs {
             let free::Pair { a, b, law, phase, .. } = *self.near.get(index);
             let [first, second] = [a, b].map(|body| &self.members[body as usize].body);
-            let (apart, radii) = (second.centre - first.centre, first.radius + second.radius);
-            let q = apart.length() / radii;
-            let rate = (second.velocity - first.velocity).dot(apart.normalize_or_zero()) / radii;
+            let (q, rate) = first.q_and_rate(second);
             let mut from = phase;
             while let Some(to) = law.thresholds.next(from, q) {
                 let jump = law.strength(to, q) - law.strength(from, q);

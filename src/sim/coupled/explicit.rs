@@ -23,7 +23,6 @@ use crate::{
     sim::{
         events::Event,
         free::{self, Body},
-        numerics::larger,
         report::StepReport,
         span::Span,
     },
@@ -93,14 +92,14 @@ impl Frame {
 }
 
 /// The common input of all force evaluations of a step.
-struct Step<'a> {
+struct ExplicitStep<'a> {
     scene: &'a Scene,
     members: &'a [Member],
     near: &'a Near,
     span: Span,
 }
 
-impl Step<'_> {
+impl ExplicitStep<'_> {
     fn frames(&self, all: &[Particles], t: f64) -> Vec<Frame> {
         let of = |(index, particles): (usize, &Particles)| {
             Frame::of(self.scene, index, &self.members[index].body, particles, t)
@@ -131,7 +130,7 @@ impl Step<'_> {
     }
 
     fn forces_on(&self, index: usize, particles: &Particles, frames: &[Frame], t: f64, is_damped: bool) -> Forces {
-        let Step { scene, members, near, .. } = *self;
+        let ExplicitStep { scene, members, near, .. } = *self;
         let (member, frame) = (&members[index], &frames[index]);
         let (body, is_free) = (&member.body, member.body.is_free());
         let axes = DMat3::from_quat(frame.rotation);
@@ -184,7 +183,7 @@ impl Step<'_> {
     }
 }
 
-impl System for Step<'_> {
+impl System for ExplicitStep<'_> {
     type State = Vec<Particles>;
     type Forces = Vec<Vec<DVec3>>;
 
@@ -254,33 +253,11 @@ impl Particles {
         Particles { r, v }
     }
 
-    /// Writes the particles to a body as its state.
-    fn end(&self, frame: &Frame, body: &mut Body) {
-        (body.centre, body.velocity, body.rotation) = (frame.centre, frame.velocity, frame.rotation);
-        let axes = DMat3::from_quat(frame.rotation);
-        let is_free = body.is_free();
-        let relative = |i: usize| match is_free {
-            true => (self.r[i] - frame.centre, self.v[i] - frame.velocity),
-            false => (self.r[i], self.v[i]),
-        };
-        let mut frame_spin = DVec3::ZERO;
-        if body.turns() {
-            let (mut stretched, mut turning) = (DMat3::ZERO, DVec3::ZERO);
-            body.spin = DVec3::ZERO;
-            for (i, (&l, &m)) in body.shape.rest().iter().zip(body.shape.masses()).enumerate() {
-                let (a, (s, rate)) = (axes * l, relative(i));
-                stretched += outer(m * a, s);
-                turning += m * a.cross(rate);
-                body.spin += m * s.cross(rate);
-            }
-            frame_spin = solve(resistance(stretched), turning);
-        }
-        let rest = body.shape.rest().iter().enumerate();
-        let states = rest.map(|(i, &l)| {
-            let (a, (s, rate)) = (axes * l, relative(i));
-            (s - a, rate - frame_spin.cross(a))
-        });
-        (body.x, body.u) = states.unzip();
+    /// Writes the particles to a body as its state. Returns the largest displacement and velocity.
+    fn end(&self, frame: &Frame, body: &mut Body) -> (f64, f64) {
+        (body.centre, body.velocity) = (frame.centre, frame.velocity);
+        let (centre, velocity) = if body.is_free() { (frame.centre, frame.velocity) } else { Default::default() };
+        body.set_from(frame.rotation, |i| (self.r[i] - centre, self.v[i] - velocity))
     }
 }
 
@@ -305,14 +282,12 @@ pub(super) fn step(
         particles
     };
     let before: Vec<Particles> = members.par_iter().enumerate().map(particles).collect();
-    let step = Step { scene, members: &*members, near: &*near, span };
+    let step = ExplicitStep { scene, members: &*members, near: &*near, span };
     let after = scheme.advance(&step, &before, span.length());
     let frames = step.frames(&after, span.end);
     let mut diverged = None;
     for (i, ((member, particles), frame)) in members.iter_mut().zip(&after).zip(&frames).enumerate() {
-        particles.end(frame, &mut member.body);
-        let largest = |vectors: &[DVec3]| vectors.iter().map(|v| v.length_squared()).fold(0.0, larger).sqrt();
-        let (x, u) = (largest(&member.body.x), largest(&member.body.u));
+        let (x, u) = particles.end(frame, &mut member.body);
         (member.extent, member.speed) = (member.body.shape.extent() + x, u);
         if !(x < MAX_DISPLACEMENT * member.body.radius && u.is_finite()) && diverged.is_none() {
             diverged = Some(i);
@@ -328,14 +303,11 @@ fn enter_phases(members: &[Member], near: &mut Near, time: f64, report: &mut Ste
     for (i, member) in (0..).zip(members) {
         for neighbour in member.neighbours.iter().filter(|neighbour| neighbour.other > i) {
             let (a, b) = (&member.body, &members[neighbour.other as usize].body);
-            let (apart, radii) = (a.centre - b.centre, a.radius + b.radius);
-            let q = apart.length() / radii;
-            let rate = apart.normalize_or_zero().dot(a.velocity - b.velocity) / radii;
+            let (q, rate) = a.q_and_rate(b);
             for _ in 0..2 {
                 let pair = *near.get(neighbour.pair);
-                let passed = pair.law.thresholds.transitions(pair.phase);
-                let mut passed = passed.filter(|way| if way.falling { q < way.level } else { q > way.level });
-                let Some(way) = passed.next() else { break };
+                let passed = pair.law.thresholds.transitions(pair.phase).find(|way| way.is_passed(q));
+                let Some(way) = passed else { break };
                 let free::Pair { a, b, phase: from, .. } = pair;
                 let event = Event { time, step: report.step, a, b, q, rate, from, to: way.to, energy: 0.0 };
                 report.events.push(event);

@@ -4,18 +4,18 @@ use std::sync::{Mutex, PoisonError};
 
 use glam::DVec3;
 use pulp::Arch;
-use rayon::prelude::*;
 
 use super::{
-    dense::{Dense, Interpolated},
+    dense::{DenseOutput, Interpolated},
     member::{Member, driven, kick},
     near::Near,
 };
 use crate::{
     model::oscillator::Oscillator,
+    parallel,
     scene::{Point, Scene},
     sim::{
-        free::{self, Body, Driven, Island, Pair, Parts, Paths, Report, Scratch, Shape, Window},
+        free::{self, Body, Driven, Island, Pair, Parts, Paths, Report, Scratch, Shape},
         neighbours::PairId,
         span::Span,
         work::{Tally, Work},
@@ -24,40 +24,6 @@ use crate::{
 
 /// With fewer vertices than this to step, a second thread does not pay off.
 const PARALLEL_VERTICES: usize = 512;
-
-/// A union-find forest of bodies that act on each other; each tree is an island.
-#[derive(Clone, Default)]
-pub(super) struct Forest {
-    leader: Vec<u32>,
-    /// The pairs that couple their bodies.
-    pub coupled: Vec<PairId>,
-}
-
-impl Forest {
-    pub fn clear(&mut self, bodies: usize) {
-        self.leader.resize(bodies, 0);
-        self.coupled.clear();
-    }
-
-    /// Makes a body an island of its own.
-    pub fn plant(&mut self, body: u32) {
-        self.leader[body as usize] = body;
-    }
-
-    pub fn root(&mut self, body: u32) -> u32 {
-        let mut at = body as usize;
-        while self.leader[at] as usize != at {
-            self.leader[at] = self.leader[self.leader[at] as usize];
-            at = self.leader[at] as usize;
-        }
-        at as u32
-    }
-
-    pub fn join(&mut self, a: u32, b: u32) {
-        let (a, b) = (self.root(a), self.root(b));
-        self.leader[a.max(b) as usize] = a.min(b);
-    }
-}
 
 /// The bodies and pairs of an island, ascending.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -107,7 +73,7 @@ pub(super) struct Job {
 
 /// States that are found when they are asked for. A copy finds them anew.
 #[derive(Default)]
-struct OnRequest(Mutex<Option<Option<Dense>>>);
+struct OnRequest(Mutex<Option<Option<DenseOutput>>>);
 
 impl Clone for OnRequest {
     fn clone(&self) -> OnRequest {
@@ -133,7 +99,7 @@ pub(super) fn advance(jobs: &mut [Job], conditions: &Conditions<'_>) {
         job.group.bodies.iter().map(of).sum::<usize>()
     };
     let in_fixed_steps = jobs.iter().filter(|job| job.is_fixed).map(vertices).sum::<usize>() as u64;
-    let advance = |(turn, job): (usize, &mut Job)| {
+    let advance = |turn: usize, job: &mut Job| {
         if !job.is_done {
             let pooled = conditions.scratches.lock().unwrap_or_else(PoisonError::into_inner).pop();
             let mut scratch = pooled.unwrap_or_else(|| Scratch::new(conditions.arch));
@@ -142,11 +108,7 @@ pub(super) fn advance(jobs: &mut [Job], conditions: &Conditions<'_>) {
         }
     };
     let left = jobs.iter().filter(|job| !job.is_done).map(vertices).sum::<usize>();
-    if jobs.len() > 1 && left >= PARALLEL_VERTICES {
-        jobs.par_iter_mut().enumerate().for_each(advance);
-    } else {
-        jobs.iter_mut().enumerate().for_each(advance);
-    }
+    parallel::over(left >= PARALLEL_VERTICES, jobs, advance);
 }
 
 impl Job {
@@ -174,7 +136,7 @@ impl Job {
         let mut dense = self.dense.0.lock().unwrap_or_else(PoisonError::into_inner);
         let dense = dense.get_or_insert_with(|| {
             let parts = self.parts_before(scene, start);
-            Dense::new(parts, scene.tolerance, [start, end], Scratch::new(arch), &paths, work)
+            DenseOutput::new(parts, scene.tolerance, [start, end], Scratch::new(arch), &paths, work)
         });
         dense.as_mut()?.at(time, bodies, &paths, work, write)
     }
@@ -185,8 +147,7 @@ impl Job {
         for (&body, copy) in self.all.iter().zip(&mut parts.bodies) {
             copy.fill_states();
             if let Some(path) = scene.source_path(body as usize) {
-                let motion = path.at(start);
-                (copy.centre, copy.velocity) = (motion.position, motion.velocity);
+                copy.follow(path.at(start));
             }
         }
         for (index, pair) in parts.pairs.iter_mut().enumerate() {
@@ -250,9 +211,8 @@ impl Job {
         between.extend(pairs.iter().map(local_pair));
         for (b, &source) in (first_point..).zip(&self.all[first_point as usize..]) {
             let point = &scene.points[source as usize - scene.bodies.len()];
-            let window = Window { start: point.start, end: point.end() };
             let on = (0..).zip(bodies).filter(|(_, body)| point.acts_on(**body as usize));
-            between.extend(on.map(|(a, _)| Pair::with_point(a, b, point.strength, window, span.start)));
+            between.extend(on.map(|(a, _)| Pair::with_point(a, b, point, span.start)));
         }
         let paths = OfScene { scene, bodies: &self.all };
         let tally = Tally::limited(work, turn, if self.is_fixed { u64::MAX } else { self.budget });
@@ -294,9 +254,9 @@ fn source(body: &Body) -> Body {
 
 /// A force point at `t` [s], as a body without vertices.
 pub(super) fn source_at(scene: &Scene, point: &Point, t: f64) -> Body {
-    let motion = point.path.at(t);
-    let body = without_vertices(point.radius, scene.influence.sphere_radius(point.radius));
-    Body { centre: motion.position, velocity: motion.velocity, ..body }
+    let mut body = without_vertices(point.radius, scene.influence.sphere_radius(point.radius));
+    body.follow(point.path.at(t));
+    body
 }
 
 fn without_vertices(radius: f64, sphere_radius: f64) -> Body {

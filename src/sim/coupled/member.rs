@@ -47,7 +47,7 @@ pub(in crate::sim) struct Member {
     /// Whether it takes steps; otherwise it rests and keeps its state.
     pub is_awake: bool,
     /// How far it may move in the current step.
-    pub bounds: StepBounds,
+    pub bounds: MemberBounds,
     /// The fat bounds for which its neighbours were found.
     pub fat: FatBounds,
     /// Nearby bodies, ascending.
@@ -95,7 +95,7 @@ impl FixedSteps {
 
 /// Bounds on the motion of a body in a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(in crate::sim) struct StepBounds {
+pub(in crate::sim) struct MemberBounds {
     /// Largest distance of the centre from its initial position [scene unit].
     pub way: f64,
     /// Largest distance of a vertex from the centre [scene unit].
@@ -136,9 +136,8 @@ impl Member {
         let sphere_radius = body.sphere_radius();
         let body = match &body.motion {
             Motion::Prescribed(path) => {
-                let start = path.at(0.0);
                 let mut prescribed = Body::prescribed(shape, body.radius, oscillator);
-                (prescribed.centre, prescribed.velocity) = (start.position, start.velocity);
+                prescribed.follow(path.at(0.0));
                 prescribed
             }
             Motion::Free(free) => {
@@ -156,7 +155,7 @@ impl Member {
             slow_steps: 0,
             slow_from: Drift::default(),
             is_awake: false,
-            bounds: StepBounds::default(),
+            bounds: MemberBounds::default(),
             fat: FatBounds::default(),
             neighbours: Neighbours::new(),
             extent,
@@ -214,12 +213,12 @@ impl Member {
                 1.5 * body.velocity.length() * h + 0.5 * (free_fall.length() + given) * h * h
             }
         };
-        self.bounds = StepBounds { way: slack + way, extent: *extent + slack + 1.5 * *speed * h };
+        self.bounds = MemberBounds { way: slack + way, extent: *extent + slack + 1.5 * *speed * h };
     }
 
     /// Whether the body moved farther than expected; if so, widens its bounds.
     pub fn left_bounds(&mut self, way: &Way) -> bool {
-        let StepBounds { way: max_way, extent } = &mut self.bounds;
+        let MemberBounds { way: max_way, extent } = &mut self.bounds;
         let is_beyond = [(way.centre, max_way), (way.extent, extent)].map(|(moved, max)| {
             let is_beyond = moved > *max;
             if is_beyond {

@@ -51,7 +51,7 @@ use glam::DVec3;
 
 use self::{
     explicit::Scheme,
-    islands::{Conditions, Forest, Group, Job, PairIn, source_at},
+    islands::{Conditions, Group, Job, PairIn, source_at},
     limits::give_up_adaptive,
     member::{Member, Shapes},
     near::{Among, Near},
@@ -59,13 +59,14 @@ use self::{
 use super::{
     events::Event,
     free::{self, Ledger, Parts, Scratch},
-    neighbours::Neighbour,
+    neighbours::{Neighbour, PairId},
     report::{Failure, Stage, StepReport, Stopwatch, Strain},
-    solver::{Setting, Step},
+    solver::{Setting, Starts, Step},
     span::Span,
     work::{Stop, Tally, Work},
 };
 use crate::{
+    disjoint_sets::DisjointSets,
     model::shape_matching::Plane,
     scene::{Response, Scene},
 };
@@ -94,13 +95,13 @@ pub(super) struct Coupled {
     awake: Vec<u32>,
     /// Sum of the hashes of the bodies that are not awake.
     sleeping_hash: u64,
-    /// Times at which pushes begin [s], ascending, with the bodies' indices.
-    starts: Vec<(f64, u32)>,
-    /// Number of pushes that have begun.
-    started: usize,
+    starts: Starts,
     /// The rest shapes of the bodies.
     shapes: Shapes,
-    forest: Forest,
+    /// The bodies that act on each other in the step: each set of those that are awake is an island.
+    islands: DisjointSets,
+    /// The pairs that couple their bodies in the step.
+    coupled: Vec<PairId>,
     jobs: Vec<Job>,
     /// Buffers, reused; `before` holds the islands of the previous step.
     before: Vec<Job>,
@@ -134,18 +135,16 @@ impl Coupled {
         let mut shapes = Shapes::default();
         let members: Vec<Member> =
             (0..scene.bodies.len()).map(|index| Member::new(scene, index, &mut shapes)).collect();
-        let mut starts: Vec<(f64, u32)> = scene.pushes.iter().map(|push| (push.start, push.body as u32)).collect();
-        starts.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut coupled = Coupled {
             members,
             points: scene.points.iter().map(|point| source_at(scene, point, 0.0)).collect(),
             near: Near::new(scene),
             awake: Vec::new(),
             sleeping_hash: 0,
-            starts,
-            started: 0,
+            starts: Starts::of(scene),
             shapes,
-            forest: Forest::default(),
+            islands: DisjointSets::default(),
+            coupled: Vec::new(),
             jobs: Vec::new(),
             before: Vec::new(),
             groups: Vec::new(),
@@ -239,8 +238,7 @@ impl Coupled {
         for &body in &self.awake {
             let member = &mut self.members[body as usize];
             if let Some(path) = scene.bodies[body as usize].path() {
-                let motion = path.at(span.start);
-                (member.body.centre, member.body.velocity) = (motion.position, motion.velocity);
+                member.body.follow(path.at(span.start));
             }
             member.bound_motion(&scene.bodies[body as usize], scene.free_fall(), span);
         }
@@ -254,9 +252,8 @@ impl Coupled {
     /// Finds the islands of the step, and wakes bodies at rest that become part of one.
     fn find_islands(&mut self, step: &Step<'_>) {
         let (Setting { scene, .. }, span) = (step.setting, step.span);
-        let Coupled { members, awake, forest, .. } = self;
-        forest.clear(members.len());
-        awake.iter().for_each(|&body| forest.plant(body));
+        self.coupled.clear();
+        self.islands.reset(self.members.len());
         let tally = Tally::new(step.work, None);
         let mut next = 0;
         while next < self.awake.len() {
@@ -272,7 +269,6 @@ impl Coupled {
                 if !is_awake {
                     self.wake(other);
                     self.members[other as usize].bound_motion(&scene.bodies[other as usize], scene.free_fall(), span);
-                    self.forest.plant(other);
                 }
             }
         }
@@ -280,9 +276,9 @@ impl Coupled {
         for &body in &self.awake {
             for &Neighbour { other, pair, .. } in &self.members[body as usize].neighbours {
                 if other > body && self.members[other as usize].is_awake && self.near.is_coupled(pair, &self.members) {
-                    self.forest.coupled.push(pair);
+                    self.coupled.push(pair);
                     if self.is_free(body) || self.is_free(other) {
-                        self.forest.join(body, other);
+                        self.islands.join(body, other);
                     }
                 }
             }
@@ -299,7 +295,7 @@ impl Coupled {
         let mut groups = take(&mut self.groups);
         let mut count = 0;
         for &body in &self.awake {
-            let root = self.forest.root(body);
+            let root = self.islands.least(body);
             if root == body {
                 self.job_of[root as usize] = count as u32;
                 if count == groups.len() {
@@ -310,10 +306,9 @@ impl Coupled {
             }
             groups[self.job_of[root as usize] as usize].bodies.push(body);
         }
-        for index in 0..self.forest.coupled.len() {
-            let pair = self.forest.coupled[index];
+        for &pair in &self.coupled {
             let free::Pair { a, b, .. } = *self.near.get(pair);
-            let [of_a, of_b] = [a, b].map(|body| self.job_of[self.forest.root(body) as usize] as usize);
+            let [of_a, of_b] = [a, b].map(|body| self.job_of[self.islands.least(body) as usize] as usize);
             groups[of_a].pairs.push(PairIn { pair, is_own: true });
             if of_a != of_b {
                 groups[of_a].sources.push(b);
@@ -461,8 +456,7 @@ impl Coupled {
                 std::mem::swap(&mut member.body, body);
                 if let Some(path) = scene.bodies[index as usize].path().filter(|path| !path.knots().is_empty()) {
                     // the right limit: after any jump at the end of the step
-                    let motion = path.at(span.end);
-                    (member.body.centre, member.body.velocity) = (motion.position, motion.velocity);
+                    member.body.follow(path.at(span.end));
                 }
                 (member.step_length, member.rigid_spin) = (*step_length, None);
                 member.extent = member.body.shape.extent() + way.displacement;
@@ -506,8 +500,7 @@ impl Coupled {
         for &body in &unforced {
             let (member, path) = (&mut self.members[body as usize], scene.bodies[body as usize].path());
             if let Some(path) = path {
-                let motion = path.at(span.end);
-                (member.body.centre, member.body.velocity) = (motion.position, motion.velocity);
+                member.body.follow(path.at(span.end));
                 if path.is_still(span.end, f64::INFINITY) {
                     self.put_to_sleep(body);
                 }
@@ -529,8 +522,7 @@ impl Coupled {
     /// Moves the force points to where they are at `time` [s].
     fn move_points(&mut self, scene: &Scene, time: f64) {
         for (own, point) in self.points.iter_mut().zip(&scene.points) {
-            let motion = point.path.at(time);
-            (own.centre, own.velocity) = (motion.position, motion.velocity);
+            own.follow(point.path.at(time));
         }
     }
 }

@@ -59,8 +59,7 @@ impl Bodies for Among<'_> {
     fn meet(&mut self, a: u32, b: u32) -> Pair {
         let law = self.scene.law(a as usize, b as usize);
         let [first, second] = [a, b].map(|body| &self.members[body as usize].body);
-        let q = first.centre.distance(second.centre) / (first.radius + second.radius);
-        let phase = if self.time == 0.0 { law.thresholds.initial(q) } else { Phase::Apart };
+        let phase = if self.time == 0.0 { law.thresholds.initial(first.q(second)) } else { Phase::Apart };
         Pair { a, b, phase, law, window: None }
     }
 }

@@ -24,9 +24,8 @@ const RIGID_SPIN_EVERY: u64 = 16;
 impl Coupled {
     /// Wakes the bodies on which a push begins before the end of `span`.
     pub(super) fn wake_pushed(&mut self, span: Span) {
-        while let Some(&(start, body)) = self.starts.get(self.started).filter(|start| start.0 < span.end) {
-            self.started += 1;
-            if !self.members[body as usize].is_awake && start < span.end {
+        while let Some(body) = self.starts.next_before(span.end) {
+            if !self.members[body as usize].is_awake {
                 self.wake(body);
             }
         }

@@ -7,10 +7,15 @@ use glam::{DMat3, DQuat, DVec3};
 use super::{
     kernels::{Lane, Lanes, WIDTH, by_coordinate},
     passive::Linear,
+    step::Place,
 };
-use crate::model::{
-    oscillator::Oscillator,
-    shape_matching::{Inner, Rotation, best_rotation, cross_matrix, moment, outer, resistance, solve},
+use crate::{
+    model::{
+        oscillator::Oscillator,
+        shape_matching::{Inner, Rotation, best_rotation, cross_matrix, moment, outer, resistance, solve},
+    },
+    scene::path::Kinematics,
+    sim::numerics::larger,
 };
 
 /// A body counts as inside out once det G is below this share of its value at rest. It is 0 where the best-fitting
@@ -176,6 +181,62 @@ impl Body {
                 *u = spin.cross(axes * l);
             }
         }
+    }
+
+    /// Sets the rotation, and the state of the vertices from their positions and velocities relative to those of the centre.
+    /// Returns the largest displacement and velocity.
+    pub(in crate::sim) fn set_from(
+        &mut self,
+        rotation: DQuat,
+        relative: impl Fn(usize) -> (DVec3, DVec3),
+    ) -> (f64, f64) {
+        let shape = Arc::clone(&self.shape);
+        let axes = DMat3::from_quat(rotation);
+        self.rotation = rotation;
+        let mut frame_spin = DVec3::ZERO;
+        if self.turns() {
+            let (mut stretched, mut turning) = (DMat3::ZERO, DVec3::ZERO);
+            self.spin = DVec3::ZERO;
+            for (i, (&l, &m)) in shape.rest.iter().zip(&shape.masses).enumerate() {
+                let (a, (s, rate)) = (axes * l, relative(i));
+                stretched += outer(m * a, s);
+                turning += m * a.cross(rate);
+                self.spin += m * s.cross(rate);
+            }
+            frame_spin = solve(resistance(stretched), turning);
+        }
+        self.fill_states();
+        let (mut largest, mut fastest) = (0.0, 0.0);
+        for (i, &l) in shape.rest.iter().enumerate() {
+            let (a, (s, rate)) = (axes * l, relative(i));
+            self.x[i] = s - a;
+            self.u[i] = rate - frame_spin.cross(a);
+            largest = larger(largest, self.x[i].length_squared());
+            fastest = larger(fastest, self.u[i].length_squared());
+        }
+        (f64::sqrt(largest), f64::sqrt(fastest))
+    }
+
+    /// Moves the centre to where a path is.
+    pub(in crate::sim) fn follow(&mut self, motion: Kinematics) {
+        (self.centre, self.velocity) = (motion.position, motion.velocity);
+    }
+
+    /// Its centre and velocity.
+    pub(super) fn place(&self) -> Place {
+        Place { centre: self.centre, velocity: self.velocity }
+    }
+
+    /// Distance of the centres of two bodies over the sum of their radii [–].
+    pub fn q(&self, other: &Body) -> f64 {
+        self.centre.distance(other.centre) / (self.radius + other.radius)
+    }
+
+    /// The same and its rate [1/s].
+    pub fn q_and_rate(&self, other: &Body) -> (f64, f64) {
+        let apart = other.centre - self.centre;
+        let rate = apart.normalize_or_zero().dot(other.velocity - self.velocity);
+        (self.q(other), rate / (self.radius + other.radius))
     }
 
     /// Displacement and velocity of a vertex; zero if the lists are empty because the body is undeformed.

@@ -2,6 +2,7 @@
 
 use glam::DVec3;
 
+use super::step::Place;
 use crate::{
     model::{
         PairLaw,
@@ -9,7 +10,7 @@ use crate::{
         phase::{Phase, Transition},
         shape_matching::Plane,
     },
-    scene::{Force, Scene},
+    scene::{Force, Point, Scene},
 };
 
 /// External forces, and the parameters that all pairs share.
@@ -96,10 +97,12 @@ impl Window {
 }
 
 impl Pair {
-    /// Body `a` and force point `b`, at `t` [s]: merged while the point acts, with its signed strength [1/s²] as α, and
+    /// Body `a` and a force point as body `b`, at `t` [s]: merged while the point acts, with its signed strength as α, and
     /// apart otherwise, without a force. The distance does not change the phase.
-    pub fn with_point(a: u32, b: u32, strength: f64, window: Window, t: f64) -> Pair {
-        let law = PairLaw { alpha: strength, beta: 0.0, apart_repels: false, core_width: 0.0, ..PairLaw::DEFAULT };
+    pub fn with_point(a: u32, b: u32, point: &Point, t: f64) -> Pair {
+        let window = Window { start: point.start, end: point.end() };
+        let alpha = point.strength;
+        let law = PairLaw { alpha, beta: 0.0, apart_repels: false, core_width: 0.0, ..PairLaw::DEFAULT };
         Pair { a, b, phase: window.phase(t), law, window: Some(window) }
     }
 
@@ -152,6 +155,12 @@ pub struct Driven {
     pub uniform: DVec3,
 }
 
+impl From<Driven> for Place {
+    fn from(driven: Driven) -> Place {
+        Place { centre: driven.position, velocity: driven.velocity }
+    }
+}
+
 /// The motion of bodies on prescribed paths.
 pub trait Paths: Sync {
     /// The motion of `body` at `t` [s]; with `before`, the left limit if something jumps there.
@@ -160,21 +169,5 @@ pub trait Paths: Sync {
     /// Jump of the velocities u of the body's vertices at `t` [s], where the velocity of its path jumps [scene unit/s].
     fn kick(&self, _body: usize, _t: f64) -> DVec3 {
         DVec3::ZERO
-    }
-}
-
-/// No paths, for islands without prescribed bodies.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct NoPaths;
-
-impl Paths for NoPaths {
-    fn at(&self, _: usize, _: f64, _: bool) -> Driven {
-        Driven::default()
-    }
-}
-
-impl<F: Fn(usize, f64, bool) -> Driven + Sync> Paths for F {
-    fn at(&self, body: usize, t: f64, before: bool) -> Driven {
-        self(body, t, before)
     }
 }

@@ -6,11 +6,10 @@ use pulp::Arch;
 use super::{
     super::work::Tally,
     body::Body,
-    conserved::{self, Conserved},
+    conserved,
     field::{Field, Pair, Paths},
     force::Acting,
     ledger::{Done, Ledger},
-    observed::Snapshot,
     phases::Crossing,
     split::Motion,
     step::{Course, Place, Span},
@@ -24,9 +23,9 @@ use crate::{
     },
 };
 
-/// Largest number of steps of one [`Island::advance`].
+/// Largest number of steps of one advance of an island.
 const MAX_STEPS: u64 = 20_000;
-/// Largest number of phase changes of one pair in one [`Island::advance`].
+/// Largest number of phase changes of one pair in one advance of an island.
 pub(super) const MAX_CHANGES: u32 = 200;
 
 /// A phase change of a pair.
@@ -48,7 +47,7 @@ pub struct Change {
     pub energy: f64,
 }
 
-/// Results and statistics, accumulated by [`Island::advance`].
+/// Results and statistics, accumulated while an island is advanced.
 #[derive(Clone, Debug, Default)]
 pub struct Report {
     /// Phase changes, in order of time.
@@ -138,7 +137,6 @@ pub struct Island {
     pub(super) step_lengths: Vec<f64>,
     /// Motion of each body so far.
     pub(super) ways: Vec<Way>,
-    scratch: Scratch,
 }
 
 /// An advance of an island to a time.
@@ -249,14 +247,8 @@ pub(super) struct Outcome {
 }
 
 impl Island {
-    /// An island at t = 0 whose error stays within `tolerance` [radii/s]. Pairs start in their given phases. Bodies on
-    /// prescribed paths must be at the start of their paths.
-    pub fn new(bodies: Vec<Body>, pairs: Vec<Pair>, field: Field, tolerance: f64) -> Island {
-        let parts = Parts { bodies, pairs, field, ..Parts::default() };
-        Island::resume(parts, tolerance, 0.0)
-    }
-
-    /// Like [`Island::new`], at `time` [s] and from existing lists.
+    /// An island at `time` [s], from existing lists, whose error stays within `tolerance` [radii/s]. Pairs start in their
+    /// given phases. Bodies on prescribed paths must be where their paths are.
     pub(in crate::sim) fn resume(parts: Parts, tolerance: f64, time: f64) -> Island {
         let Parts { bodies, pairs, field, mut ways, mut step_lengths } = parts;
         step_lengths.resize(bodies.len(), f64::INFINITY);
@@ -264,8 +256,7 @@ impl Island {
         let way = |body: &Body| Way { from: body.centre, extent: body.shape.extent, ..Way::default() };
         ways.clear();
         ways.extend(bodies.iter().map(way));
-        let scratch = Scratch::default();
-        Island { bodies, pairs, field, tolerance, time, step_length, step_lengths, ways, scratch }
+        Island { bodies, pairs, field, tolerance, time, step_length, step_lengths, ways }
     }
 
     /// Takes the island apart.
@@ -279,14 +270,15 @@ impl Island {
         self.bodies.iter().rposition(|body| !body.shape.rest.is_empty()).map_or(0, |last| last + 1)
     }
 
+    /// The place of a body at `t` [s]: now if it is free, with `before` the left limit if its path jumps there.
+    pub(super) fn place(&self, body: usize, t: f64, before: bool, paths: &dyn Paths) -> Place {
+        let known = &self.bodies[body];
+        if known.is_free() { known.place() } else { paths.at(body, t, before).into() }
+    }
+
     /// The bodies.
     pub fn bodies(&self) -> &[Body] {
         &self.bodies
-    }
-
-    /// The bodies, mutable, to be modified between steps.
-    pub fn bodies_mut(&mut self) -> &mut [Body] {
-        &mut self.bodies
     }
 
     /// The pairs.
@@ -299,29 +291,11 @@ impl Island {
         self.time
     }
 
-    /// Momentum, angular momentum and energy.
-    pub fn conserved(&self) -> Conserved {
-        Conserved::of(&self.bodies.iter().collect::<Vec<_>>(), &self.pairs, &self.field)
-    }
-
-    /// A view of the current state, for computing forces.
-    pub fn snapshot(&self) -> Snapshot<'_> {
-        Snapshot::new(self.bodies.iter().collect(), self.pairs.clone(), self.field.clone(), self.time)
-    }
-
-    /// Advances the island to `end` [s].
+    /// Advances the island to `end` [s], with buffers of the caller and within the limit of `work`.
     ///
     /// # Errors
     /// If a pair chatters, or the tolerance would require steps that are too short. The state is then that at the last
     /// instant reached.
-    pub fn advance(&mut self, end: f64, paths: &dyn Paths, report: &mut Report) -> Result<(), Failure> {
-        let mut scratch = std::mem::take(&mut self.scratch);
-        let done = self.advance_with(&mut scratch, end, paths, &Tally::unlimited(), report);
-        self.scratch = scratch;
-        done
-    }
-
-    /// Like [`Island::advance`], with buffers of the caller and within the limit of `work`.
     pub(in crate::sim) fn advance_with(
         &mut self,
         scratch: &mut Scratch,
@@ -478,10 +452,8 @@ impl Island {
             let own = index as u32;
             for pair in self.pairs.iter().filter(|pair| pair.a == own || pair.b == own) {
                 let (a, b) = (&self.bodies[pair.a as usize], &self.bodies[pair.b as usize]);
-                let energy = |a: &Body, b: &Body| {
-                    let q = a.centre.distance(b.centre) / (a.radius + b.radius);
-                    conserved::influence(a, b, &self.field, pair.law.strength(pair.phase, q))
-                };
+                let energy =
+                    |a: &Body, b: &Body| conserved::influence(a, b, &self.field, pair.law.strength(pair.phase, a.q(b)));
                 let after = energy(a, b);
                 let old = Body { centre: from, ..self.bodies[index].clone() };
                 let before = if pair.a == own { energy(&old, b) } else { energy(a, &old) };

@@ -8,7 +8,6 @@ use super::{
     conserved::Conserved,
     field::{Field, Pair},
     force::{Contact, Seen, Sphere},
-    step::Place,
 };
 use crate::geometry::Vectors;
 
@@ -164,8 +163,7 @@ impl<'a> Snapshot<'a> {
             return Cause::Point;
         }
         let (a, b) = (self.bodies[pair.a as usize], self.bodies[pair.b as usize]);
-        let q = a.centre.distance(b.centre) / (a.radius + b.radius);
-        Cause::of_sphere(pair.phase, pair.law.strength(pair.phase, q))
+        Cause::of_sphere(pair.phase, pair.law.strength(pair.phase, a.q(b)))
     }
 
     /// Calls `each` with the vertices of body `index` that the other body's sphere acts on and their accelerations, and
@@ -173,11 +171,10 @@ impl<'a> Snapshot<'a> {
     fn sphere(&self, index: usize, pair: &Pair, mut each: impl FnMut(usize, DVec3)) -> DVec3 {
         let source = if pair.a as usize == index { pair.b } else { pair.a };
         let (own, other) = (self.bodies[index], self.bodies[source as usize]);
-        let q = own.centre.distance(other.centre) / (own.radius + other.radius);
-        let strength = self.field.scale(own.radius, other.radius) * pair.law.strength(pair.phase, q);
+        let strength = self.field.scale(own.radius, other.radius) * pair.law.strength(pair.phase, own.q(other));
         let mut sum = DVec3::ZERO;
         if strength != 0.0 {
-            let places = [Place { centre: other.centre, velocity: other.velocity }; 5];
+            let places = [other.place(); 5];
             let (radius, scale) = (other.sphere_radius, self.field.scale(own.radius, other.radius));
             let (radii, law, phase) = (own.radius + other.radius, pair.law, pair.phase);
             let strength = [strength; 5];
@@ -217,7 +214,7 @@ impl<'a> Snapshot<'a> {
     /// Calls `each` with the vertices on which a contact acts, and their accelerations.
     fn touched(&self, index: usize, contact: Contact<'_>, mut each: impl FnMut(usize, DVec3)) {
         let body = self.bodies[index];
-        let place = Place { centre: body.centre, velocity: body.velocity };
+        let place = body.place();
         if let Contact::Plane(plane) = contact
             && plane.depth(body.centre) + body.shape.extent + body.x.iter().map(|x| x.length()).fold(0.0, f64::max)
                 < 0.0

@@ -174,13 +174,8 @@ impl Island {
         paths: &dyn Paths,
         report: &mut Report,
     ) -> Result<(), Failure> {
-        for (i, body) in self.bodies.iter().enumerate() {
-            scratch.places[i][3] = if body.is_free() {
-                Place { centre: body.centre, velocity: body.velocity }
-            } else {
-                let driven = paths.at(i, self.time, false);
-                Place { centre: driven.position, velocity: driven.velocity }
-            };
+        for i in 0..self.bodies.len() {
+            scratch.places[i][3] = self.place(i, self.time, false, paths);
         }
         for index in 0..self.pairs.len() {
             let pair = self.pairs[index];
@@ -219,9 +214,7 @@ impl Island {
             }
         }
         let (a, b) = (&self.bodies[pair.a as usize], &self.bodies[pair.b as usize]);
-        let (apart, radii) = (a.centre - b.centre, a.radius + b.radius);
-        let q = apart.length() / radii;
-        let rate = apart.normalize_or_zero().dot(a.velocity - b.velocity) / radii;
+        let (q, rate) = a.q_and_rate(b);
         let jump = pair.law.strength(to, q) - pair.law.strength(pair.phase, q);
         let energy = conserved::influence(a, b, &self.field, jump);
         report.ledger.events += energy;

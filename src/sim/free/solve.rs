@@ -308,10 +308,7 @@ impl Island {
                         course.sample_midpoint(i, body, &span, k, paths, &mut places[i]);
                         course.correct(arch, body, &span, MIDDLE..MIDDLE + 1, &mut places[i]);
                     }
-                    None => {
-                        let Driven { position, velocity, .. } = paths.at(i, span.time(MIDDLE), false);
-                        places[i][MIDDLE] = Place { centre: position, velocity };
-                    }
+                    None => places[i][MIDDLE] = paths.at(i, span.time(MIDDLE), false).into(),
                 }
             }
             self.evaluate_at(scratch, &span, MIDDLE);

@@ -186,8 +186,7 @@ impl Around<'_> {
             let (moved, rate) = self.motions[body].centre.at(theta);
             return Place { centre: self.places[body][0].centre + moved, velocity: rate / self.span.h };
         }
-        let driven = self.paths.at(body, self.span.start + theta * self.span.h, theta >= 1.0);
-        Place { centre: driven.position, velocity: driven.velocity }
+        self.paths.at(body, self.span.start + theta * self.span.h, theta >= 1.0).into()
     }
 }
 

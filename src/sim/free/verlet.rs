@@ -18,14 +18,15 @@ use rayon::prelude::*;
 use super::{
     super::work::Tally,
     body::Body,
-    field::{Driven, Paths},
+    field::Paths,
     island::{Change, Failure, Island, Report, Scratch},
-    kernels::{Kernel, Lane, Lanes, at, by_coordinate, by_vertex, replace},
+    kernels::{Kernel, Lane, Lanes, at, by_coordinate, replace},
     step::Place,
     verlet_kernels::{Drift, Drifted, Kick, Kicked, Pull, Spring, Support, angular_momentum, largest_change},
 };
 use crate::{
     model::shape_matching::{best_rotation, outer, resistance, solve},
+    parallel::over,
     sim::numerics::{
         control::{GROWTH, MAX_ANGLE},
         larger,
@@ -146,43 +147,12 @@ impl Particles {
 
     /// Writes the particles to a body as its state. Returns the largest displacement and velocity.
     fn end(&self, body: &mut Body, place: Place) -> (f64, f64) {
-        let shape = std::sync::Arc::clone(&body.shape);
-        let count = shape.rest.len();
-        let (mut r, mut v) = (vec![DVec3::ZERO; count], vec![DVec3::ZERO; count]);
-        by_vertex(&self.r, &mut r);
-        by_vertex(&self.v, &mut v);
-        let mut frame_spin = DVec3::ZERO;
-        if body.is_free() {
-            (body.centre, body.velocity) = (self.base.centre + self.centre, self.velocity);
-            r.iter_mut().for_each(|r| *r -= self.centre);
-            v.iter_mut().for_each(|v| *v -= self.velocity);
-        } else {
-            (body.centre, body.velocity) = (place.centre, place.velocity);
-        }
-        let axes = DMat3::from_quat(self.rotation);
-        if body.turns() {
-            body.rotation = self.rotation;
-            let (mut stretched, mut turning) = (DMat3::ZERO, DVec3::ZERO);
-            body.spin = DVec3::ZERO;
-            for (((&l, &m), &s), &rate) in shape.rest.iter().zip(&shape.masses).zip(&r).zip(&v) {
-                let a = axes * l;
-                stretched += outer(m * a, s);
-                turning += m * a.cross(rate);
-                body.spin += m * s.cross(rate);
-            }
-            frame_spin = solve(resistance(stretched), turning);
-        }
-        body.x.resize(count, DVec3::ZERO);
-        body.u.resize(count, DVec3::ZERO);
-        let (mut largest, mut fastest) = (0.0, 0.0);
-        for (i, &l) in shape.rest.iter().enumerate() {
-            let a = axes * l;
-            body.x[i] = r[i] - a;
-            body.u[i] = v[i] - frame_spin.cross(a);
-            largest = larger(largest, body.x[i].length_squared());
-            fastest = larger(fastest, body.u[i].length_squared());
-        }
-        (f64::sqrt(largest), f64::sqrt(fastest))
+        let (centre, velocity) = if body.is_free() { (self.centre, self.velocity) } else { Default::default() };
+        (body.centre, body.velocity) = match body.is_free() {
+            true => (self.base.centre + centre, velocity),
+            false => (place.centre, place.velocity),
+        };
+        body.set_from(self.rotation, |i| (at(&self.r, i) - centre, at(&self.v, i) - velocity))
     }
 
     /// Drifts for `h` [s] after damping for `damped` [s], and fits the frame.
@@ -428,15 +398,8 @@ impl Island {
         let stepped = scratch.courses.len();
         let vertices: usize = self.bodies[..stepped].iter().map(|body| body.shape.rest.len()).sum();
         let is_parallel = vertices >= PARALLEL_VERTICES;
-        let place = |i: usize, body: &Body, t: f64, before: bool| match body.is_free() {
-            true => Place { centre: body.centre, velocity: body.velocity },
-            false => {
-                let Driven { position, velocity, .. } = paths.at(i, t, before);
-                Place { centre: position, velocity }
-            }
-        };
         scratch.verlet.all.resize_with(stepped, Particles::default);
-        let first: Vec<Place> = self.bodies.iter().enumerate().map(|(i, body)| place(i, body, start, false)).collect();
+        let first: Vec<Place> = (0..self.bodies.len()).map(|i| self.place(i, start, false, paths)).collect();
         over(is_parallel, &mut scratch.verlet.all, |i, own| own.begin(&self.bodies[i], first[i]));
         let (count, stiffest) = self.count_substeps(scratch, end);
         let substep_work = (3 * vertices + 16 * stepped) as u64;
@@ -467,7 +430,7 @@ impl Island {
                 let at = if body.is_free() {
                     Place { centre: all[i].base.centre + all[i].centre, velocity: all[i].velocity }
                 } else {
-                    place(i, body, t, false)
+                    self.place(i, t, false, paths)
                 };
                 centres[i] = at;
                 if let Some(own) = all.get_mut(i)
@@ -539,7 +502,7 @@ impl Island {
         if !error.is_finite() {
             return Err(Failure::Unresolved { body, time: start, step: h });
         }
-        let last: Vec<Place> = self.bodies.iter().enumerate().map(|(i, body)| place(i, body, end, true)).collect();
+        let last: Vec<Place> = (0..self.bodies.len()).map(|i| self.place(i, end, true, paths)).collect();
         let finish = |((body, way), (i, own)): ((&mut Body, &mut super::Way), (usize, &Particles))| {
             (way.displacement, way.speed) = own.end(body, last[i]);
             way.centre = larger(way.centre, body.centre.distance(way.from));
@@ -606,7 +569,7 @@ impl Island {
             let old = bond.q;
             *bond = Bond { q, ..Bond::default() };
             for _ in 0..2 {
-                let passed = pair.transitions().find(|way| if way.falling { q < way.level } else { q > way.level });
+                let passed = pair.transitions().find(|way| way.is_passed(q));
                 let Some(way) = passed else { break };
                 let share = ((way.level - old) / (q - old)).clamp(0.0, 1.0);
                 let time = before + if share.is_finite() { share * (t - before) } else { 0.0 };
@@ -623,14 +586,5 @@ impl Island {
             // the kick is half before the change and half after it
             bond.strength = pair.law.strength(pair.phase, q) - 0.5 * bond.jump;
         }
-    }
-}
-
-/// Calls `work` for every body.
-fn over(is_parallel: bool, all: &mut [Particles], work: impl Fn(usize, &mut Particles) + Sync) {
-    if is_parallel {
-        all.par_iter_mut().with_min_len(2).enumerate().for_each(|(i, own)| work(i, own));
-    } else {
-        all.iter_mut().enumerate().for_each(|(i, own)| work(i, own));
     }
 }

@@ -25,7 +25,7 @@ use crate::{
         span::Span,
         state::State,
         terms::{
-            Acting, Moment, On, Phases, Surroundings, carry,
+            Moment, On, Phases, Sphere, Surroundings, carry,
             push::{self, PushField},
         },
         work::{Tally, Work},
@@ -49,7 +49,7 @@ struct Scratch {
     margins: Vec<Margin>,
     contributing: Vec<Neighbour>,
     touching: Vec<Neighbour>,
-    acting: Acting,
+    acting: Vec<Sphere>,
     pushes: PushField,
     gaps: Vec<f64>,
     centres: Vec<(DVec3, f64)>,
@@ -367,7 +367,7 @@ impl<'a> Context<'a> {
                 length: if is_whole { scene.dt } else { part.length() },
                 tracks: self.tracks,
                 is_whole,
-                spheres: &acting.spheres,
+                spheres: acting,
                 local: pushes.local(),
             };
             let active_set = &mut active.state.deformation.active_set;

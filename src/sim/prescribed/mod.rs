@@ -36,9 +36,10 @@ use self::{
 use super::{
     body::{BodyView, Solved},
     integrator::exponential,
+    neighbours::later_neighbours,
     report::{Failure, Shortfall, Stage, StepReport, Stopwatch, Strain, Toil},
-    solver::{Setting, Step, Takeover},
-    terms::{self, Moment, On, Surroundings, spheres},
+    solver::{Setting, Starts, Step, Takeover},
+    terms::{Moment, On, Surroundings, spheres},
     work::{Stop, Tally, Work},
 };
 use crate::{
@@ -62,10 +63,7 @@ pub(super) struct Prescribed {
     pub actives: ActiveSet,
     tracks: Tracks,
     pub pairs: Pairs,
-    /// Times at which terms begin to act on bodies by themselves [s], ascending, with the bodies' indices.
-    starts: Vec<(f64, u32)>,
-    /// Number of these that have begun.
-    started: usize,
+    starts: Starts,
     /// Buffer, reused.
     woken: Vec<u32>,
     /// Computed when the energy is first requested.
@@ -96,8 +94,7 @@ impl Prescribed {
             actives: ActiveSet::default(),
             tracks: Tracks::new(scene),
             pairs: Pairs::new(scene),
-            starts: terms::starts(scene),
-            started: 0,
+            starts: Starts::of(scene),
             woken: Vec::new(),
             energy_of_distant_pairs: OnceLock::new(),
         }
@@ -168,9 +165,7 @@ impl Prescribed {
         pairs.remove(Surrounded { scene, bodies, tracks, time }, body);
         bodies.remove(body);
         tracks.remove(body);
-        self.starts.retain(|&(_, pushed)| pushed != body as u32);
-        self.starts.iter_mut().for_each(|(_, pushed)| *pushed -= u32::from(*pushed > body as u32));
-        self.started = self.starts.partition_point(|start| start.0 < time);
+        self.starts.remove(body, time);
         self.energy_of_distant_pairs = OnceLock::new();
     }
 
@@ -204,13 +199,8 @@ impl Prescribed {
     pub fn push(&mut self, setting: Setting<'_>, push: &scene::Push) {
         let pushes = &mut self.bodies[push.body].pushes;
         *pushes = std::mem::take(pushes).into_vec().into_iter().chain([*push]).collect();
-        let index = self.starts.partition_point(|start| start.0 <= push.start);
-        self.starts.insert(index, (push.start, push.body as u32));
-        if push.start < setting.time() {
-            self.started += 1;
-            if setting.time() < push.end() {
-                self.wake(setting, push.body as u32);
-            }
+        if self.starts.insert(push, setting.time()) && setting.time() < push.end() {
+            self.wake(setting, push.body as u32);
         }
     }
 
@@ -261,9 +251,8 @@ impl Prescribed {
 
     /// Wakes the bodies on which something begins to act before the end of the step.
     fn wake_acted_on(&mut self, step: &Step<'_>) {
-        while let Some(&(_, body)) = self.starts.get(self.started).filter(|start| start.0 < step.span.end) {
+        while let Some(body) = self.starts.next_before(step.span.end) {
             self.wake(step.setting, body);
-            self.started += 1;
         }
     }
 
@@ -338,12 +327,17 @@ impl Prescribed {
         let (context, actives) = self.context(step.setting, step.work);
         let awake = actives.len();
         let any_left = AtomicBool::new(false);
-        each(actives, actives.len() >= PARALLEL_BODIES, |_, active| {
+        let find = |active: &mut Active| {
             context.find_reachable(active, span);
             if context.left_fat_bounds(active) {
                 any_left.store(true, Ordering::Relaxed);
             }
-        });
+        };
+        if awake >= PARALLEL_BODIES {
+            actives.par_iter_mut().with_min_len(4).for_each(find);
+        } else {
+            actives.iter_mut().for_each(find);
+        }
         if !any_left.into_inner() {
             return Ok(());
         }
@@ -448,15 +442,6 @@ fn is_worth_threads(actives: &[Active]) -> bool {
         (*sum < PARALLEL_VERTICES).then_some(())
     };
     actives.iter().scan(0, enough).count() < actives.len()
-}
-
-/// Applies `work` to every awake body, on several threads if that pays off.
-fn each(actives: &mut [Active], is_worth_threads: bool, work: impl Fn(usize, &mut Active) + Sync + Send) {
-    if is_worth_threads {
-        actives.par_iter_mut().with_min_len(4).enumerate().for_each(|(slot, active)| work(slot, active));
-    } else {
-        actives.iter_mut().enumerate().for_each(|(slot, active)| work(slot, active));
-    }
 }
 
 /// Results of the steps of some bodies; the order of summation does not matter.
@@ -571,10 +556,7 @@ impl Prescribed {
 
     /// All pairs that are near each other or not apart, in ascending order of their bodies.
     pub fn known_pairs(&self) -> impl Iterator<Item = &Pair> + '_ {
-        (0..).zip(&self.bodies).flat_map(|(index, body)| {
-            let later = body.neighbours.iter().filter(move |neighbour| neighbour.other > index);
-            later.map(|neighbour| self.pairs.get(neighbour.pair))
-        })
+        later_neighbours(self.bodies.iter().map(|body| &body.neighbours)).map(|pair| self.pairs.get(pair))
     }
 
     /// Bodies and phase of every pair that may not be apart.

@@ -13,7 +13,7 @@ use crate::{
         numerics::arrays::{LANES, Vectors},
         span::Span,
         state::State,
-        terms::{Acting, Moment, On, Phases, Surroundings, carry, push::PushField},
+        terms::{Moment, On, Phases, Surroundings, carry, push::PushField},
         work::{Tally, Work},
     },
 };
@@ -140,10 +140,9 @@ impl<'a> Recomputed<'a> {
         let (this, body) = (&scene.bodies[index], self.body(index));
         let surroundings = self.surroundings(index, from, from, states);
         // a sphere may come within reach during the interval
-        let mut acting = Acting::default();
+        let mut spheres = Vec::new();
         let near: Vec<Neighbour> = body.neighbours.iter().chain(&body.points).copied().collect();
-        self.on(index).over(&near, Span { start: from, end: to }, &mut acting);
-        let Acting { spheres } = &acting;
+        self.on(index).over(&near, Span { start: from, end: to }, &mut spheres);
         let is_still = states.displacement.iter().chain(states.velocity.iter()).all(|v| v == DVec3::ZERO);
         if is_still && spheres.is_empty() && surroundings.is_idle() && self.path(index).is_fixed() {
             return;
@@ -163,7 +162,7 @@ impl<'a> Recomputed<'a> {
             length: to - from,
             tracks,
             is_whole: false,
-            spheres,
+            spheres: &spheres,
             local: pushes.local(),
         };
         let mut deformation = Deformation::default();

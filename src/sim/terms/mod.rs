@@ -2,7 +2,7 @@
 //!
 //! A term contributes in the three kinds that integrators know, see [`Surroundings`]: the same acceleration for all
 //! vertices, an acceleration times a weight per vertex, and one that depends on a vertex's position. It also gives a
-//! bound on its contribution, the instants at which it jumps, and the times at which it wakes a body at rest.
+//! bound on its contribution, and the instants at which it jumps.
 //! Everything that sums what acts on a body (integrators, motion bounds, arrows, energy, the stages of a step) uses the
 //! table below.
 
@@ -95,8 +95,10 @@ macro_rules! terms {
                 $($module::$Term::at(self, moment, &motion, farthest, surroundings);)*
             }
 
-            /// Collects what acts throughout a part of a step without jumps, considering the neighbours `near`.
-            pub fn over(&self, near: &[Neighbour], part: Span, acting: &mut Acting) {
+            /// Collects the influence spheres that can reach the body throughout a part of a step without jumps, considering
+            /// the neighbours `near`. What else acts there is the same for all vertices ([`uniform`]) or constant for each
+            /// ([`PushField`](push::PushField)).
+            pub fn over(&self, near: &[Neighbour], part: Span, acting: &mut Vec<Sphere>) {
                 acting.clear();
                 $($module::$Term::over(self, near, part, acting);)*
             }
@@ -114,14 +116,6 @@ macro_rules! terms {
             pub fn jumps(&self, near: &[Neighbour], span: Span, jumps: &mut Vec<f64>) {
                 $($module::$Term::jumps(self, near, span, jumps);)*
             }
-        }
-
-        /// Appends the times [s] at which terms begin to act on bodies by themselves, with the bodies' indices.
-        pub(super) fn starts(scene: &Scene) -> Vec<(f64, u32)> {
-            let mut starts = Vec::new();
-            $($module::$Term::starts(scene, &mut starts);)*
-            starts.sort_by(|a, b| a.0.total_cmp(&b.0));
-            starts
         }
     };
 }
@@ -185,8 +179,8 @@ trait Term {
     /// [scene unit].
     fn at<P: Phases>(_: &On<'_, P>, _: Moment, _motion: &Kinematics, _farthest: f64, _: &mut Surroundings) {}
 
-    /// Adds the same contributions for a whole part of a step without jumps, considering the neighbours `near`.
-    fn over<P: Phases>(_: &On<'_, P>, _near: &[Neighbour], _part: Span, _: &mut Acting) {}
+    /// Adds its influence spheres for a whole part of a step without jumps, considering the neighbours `near`.
+    fn over<P: Phases>(_: &On<'_, P>, _near: &[Neighbour], _part: Span, _: &mut Vec<Sphere>) {}
 
     /// A bound on the acceleration of any vertex during `span` by contributions that do not depend on other bodies
     /// [scene unit/s²].
@@ -196,9 +190,6 @@ trait Term {
 
     /// Appends the instants within `span` at which the contribution jumps or has a kink [s].
     fn jumps<P: Phases>(_: &On<'_, P>, _near: &[Neighbour], _span: Span, _: &mut Vec<f64>) {}
-
-    /// Appends the times [s] at which the term begins to act on bodies by itself, with the bodies' indices.
-    fn starts(_: &Scene, _: &mut Vec<(f64, u32)>) {}
 }
 
 /// A body that terms act on, with everything that they may depend on.
@@ -289,19 +280,5 @@ impl Surroundings {
         self.sources.iter().all(|source| source.strength == 0.0)
             && self.weighted.iter().all(|weighted| weighted.strength == 0.0)
             && self.uniform.is_empty()
-    }
-}
-
-/// The influence spheres that can reach a body throughout a part of a step without jumps. What else acts there is the
-/// same for all vertices ([`uniform`]) or constant for each ([`push::accelerations`]).
-#[derive(Clone, Debug, Default)]
-pub(super) struct Acting {
-    /// The influence spheres that can reach the body.
-    pub spheres: Vec<Sphere>,
-}
-
-impl Acting {
-    fn clear(&mut self) {
-        self.spheres.clear();
     }
 }

@@ -1,6 +1,6 @@
 //! Force points (3.1.2): influence spheres on paths of their own, which attract (3.4) or repel (3.5) for a time.
 
-use super::{Acting, Moment, On, Origin, Phases, Source, Sphere, Surroundings, Term};
+use super::{Moment, On, Origin, Phases, Source, Sphere, Surroundings, Term};
 use crate::{
     scene::{Point, Scene, path::Kinematics},
     sim::{neighbours::Neighbour, span::Span},
@@ -27,13 +27,13 @@ impl Term for Points {
         }
     }
 
-    fn over<P: Phases>(on: &On<'_, P>, near: &[Neighbour], part: Span, acting: &mut Acting) {
+    fn over<P: Phases>(on: &On<'_, P>, near: &[Neighbour], part: Span, acting: &mut Vec<Sphere>) {
         for neighbour in near.iter().filter(|neighbour| neighbour.is_point()) {
             let (_, point) = on.point(neighbour);
             if point.acts_at(part.start) {
                 let radius = on.tracks.motion_bounds(neighbour.other).sphere;
                 let strength = on.scene.point_strength(point, on.index as usize);
-                acting.spheres.push(Sphere::new(neighbour.other, radius, strength));
+                acting.push(Sphere::new(neighbour.other, radius, strength));
             }
         }
     }

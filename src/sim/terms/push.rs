@@ -6,7 +6,7 @@ use glam::DVec3;
 use super::{Cause, Moment, On, Phases, Surroundings, Term};
 use crate::{
     geometry::Rest,
-    scene::{Push, Scene, path::Kinematics},
+    scene::{Push, path::Kinematics},
     sim::{integrator::exponential::course::Local, neighbours::Neighbour, numerics::arrays::Vectors, span::Span},
 };
 
@@ -109,9 +109,5 @@ impl Term for Pushes {
     fn jumps<P: Phases>(on: &On<'_, P>, _: &[Neighbour], span: Span, jumps: &mut Vec<f64>) {
         let edges = on.pushes.iter().flat_map(|push| [push.start, push.end()]);
         jumps.extend(edges.filter(|&t| span.holds(t)));
-    }
-
-    fn starts(scene: &Scene, starts: &mut Vec<(f64, u32)>) {
-        starts.extend(scene.pushes.iter().map(|push| (push.start, push.body as u32)));
     }
 }

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use glam::DVec3;
 
-use super::{Acting, Cause, Moment, On, Phases, Surroundings, Term};
+use super::{Cause, Moment, On, Phases, Surroundings, Term};
 use crate::{
     geometry::Rest,
     model::{PairLaw, energy, influence::Weight, phase::Phase},
@@ -109,12 +109,12 @@ impl Term for Spheres {
         }
     }
 
-    fn over<P: Phases>(on: &On<'_, P>, near: &[Neighbour], part: Span, acting: &mut Acting) {
+    fn over<P: Phases>(on: &On<'_, P>, near: &[Neighbour], part: Span, acting: &mut Vec<Sphere>) {
         for neighbour in near.iter().filter(|neighbour| !neighbour.is_point()) {
             let strength = on.strength(neighbour, on.phases.from(on.index, neighbour, part.start));
             let radius = on.tracks.motion_bounds(neighbour.other).sphere;
             if strength != 0.0 {
-                acting.spheres.push(Sphere::new(neighbour.other, radius, strength));
+                acting.push(Sphere::new(neighbour.other, radius, strength));
             }
         }
     }
