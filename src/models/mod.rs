@@ -81,7 +81,7 @@ use std::sync::Arc;
 
 use crate::{
     observe::{Experiment, InvalidVariation, Parameter, Refusal, Schema, Simulation, Variation},
-    scene::{Integrator, Model, Scene, template::Override},
+    scene::{Body, Integrator, Model, Scene, template::Override},
     sim::{Options, World},
     text::did_you_mean,
     view,
@@ -115,6 +115,27 @@ pub struct Unsupported {
     pub what: String,
     /// What to do.
     pub remedy: String,
+}
+
+impl Unsupported {
+    fn new(scene: &Scene, body: Option<&Body>, what: impl Into<String>, remedy: &str) -> Unsupported {
+        Unsupported {
+            scene: scene.name.clone(),
+            model: scene.model,
+            body: body.map(|body| body.name.clone()),
+            what: what.into(),
+            remedy: remedy.to_owned(),
+        }
+    }
+
+    /// Rejects edits, for models that have none.
+    fn edits(scene: &Scene) -> Result<(), Unsupported> {
+        if scene.edits.is_empty() {
+            return Ok(());
+        }
+        let what = "[[edit]]: the model does not change within a run";
+        Err(Unsupported::new(scene, None, what, "leave the edits out, or choose model = \"oscillators\""))
+    }
 }
 
 impl Experiment for SceneRun {
@@ -227,12 +248,9 @@ pub fn parse(name: &str) -> Result<Model, String> {
 pub fn need_oscillators(scene: &Scene, what: &str) -> Result<(), Unsupported> {
     match scene.model {
         Model::Oscillators => Ok(()),
-        model => Err(Unsupported {
-            scene: scene.name.clone(),
-            model,
-            body: None,
-            what: format!("{what} measures the oscillators only"),
-            remedy: "remove the key model".to_owned(),
-        }),
+        _ => {
+            let what = format!("{what} measures the oscillators only");
+            Err(Unsupported::new(scene, None, what, "remove the key model"))
+        }
     }
 }

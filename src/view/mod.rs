@@ -28,8 +28,8 @@ use crate::{
         BodyFrame, Frame, Instant, MotionFrame, NearPair, PairEvent, Schema, Shortfall, Simulation, StageFrame,
         StepFailure, StepSummary, Want,
         schema::{
-            BodySchema, OwnLevels, OwnSurfaces, PhaseSchema, PlaneSchema, PointSchema, ScalarOf, ScalarSchema,
-            SchemaChange, SphereAt, Threshold,
+            BodySchema, OwnLevels, OwnSurfaces, PhaseSchema, PlaneSchema, PointSchema, SchemaChange, SphereAt,
+            Threshold,
         },
     },
     scene::{Body, Edit, Integrator, Model, Numbers, PairLaws, Plane, Point, ROUNDING, Scene},
@@ -42,7 +42,7 @@ use crate::{
 };
 use camera::framing;
 use frames::{add_coupled_forces, add_forces, pair_frame};
-use scalars::{Scalar, ScalarValue, StateNumbers, least_range, scalars};
+use scalars::{ScalarValue, StateNumbers, scalars};
 use scales::{arrow_scale, net_force_scale};
 use terms::{LABELS, PHASES, label, law, level, phase_color, term};
 
@@ -373,16 +373,7 @@ pub fn schema(scene: &Scene) -> Schema {
         events: crate::sim::events::KINDS.map(Into::into).into(),
         thresholds: thresholds.collect(),
         surfaces: OwnSurfaces::default(),
-        scalars: scalars(scene)
-            .map(|&Scalar { name, label, plot, ref value, is_smooth }| {
-                let of = match value {
-                    ScalarValue::State(_) => ScalarOf::State,
-                    ScalarValue::SumOfSteps(_) => ScalarOf::SumOfSteps,
-                    ScalarValue::MaxOfSteps(_) => ScalarOf::MaxOfSteps,
-                };
-                ScalarSchema { name, label, plot, of, is_smooth, least_range: least_range(scene, plot) }
-            })
-            .collect(),
+        scalars: scalars(scene).map(|scalar| scalar.schema(scene)).collect(),
         stages: Stage::ALL.map(Stage::name).into(),
         warnings: scene.warnings(),
         ..Schema::default()

@@ -1,8 +1,11 @@
 //! The scalars of a scene: each entry of the tables below becomes a plot.
 
-use super::scales::strongest_pull;
+use super::scales::{largest_radius, strongest_pull};
 use crate::{
-    observe::BodyFrame,
+    observe::{
+        BodyFrame,
+        schema::{ScalarOf, ScalarSchema},
+    },
     scene::{Integrator, Scene},
     sim::{
         Energy, StepReport,
@@ -10,22 +13,38 @@ use crate::{
     },
 };
 
-/// A scalar over time and its source.
-pub struct Scalar {
-    /// Its name, label and plot: see [`ScalarSchema`](crate::observe::schema::ScalarSchema).
+/// A scalar over time and its source: a function `S` of the state, or `R` of a step.
+pub struct Scalar<S, R> {
+    /// Its name, label and plot: see [`ScalarSchema`].
     pub name: &'static str,
     pub label: &'static str,
     pub plot: &'static str,
-    pub value: ScalarValue,
+    pub value: ScalarValue<S, R>,
     pub is_smooth: bool,
 }
 
 /// How a scalar is obtained.
-pub enum ScalarValue {
-    State(fn(&StateNumbers<'_>) -> f64),
-    SumOfSteps(fn(&StepReport) -> f64),
-    MaxOfSteps(fn(&StepReport) -> f64),
+pub enum ScalarValue<S, R> {
+    State(S),
+    SumOfSteps(R),
+    MaxOfSteps(R),
 }
+
+impl<S, R> Scalar<S, R> {
+    /// Its schema in a scene.
+    pub fn schema(&self, scene: &Scene) -> ScalarSchema {
+        let Scalar { name, label, plot, ref value, is_smooth } = *self;
+        let of = match value {
+            ScalarValue::State(_) => ScalarOf::State,
+            ScalarValue::SumOfSteps(_) => ScalarOf::SumOfSteps,
+            ScalarValue::MaxOfSteps(_) => ScalarOf::MaxOfSteps,
+        };
+        ScalarSchema { name, label, plot, of, is_smooth, least_range: least_range(scene, plot) }
+    }
+}
+
+/// A scalar of a world.
+pub type OfWorld = Scalar<fn(&StateNumbers<'_>) -> f64, fn(&StepReport) -> f64>;
 
 /// The input for scalars of the state.
 pub struct StateNumbers<'a> {
@@ -42,56 +61,68 @@ pub struct StateNumbers<'a> {
 }
 
 /// The scalars of a scene.
-pub fn scalars(scene: &Scene) -> impl Iterator<Item = &'static Scalar> {
+pub fn scalars(scene: &Scene) -> impl Iterator<Item = &'static OfWorld> {
     let has_free = scene.bodies.iter().any(|body| body.path().is_none());
     let is_accounted_for = has_free && scene.integrator == Integrator::Exponential;
-    let (first, last): (&[Scalar], &[Scalar]) = match (has_free, scene.is_coupled()) {
-        (true, _) => (TOTAL_OF_FREE, CONSERVED),
-        (false, false) => (DEFORMATION, TOTAL_ON_PATHS),
-        (false, true) => (&[], &[]), // only the solver of bodies on paths knows their energies
+    let (first, last, momenta): (&[OfWorld], &[OfWorld], &[OfWorld]) = match (has_free, scene.is_coupled()) {
+        (true, _) => (TOTAL_OF_FREE, CONSERVED, &MOMENTA),
+        (false, false) => (DEFORMATION, TOTAL_ON_PATHS, &[]),
+        (false, true) => (&[], &[], &[]), // only the solver of bodies on paths knows their energies
     };
     let (has_points, has_edits) = (!scene.points.is_empty(), !scene.edits.is_empty());
-    let occurs = move |scalar: &&Scalar| match scalar.name {
+    let occurs = move |scalar: &&OfWorld| match scalar.name {
         BY_POINTS => is_accounted_for && has_points,
         BY_EDITS => is_accounted_for && has_edits,
         _ => is_accounted_for,
     };
-    first.iter().chain(SCALARS).chain(last).chain(LEDGER.iter().filter(occurs))
+    [first, SCALARS, last, momenta].into_iter().flatten().chain(LEDGER.iter().filter(occurs))
 }
 
 /// The scalars of all scenes.
-pub fn all() -> impl Iterator<Item = &'static Scalar> {
-    [TOTAL_OF_FREE, DEFORMATION, TOTAL_ON_PATHS, SCALARS, CONSERVED, LEDGER].into_iter().flatten()
+pub fn all() -> impl Iterator<Item = &'static OfWorld> {
+    [TOTAL_OF_FREE, DEFORMATION, TOTAL_ON_PATHS, SCALARS, CONSERVED, &MOMENTA, LEDGER].into_iter().flatten()
 }
 
 /// A smooth scalar of the state.
-const fn smooth(
-    name: &'static str,
-    label: &'static str,
-    plot: &'static str,
-    value: fn(&StateNumbers<'_>) -> f64,
-) -> Scalar {
+pub const fn smooth<S, R>(name: &'static str, label: &'static str, plot: &'static str, value: S) -> Scalar<S, R> {
     Scalar { name, label, plot, value: ScalarValue::State(value), is_smooth: true }
 }
 
 /// A scalar that jumps from step to step.
-const fn jumping(name: &'static str, label: &'static str, plot: &'static str, value: ScalarValue) -> Scalar {
+pub const fn jumping<S, R>(
+    name: &'static str,
+    label: &'static str,
+    plot: &'static str,
+    value: ScalarValue<S, R>,
+) -> Scalar<S, R> {
     Scalar { name, label, plot, value, is_smooth: false }
 }
 
+/// Momentum and angular momentum by coordinate.
+pub const fn momenta<S: Copy, R>([px, py, pz, lx, ly, lz]: [S; 6]) -> [Scalar<S, R>; 6] {
+    [
+        smooth("momentum_x", "momentum x [mass·unit/s]", MOMENTUM, px),
+        smooth("momentum_y", "momentum y", MOMENTUM, py),
+        smooth("momentum_z", "momentum z", MOMENTUM, pz),
+        smooth("angular_momentum_x", "about the origin, x [mass·unit²/s]", ANGULAR_MOMENTUM, lx),
+        smooth("angular_momentum_y", "y", ANGULAR_MOMENTUM, ly),
+        smooth("angular_momentum_z", "z", ANGULAR_MOMENTUM, lz),
+    ]
+}
+
 /// The energy of free bodies, and of those on paths by their masses.
-const TOTAL_OF_FREE: &[Scalar] =
+const TOTAL_OF_FREE: &[OfWorld] =
     &[smooth("energy", "energy [mass·unit²/s²]", OF_FREE, |state| state.energy.total())];
 const OF_FREE: &str = "Energy [mass·unit²/s²] by kind";
 
 /// The energy of the deformation of bodies on paths, which have no masses [scene unit²/s²].
-const DEFORMATION: &[Scalar] = &[
+const DEFORMATION: &[OfWorld] = &[
     smooth("energy_vibration", "vibration [unit²/s²]", DEFORMED, |state| state.energy.kinetic),
     smooth("energy_elastic", "elastic", DEFORMED, |state| state.energy.elastic),
 ];
 /// Their energy with that of the influence, which is thousands of times as large, mostly from vertices that no sphere
 /// reaches. What the paths do to it is not counted.
-const TOTAL_ON_PATHS: &[Scalar] = &[
+const TOTAL_ON_PATHS: &[OfWorld] = &[
     smooth("energy", "energy [unit²/s²]", ON_PATHS, |state| state.energy.total()),
     smooth("energy_influence", "influence", ON_PATHS, |state| state.energy.influence),
 ];
@@ -99,11 +130,11 @@ const ON_PATHS: &str = "Total with influence [unit²/s²]";
 
 const DEFORMED: &str = "Energy of deformation [unit²/s²]; no balance: paths bring and take energy uncounted";
 /// The plots of what free bodies conserve.
-pub const MOMENTUM: &str = "Momentum";
-pub const ANGULAR_MOMENTUM: &str = "Angular momentum";
+const MOMENTUM: &str = "Momentum";
+const ANGULAR_MOMENTUM: &str = "Angular momentum";
 
 /// Conserved quantities of free bodies. Energies are in units of mass · scene unit²/s².
-const CONSERVED: &[Scalar] = &[
+const CONSERVED: &[OfWorld] = &[
     smooth("energy_kinetic", "kinetic", OF_FREE, |state| state.conserved.kinetic),
     smooth("energy_spin", "spin", OF_FREE, |state| state.conserved.spin),
     smooth("energy_vibration", "vibration", OF_FREE, |state| state.conserved.vibration),
@@ -111,19 +142,20 @@ const CONSERVED: &[Scalar] = &[
     smooth("energy_influence", "influence", OF_FREE, |state| state.conserved.influence),
     smooth("energy_gravity", "gravity", OF_FREE, |state| state.conserved.gravity),
     smooth("energy_plane", "planes", OF_FREE, |state| state.conserved.plane),
-    smooth("momentum_x", "momentum x [mass·unit/s]", MOMENTUM, |state| state.conserved.momentum.x),
-    smooth("momentum_y", "momentum y", MOMENTUM, |state| state.conserved.momentum.y),
-    smooth("momentum_z", "momentum z", MOMENTUM, |state| state.conserved.momentum.z),
-    smooth("angular_momentum_x", "about the origin, x [mass·unit²/s]", ANGULAR_MOMENTUM, |state| {
-        state.conserved.angular_momentum.x
-    }),
-    smooth("angular_momentum_y", "y", ANGULAR_MOMENTUM, |state| state.conserved.angular_momentum.y),
-    smooth("angular_momentum_z", "z", ANGULAR_MOMENTUM, |state| state.conserved.angular_momentum.z),
 ];
+
+const MOMENTA: [OfWorld; 6] = momenta([
+    |state| state.conserved.momentum.x,
+    |state| state.conserved.momentum.y,
+    |state| state.conserved.momentum.z,
+    |state| state.conserved.angular_momentum.x,
+    |state| state.conserved.angular_momentum.y,
+    |state| state.conserved.angular_momentum.z,
+]);
 
 /// Energy brought to free bodies since t = 0 by cause, and the remainder when all causes are subtracted: the
 /// integrator's error.
-const LEDGER: &[Scalar] = &[
+const LEDGER: &[OfWorld] = &[
     smooth("brought_by_events", "by events", BROUGHT, |state| state.ledger.events),
     smooth("brought_by_cores", "by gradual cores", BROUGHT, |state| state.ledger.core),
     smooth("brought_by_damping", "by damping", BROUGHT, |state| state.ledger.damping),
@@ -145,7 +177,7 @@ const BY_EDITS: &str = "brought_by_edits";
 const BROUGHT: &str = "Energy added since t = 0 [mass·unit²/s²], by cause";
 const UNACCOUNTED: &str = "Energy not accounted for [mass·unit²/s²]";
 
-const SCALARS: &[Scalar] = &[
+const SCALARS: &[OfWorld] = &[
     smooth("max_displacement", "largest displacement [radii]", "Displacement", |state| {
         let bodies = state.bodies.iter().zip(&state.scene.bodies);
         bodies.map(|(now, body)| now.max_displacement / body.radius).fold(0.0, f64::max)
@@ -166,11 +198,11 @@ const SCALARS: &[Scalar] = &[
     jumping("sleeping_bodies", "bodies at rest", "Counts", ScalarValue::State(|state| state.resting as f64)),
 ];
 
-/// The smallest range of a plot, see [`ScalarSchema`](crate::observe::schema::ScalarSchema): 1e-9 of the momentum of all
+/// The smallest range of a plot, see [`ScalarSchema`]: 1e-9 of the momentum of all
 /// bodies at the speed that the strongest influence gives a vertex over a radius.
-pub fn least_range(scene: &Scene, plot: &str) -> f64 {
+fn least_range(scene: &Scene, plot: &str) -> f64 {
     const SHARE: f64 = 1e-9;
-    let radius = scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
+    let radius = largest_radius(scene);
     let mass: f64 = scene.bodies.iter().filter(|body| body.path().is_none()).map(|body| body.mass).sum();
     let momentum = mass * (strongest_pull(scene, radius) * radius).sqrt();
     match plot {

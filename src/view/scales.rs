@@ -20,7 +20,8 @@ pub fn reaction_scale(scene: &Scene) -> f64 {
         .min(net_force_scale(scene))
 }
 
-fn largest_radius(scene: &Scene) -> f64 {
+/// The largest radius of a body [scene unit].
+pub fn largest_radius(scene: &Scene) -> f64 {
     scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max)
 }
 

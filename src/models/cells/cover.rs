@@ -1,10 +1,10 @@
 //! Voxelisation: the cubes of a grid that a closed mesh covers.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
 use glam::DVec3;
 
-use crate::geometry::Mesh;
+use crate::{geometry::Mesh, interrupt::is_raised};
 
 /// Boxes are tested at this size, so that cells that the surface only touches are not part of the body.
 const SHRINK: f64 = 1.0 - 1e-9;
@@ -21,7 +21,7 @@ pub fn cover(mesh: &Mesh, across: u32, interrupt: Option<&AtomicBool>) -> Option
     // change of the winding number from the cell below, along z
     let mut change = vec![0i32; n * n * n];
     for &corners in mesh.triangles() {
-        if interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+        if is_raised(interrupt) {
             return None;
         }
         let points = corners.map(|i| (mesh.positions().get(i as usize) + 1.0) * scale);
@@ -68,8 +68,8 @@ fn crossing([a, b, c]: [DVec3; 3], corners: [u32; 3], x: f64, y: f64) -> Option<
         let of = |p: DVec3, q: DVec3| (q.x - p.x) * (y - p.y) - (q.y - p.y) * (x - p.x);
         if i < j { of(p, q) >= 0.0 } else { !(of(q, p) >= 0.0) }
     };
-    let [a_, b_, c_] = [(a, corners[0]), (b, corners[1]), (c, corners[2])];
-    let sides = [side(a_, b_), side(b_, c_), side(c_, a_)];
+    let ends = [(a, corners[0]), (b, corners[1]), (c, corners[2])];
+    let sides = [0, 1, 2].map(|k| side(ends[k], ends[(k + 1) % 3]));
     if sides != [sides[0]; 3] {
         return None;
     }

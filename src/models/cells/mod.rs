@@ -11,13 +11,14 @@
 mod boundary;
 mod cover;
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
 use glam::{DMat3, DVec3};
 
 use crate::{
     disjoint_sets::DisjointSets,
     geometry::Mesh,
+    interrupt::is_raised,
     model::shape_matching::{outer, solve},
 };
 
@@ -95,7 +96,7 @@ impl Cells {
         }
         cells.embedded.reserve_exact(mesh.vertex_count());
         for position in mesh.positions().iter() {
-            if interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+            if is_raised(interrupt) {
                 return None;
             }
             cells.embedded.push(embed(position, n, &index, &cells.places)?);

@@ -74,19 +74,42 @@ pub struct Sphere {
 }
 
 impl Sphere {
-    /// Cause, source body, position relative to the body acted on, strength [1/s²] and radius [scene unit].
-    fn at(&self, body: u32, apart: DVec3) -> (Cause, u32, DVec3, f64, f64) {
-        let strength = self.law.strength(self.phase, apart.length() / self.radii) * self.scale;
+    /// The sphere of `source` at a position relative to the body acted on.
+    fn at(&self, source: u32, centre: DVec3) -> ActingSphere {
+        let strength = self.law.strength(self.phase, centre.length() / self.radii) * self.scale;
         let cause = if self.is_of_point { Cause::Point } else { Cause::of_sphere(self.phase, strength) };
-        (cause, body, apart, strength * self.share, self.radius)
+        ActingSphere { cause, source, centre, strength: strength * self.share, radius: self.radius }
+    }
+}
+
+/// An influence sphere at an instant.
+#[derive(Clone, Copy, Debug)]
+pub struct ActingSphere {
+    /// The cause that its force counts as.
+    pub cause: Cause,
+    /// The body or force point that it belongs to.
+    pub source: u32,
+    /// Its centre relative to that of the body acted on [scene unit].
+    pub centre: DVec3,
+    /// Its signed strength, in proportion to the time during which it acts [1/s²].
+    pub strength: f64,
+    /// Its radius [scene unit].
+    pub radius: f64,
+}
+
+impl ActingSphere {
+    /// The acceleration at a position relative to the centre of the body acted on [scene unit/s²].
+    #[inline]
+    pub fn acceleration(&self, weight: Weight, place: DVec3) -> DVec3 {
+        acceleration(weight, self.strength, self.radius, self.centre - place)
     }
 }
 
 /// The sources of acceleration at an instant.
 #[derive(Clone, Debug, Default)]
 pub struct Instantaneous {
-    /// Spheres: cause, body or force point, centre relative to that of the body, strength [1/s²], radius.
-    pub spheres: Vec<(Cause, u32, DVec3, f64, f64)>,
+    /// The influence spheres.
+    pub spheres: Vec<ActingSphere>,
     /// Pushes: direction and strength [scene unit/s²].
     pub pushes: Vec<(DVec3, f64)>,
     /// The acceleration that all nodes of a body on a path share [scene unit/s²].
@@ -314,14 +337,12 @@ fn mean_pushes(pushes: &[Push], [start, end]: [f64; 2], into: &mut Vec<(DVec3, f
 impl Part<'_> {
     /// The accelerations at time `t` in the part [s], into `now`.
     pub fn at(&self, t: f64, now: &mut Instantaneous) {
-        // a centre with position jumps stays in place throughout the part
-        let place = |path: &Path| path.position(if path.is_held() { 0.5 * (self.start + self.end) } else { t });
-        let centre = place(self.path);
+        let centre = self.centre(t);
         now.uniform = terms::uniform(self.scene, &self.material, &self.motion(t));
         now.pushes.clear();
         now.pushes.extend_from_slice(&self.pushes);
         now.spheres.clear();
-        let of = |source: &Source<'_>| source.sphere.at(source.body, place(source.path) - centre);
+        let of = |source: &Source<'_>| source.sphere.at(source.body, self.place(source.path, t) - centre);
         now.spheres.extend(self.sources.iter().map(of));
     }
 
@@ -359,7 +380,12 @@ impl Part<'_> {
 
     /// The position of the centre at time `t` [scene unit].
     pub fn centre(&self, t: f64) -> DVec3 {
-        self.path.position(if self.path.is_held() { 0.5 * (self.start + self.end) } else { t })
+        self.place(self.path, t)
+    }
+
+    /// The position on a path at time `t` [scene unit]; on one with position jumps, that throughout the part.
+    fn place(&self, path: &Path, t: f64) -> DVec3 {
+        path.position(if path.is_held() { 0.5 * (self.start + self.end) } else { t })
     }
 
     /// Upper bound of the derivative of the accelerations by spheres [1/s²].
@@ -375,7 +401,7 @@ impl Instantaneous {
     #[inline]
     pub fn acceleration(&self, weight: Weight, place: DVec3, facing: DVec3) -> DVec3 {
         let mut sum = self.uniform;
-        for &(_, _, centre, strength, radius) in &self.spheres {
+        for &ActingSphere { centre, strength, radius, .. } in &self.spheres {
             let to_centre = centre - place;
             if to_centre.length_squared() < radius * radius {
                 sum += acceleration(weight, strength, radius, to_centre);

@@ -2,10 +2,7 @@
 
 use std::{
     collections::HashMap,
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
+    sync::{Arc, atomic::AtomicBool},
 };
 
 use glam::{DMat3, DVec3};
@@ -17,6 +14,7 @@ use super::{
 };
 use crate::{
     geometry::{Mesh, Shape, Vectors},
+    interrupt::is_raised,
     models::{
         cells::{Cells, boundary},
         fem::{self, Elasticity, Element, Stepper, Unfactored},
@@ -65,6 +63,18 @@ pub struct Finite {
     pub held: Vec<bool>,
     /// Whether each cell would have torn.
     torn: Vec<bool>,
+}
+
+impl Finite {
+    /// Takes an implicit step of a body on a path with the forces that are set, and updates the displacements and
+    /// velocities of its nodes.
+    pub fn step(&mut self, x: &mut [DVec3], u: &mut [DVec3]) {
+        let Finite { element, stepper, motion, forces, .. } = self;
+        stepper.step(element, motion, forces);
+        for (i, &node) in element.free.iter().enumerate() {
+            (x[node as usize], u[node as usize]) = (motion.displacements[i], motion.velocities[i]);
+        }
+    }
 }
 
 /// Statistics of a body's last step, and of the run so far.
@@ -302,11 +312,11 @@ impl Body {
         around.scene.planes.iter().filter(move |plane| plane.depth(centre) > -self.reach)
     }
 
-    /// The corner nodes of a cell.
-    pub fn corners(&self, cell: u32) -> &[u32; 8] {
+    /// The corner nodes of each cell.
+    pub fn corners(&self) -> &[[u32; 8]] {
         match &self.matter {
-            Matter::Lattice(springs) => &springs.lattice.corners[cell as usize],
-            Matter::Fem(_) => &self.cells.corners[cell as usize],
+            Matter::Lattice(springs) => &springs.lattice.corners,
+            Matter::Fem(_) => &self.cells.corners,
         }
     }
 
@@ -343,7 +353,7 @@ impl Body {
                 let divided = finite.divided;
                 let at = |step: u64| around.start + (around.end - around.start) * (step as f64 / divided as f64);
                 for step in 0..divided {
-                    if interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+                    if is_raised(interrupt) {
                         self.failure = Some(StepFailure::Interrupted(format!("interrupted in step {}", around.step)));
                         break;
                     }
@@ -399,7 +409,7 @@ impl Body {
         let chunk = (SPRINGS_PER_CHECK / (lattice.spring_count() as u64 + 1)).max(1);
         let mut done = 0;
         while done < count {
-            if interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+            if is_raised(interrupt) {
                 *failure = Some(StepFailure::Interrupted(format!("interrupted in step {}", around.step)));
                 return;
             }
@@ -457,10 +467,7 @@ impl Body {
                 *force += pressed[node as usize] * element.masses[node as usize];
             }
         }
-        stepper.step(element, motion, forces);
-        for (i, &node) in element.free.iter().enumerate() {
-            (x[node as usize], u[node as usize]) = (motion.displacements[i], motion.velocities[i]);
-        }
+        finite.step(x, u);
     }
 
     /// Tears a lattice where it is overloaded.
@@ -641,15 +648,17 @@ impl Body {
 
     /// Accelerations of the nodes by planes [scene unit/s²].
     pub fn pressed(&self, scene: &Scene, centre: DVec3, velocity: DVec3) -> Vec<DVec3> {
-        let corners = match &self.matter {
-            Matter::Lattice(springs) => &springs.lattice.corners,
-            Matter::Fem(_) => &self.cells.corners,
-        };
         let positions = self.places();
         let velocities = self.velocities();
         let mut into = vec![DVec3::ZERO; positions.len()];
-        let (mesh, cells) = (&*self.mesh, &*self.cells);
-        let of = Contact { planes: &scene.planes, mesh, cells, corners, motion: [centre, velocity], min_stop: 0.0 };
+        let of = Contact {
+            planes: &scene.planes,
+            mesh: &self.mesh,
+            cells: &self.cells,
+            corners: self.corners(),
+            motion: [centre, velocity],
+            min_stop: 0.0,
+        };
         of.accelerate(self.masses(), scene.bodies[self.index].mass, &positions, velocities, &mut into);
         into
     }

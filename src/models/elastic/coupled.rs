@@ -29,22 +29,19 @@
 //! rotation at the end of each step removes it, so that only external torques change the angular momentum. If a pair
 //! changes its phase within a step, spheres act in proportion to time, because the factor requires a fixed step.
 
-use std::{
-    borrow::Cow,
-    sync::atomic::{AtomicBool, Ordering},
-};
+use std::borrow::Cow;
 
 use glam::{DMat3, DQuat, DVec3};
-use rayon::prelude::*;
 
 use super::{
     Elastic, PARALLEL_NODES,
-    act::{Instantaneous, StepContext},
+    act::{ActingSphere, Instantaneous, StepContext},
     body::{Body, Contact, Finite, MAX_SPRINGS, Matter, OF_LIMIT, Springs},
     note_phase,
 };
 use crate::{
     geometry::Mesh,
+    interrupt::is_raised,
     model::{
         influence::{Weight, acceleration},
         phase::Phase,
@@ -52,6 +49,7 @@ use crate::{
     },
     models::{cells::Cells, lattice::Scheme},
     observe::{PairEvent, StepFailure},
+    parallel,
     scene::{
         FreeMotion, Integrator, Model, Path, Plane, Point, Scene,
         path::{Bounds, Given, Kinematics},
@@ -179,7 +177,7 @@ impl Loads<'_> {
         acted.pulls.clear();
         // nodes that are no longer part of a free body have no mass
         let mass = |node: usize| if self.rotation.is_some() && self.held[node] { 0.0 } else { self.masses[node] };
-        for &(_, body, centre, strength, radius) in &self.now.spheres {
+        for &ActingSphere { source, centre, strength, radius, .. } in &self.now.spheres {
             let mut sum = DVec3::ZERO;
             for (node, (into, position)) in into.iter_mut().zip(positions).enumerate() {
                 let to_centre = centre - *position;
@@ -189,7 +187,7 @@ impl Loads<'_> {
                     sum += pull * mass(node);
                 }
             }
-            acted.pulls.push((body, sum));
+            acted.pulls.push((source, sum));
         }
         let turned = self.rotation.unwrap_or_default().inverse();
         for &(direction, strength) in &self.now.pushes {
@@ -322,7 +320,7 @@ impl Elastic {
                 let change = self.changes([t, to], part, true)?.pop();
                 let until = change.map_or(to, |change| change.time);
                 if until > t {
-                    self.move_all(t, until - t, part);
+                    self.pull_all(t, until - t, part, false);
                 }
                 is_known = change.is_none();
                 if let Some(change) = change {
@@ -334,13 +332,8 @@ impl Elastic {
         Ok(())
     }
 
-    /// A step of velocity Verlet.
-    fn move_all(&mut self, t: f64, h: f64, part: [f64; 2]) {
-        self.pull_all(t, h, part, false);
-    }
-
-    /// Evaluates the forces on all bodies at `t` [s] if `is_start`; otherwise takes a step of `h` from there, and
-    /// evaluates them at its end.
+    /// Evaluates the forces on all bodies at `t` [s] if `is_start`; otherwise takes a step of velocity Verlet of length
+    /// `h` from there, and evaluates them at its end.
     fn pull_all(&mut self, t: f64, h: f64, part: [f64; 2], is_start: bool) {
         let places = self.places(t, h, part);
         let Elastic { scene, bodies, phases, step, .. } = self;
@@ -422,8 +415,7 @@ impl Elastic {
     }
 
     fn check_interrupt(&self) -> Result<(), StepFailure> {
-        let flag: Option<&AtomicBool> = self.options.interrupt;
-        match flag.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+        match is_raised(self.options.interrupt) {
             true => Err(StepFailure::Interrupted(format!("interrupted in step {}", self.step + 1))),
             false => Ok(()),
         }
@@ -502,11 +494,7 @@ impl Elastic {
 
 fn for_each_body(bodies: &mut [Body], of: impl Fn(&mut Body) + Sync + Send) {
     let nodes: usize = bodies.iter().map(Body::node_count).sum();
-    if nodes >= PARALLEL_NODES && bodies.len() > 1 {
-        bodies.par_iter_mut().for_each(of);
-    } else {
-        bodies.iter_mut().for_each(of);
-    }
+    parallel::over(nodes >= PARALLEL_NODES, bodies, |_, body| of(body));
 }
 
 impl Body {
@@ -658,17 +646,16 @@ impl Body {
     fn step_implicit(&mut self, h: f64) {
         let Body { matter, free, acted, rest, x, u, .. } = self;
         let Matter::Fem(finite) = matter else { return };
-        let Finite { element, stepper, motion, forces, .. } = &mut **finite;
-        let masses = &element.masses;
         let Some(Free { positions, velocities, rotation, .. }) = free else {
+            let Finite { element, forces, .. } = &mut **finite;
+            let masses = &element.masses;
             forces.clear();
             forces.extend(element.free.iter().map(|&node| acted.loads[node as usize] * masses[node as usize]));
-            stepper.step(element, motion, forces);
-            for (i, &node) in element.free.iter().enumerate() {
-                (x[node as usize], u[node as usize]) = (motion.displacements[i], motion.velocities[i]);
-            }
+            finite.step(x, u);
             return;
         };
+        let Finite { element, stepper, motion, forces, .. } = &mut **finite;
+        let masses = &element.masses;
         let is_at_rest = acted.loads.iter().chain(velocities.iter()).all(|v| *v == DVec3::ZERO) && positions == rest;
         if is_at_rest {
             return;
@@ -809,7 +796,7 @@ impl Body {
 
 /// All planes if a body may reach one of them, otherwise none.
 fn near(planes: &[Plane], centre: DVec3, extent: f64) -> &[Plane] {
-    let is_near = planes.iter().any(|plane| plane.depth(centre) > -extent - 0.5 * extent);
+    let is_near = planes.iter().any(|plane| plane.depth(centre) > -1.5 * extent);
     if is_near { planes } else { &[] }
 }
 

@@ -20,18 +20,18 @@ mod tests;
 
 use std::{
     collections::{BTreeMap, HashMap},
-    sync::{Arc, atomic::Ordering},
+    sync::Arc,
     time::{Duration, Instant as Clock},
 };
-
-use rayon::prelude::*;
 
 use super::{Unsupported, cells::Cells};
 use crate::{
     geometry::{Shape, Sphere},
+    interrupt::is_raised,
     model::phase::Phase,
     observe::{BodyEvent, Instant, PairEvent, StepFailure},
-    scene::{Integrator, Model, Motion, Path, Rotation, Scene, TearMode},
+    parallel,
+    scene::{self, Integrator, Model, Motion, Path, Rotation, Scene, TearMode},
     sim::{
         Options, World, memory,
         reach::{Ball, Grid},
@@ -79,32 +79,26 @@ pub struct Elastic {
 /// # Errors
 /// [`Unsupported`], naming the body and the key.
 pub fn check(scene: &Scene) -> Result<(), Unsupported> {
-    let unsupported = |body: Option<&str>, what: String, remedy: &str| {
-        let body = body.map(str::to_owned);
-        Err(Unsupported { scene: scene.name.clone(), model: scene.model, body, what, remedy: remedy.to_owned() })
-    };
+    let unsupported =
+        |body: Option<&scene::Body>, what: &str, remedy: &str| Err(Unsupported::new(scene, body, what, remedy));
     for body in &scene.bodies {
         if let Motion::Free(motion) = &body.motion {
             if motion.rotation == Rotation::Fixed {
-                let what = "rotation = \"fixed\": the nodes of a body determine its rotation".to_owned();
-                return unsupported(
-                    Some(&body.name),
-                    what,
-                    "remove the key rotation, or choose model = \"oscillators\"",
-                );
+                let what = "rotation = \"fixed\": the nodes of a body determine its rotation";
+                return unsupported(Some(body), what, "remove the key rotation, or choose model = \"oscillators\"");
             }
             if body.force.is_some() {
-                let what = "a force set by a program".to_owned();
-                return unsupported(Some(&body.name), what, "remove it, or choose model = \"oscillators\"");
+                let what = "a force set by a program";
+                return unsupported(Some(body), what, "remove it, or choose model = \"oscillators\"");
             }
             if scene.integrator == Integrator::Euler {
-                let what = "integrator = \"euler\" with motion = { free = … }".to_owned();
-                return unsupported(Some(&body.name), what, "choose \"verlet\", or \"exponential\", the default");
+                let what = "integrator = \"euler\" with motion = { free = … }";
+                return unsupported(Some(body), what, "choose \"verlet\", or \"exponential\", the default");
             }
         }
         if body.material.omega == 0.0 {
-            let what = "omega = 0: its stiffness is derived from omega".to_owned();
-            return unsupported(Some(&body.name), what, "give it an omega above 0");
+            let what = "omega = 0: its stiffness is derived from omega";
+            return unsupported(Some(body), what, "give it an omega above 0");
         }
     }
     let (scheme, remedy) = match scene.model {
@@ -117,17 +111,14 @@ pub fn check(scene: &Scene) -> Result<(), Unsupported> {
             "choose \"euler\" or \"verlet\", which step by dt, or \"exponential\", the default, with which the model divides dt",
         ),
     };
-    if !scene.edits.is_empty() {
-        let what = "[[edit]]: the model does not change within a run".to_owned();
-        return unsupported(None, what, "leave the edits out, or choose model = \"oscillators\"");
-    }
+    Unsupported::edits(scene)?;
     let is_known = match scene.integrator {
         Integrator::Exponential => true,
         Integrator::Euler | Integrator::Verlet => scene.model != Model::Fem,
         _ => false,
     };
     if !is_known {
-        return unsupported(None, format!("integrator = \"{}\": its {scheme}", scene.integrator), remedy);
+        return unsupported(None, &format!("integrator = \"{}\": its {scheme}", scene.integrator), remedy);
     }
     Ok(())
 }
@@ -165,7 +156,7 @@ impl Elastic {
         let mut covered: HashMap<&Shape, Arc<Cells>> = HashMap::new();
         let mut contact = 0.0;
         for body in &scene.bodies {
-            if options.interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+            if is_raised(options.interrupt) {
                 return Err(interrupted());
             }
             if !covered.contains_key(&body.shape) {
@@ -178,7 +169,7 @@ impl Elastic {
         let mut shared = body::Shared::new(left, &scene, is_coupled.then_some(contact));
         let mut bodies = Vec::with_capacity(scene.bodies.len());
         for (index, body) in scene.bodies.iter().enumerate() {
-            if options.interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+            if is_raised(options.interrupt) {
                 return Err(interrupted());
             }
             let Some(cells) = covered.get(&body.shape).map(Arc::clone) else { continue };
@@ -245,12 +236,7 @@ impl Elastic {
         let Elastic { scene, bodies, phases, events, options, step, .. } = self;
         let around = StepContext { scene, phases, events, start, end, step: *step + 1 };
         let nodes: usize = bodies.iter().filter(|body| !body.sleeps(&around)).map(Body::node_count).sum();
-        let advance = |body: &mut Body| body.advance(&around, options.interrupt);
-        if nodes >= PARALLEL_NODES && bodies.len() > 1 {
-            bodies.par_iter_mut().for_each(advance);
-        } else {
-            bodies.iter_mut().for_each(advance);
-        }
+        parallel::over(nodes >= PARALLEL_NODES, bodies, |_, body| body.advance(&around, options.interrupt));
         // that of the first body, whichever thread finished first
         self.failure = bodies.iter_mut().find_map(|body| body.failure.take());
         if self.failure.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
@@ -280,7 +266,7 @@ impl Elastic {
     /// Finds the bodies and force points whose spheres can reach each body within a step.
     fn find_sources(&mut self, start: f64, end: f64) {
         let Elastic { scene, bodies, grid, world, .. } = self;
-        // if phases are found here, thresholds extend the search distance
+        // if phases are found here, search as far as the largest threshold
         let farthest =
             if world.is_none() { scene.laws().map(|law| law.thresholds.split_at).fold(0.0, f64::max) } else { 0.0 };
         for (body, described) in bodies.iter_mut().zip(&scene.bodies) {

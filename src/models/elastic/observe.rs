@@ -17,137 +17,113 @@ use crate::{
     models::lattice::Constants,
     observe::{
         BodyFrame, Frame, Instant, MotionFrame, NearPair, NetForce, PairFrame, Schema, Simulation, StepSummary, Want,
-        schema::{ScalarOf, ScalarSchema},
     },
     scene::{Integrator, Model, Scene, TearMode},
     sim::{Cause, World, terms},
     view::{
         self,
-        scalars::{ANGULAR_MOMENTUM, MOMENTUM, least_range},
+        scalars::{self, ScalarValue, jumping, momenta, smooth},
     },
 };
 
 /// Springs are drawn in scenes of at most this many cells: more would hide each other.
 const DRAWN_CELLS: usize = 64;
 
-/// Index of a phase, as used in frames.
-fn number(phase: Phase) -> usize {
-    phase as usize
-}
-
 const ENERGY: &str = "Energy [mass·unit²/s²] by kind; what spheres, planes and damping bring is not counted";
 
-/// A scalar and its value, of the state or of a step.
-struct Scalar {
-    schema: ScalarSchema,
-    value: fn(&Elastic, &[BodyFrame]) -> f64,
-}
+/// A scalar of bodies made of cells; the values of the state also depend on the frames of the bodies.
+type Scalar = scalars::Scalar<fn(&Elastic, &[BodyFrame]) -> f64, fn(&Elastic) -> f64>;
 
 /// The scalars of a scene.
-fn scalars(scene: &Scene) -> Vec<Scalar> {
-    let of = |name, label, plot, of, value| Scalar {
-        schema: ScalarSchema {
-            plot,
-            is_smooth: of == ScalarOf::State,
-            least_range: least_range(scene, plot),
-            ..ScalarSchema::new(name, label, of)
-        },
-        value,
+fn scalars(scene: &Scene) -> impl Iterator<Item = &'static Scalar> {
+    let momenta = if is_coupled(scene) { &MOMENTA[..] } else { &[] };
+    let (of_model, of_tearing) = match (scene.model, scene.lattice.tear) {
+        (Model::Fem, _) => (&[][..], if scene.fem.tear_stress.is_some() { TENSION } else { &[] }),
+        (_, TearMode::None) => (SPRINGS, &[][..]),
+        (_, TearMode::Cut) => (SPRINGS, CUT),
+        (_, TearMode::Split) => (SPRINGS, SPLIT),
     };
-    let mut all = vec![
-        of("energy", "energy [mass·unit²/s²]", ENERGY, ScalarOf::State, |simulation, _| {
-            simulation.kinetic_energy() + simulation.elastic_energy()
-        }),
-        of("energy_vibration", "kinetic", ENERGY, ScalarOf::State, |simulation, _| simulation.kinetic_energy()),
-        of("energy_elastic", "elastic", ENERGY, ScalarOf::State, |simulation, _| simulation.elastic_energy()),
-        of(
-            "max_displacement",
-            "largest displacement [radii]",
-            "Displacement",
-            ScalarOf::State,
-            |simulation, frames| {
-                let bodies = simulation.bodies.iter().zip(frames);
-                bodies.map(|(body, now)| now.max_displacement / body.radius).fold(0.0, f64::max)
-            },
-        ),
-        of("sleeping_bodies", "bodies at rest", "Counts", ScalarOf::State, |simulation, _| {
-            simulation.bodies.iter().filter(|body| body.is_at_rest).count() as f64
-        }),
-    ];
-    if is_coupled(scene) {
-        all.extend([
-            of("momentum_x", "momentum x [mass·unit/s]", MOMENTUM, ScalarOf::State, |simulation, _| {
-                simulation.momentum().x
-            }),
-            of("momentum_y", "momentum y", MOMENTUM, ScalarOf::State, |simulation, _| simulation.momentum().y),
-            of("momentum_z", "momentum z", MOMENTUM, ScalarOf::State, |simulation, _| simulation.momentum().z),
-            of(
-                "angular_momentum_x",
-                "about the origin, x [mass·unit²/s]",
-                ANGULAR_MOMENTUM,
-                ScalarOf::State,
-                |simulation, _| simulation.angular_momentum().x,
-            ),
-            of("angular_momentum_y", "y", ANGULAR_MOMENTUM, ScalarOf::State, |simulation, _| {
-                simulation.angular_momentum().y
-            }),
-            of("angular_momentum_z", "z", ANGULAR_MOMENTUM, ScalarOf::State, |simulation, _| {
-                simulation.angular_momentum().z
-            }),
-        ]);
-    }
-    all.push(of("substeps", "steps of the integrator", "Counts", ScalarOf::SumOfSteps, |simulation, _| {
-        simulation.bodies.iter().map(|body| body.statistics.substeps as f64).sum()
-    }));
-    if scene.model == Model::Fem {
-        if scene.fem.tear_stress.is_some() {
-            all.push(of(
-                "tension",
-                "largest tension [mass/(unit·s²)]",
-                "Tension",
-                ScalarOf::MaxOfSteps,
-                |simulation, _| simulation.bodies.iter().map(|body| body.statistics.tension).fold(0.0, f64::max),
-            ));
-            all.push(of("would_tear", "cells that would have torn", "Counts", ScalarOf::State, |simulation, _| {
-                simulation.bodies.iter().map(|body| body.statistics.torn as f64).sum()
-            }));
-        }
-        return all;
-    }
-    all.push(of("step_limit", "longest stable step [s]", "Step limit", ScalarOf::MaxOfSteps, |simulation, _| {
-        let limit = simulation.bodies.iter().map(|body| body.statistics.step_limit).fold(f64::INFINITY, f64::min);
-        if limit.is_finite() { limit } else { 0.0 }
-    }));
-    all.push(of("strain", "largest strain of a spring [–]", "Strain", ScalarOf::MaxOfSteps, |simulation, _| {
-        simulation.bodies.iter().map(|body| body.statistics.strain).fold(0.0, f64::max)
-    }));
-    match scene.lattice.tear {
-        TearMode::None => {}
-        TearMode::Cut => {
-            all.push(of(
-                "volume_lost",
-                "fraction of the volume that is lost [–]",
-                "Volume lost",
-                ScalarOf::State,
-                |simulation, _| {
-                    let volume =
-                        |body: &Body| body.cells.cell_count() as f64 * (body.cells.size() * body.radius).powi(3);
-                    let lost: f64 = simulation.bodies.iter().map(|body| body.statistics.lost * volume(body)).sum();
-                    lost / simulation.bodies.iter().map(volume).sum::<f64>()
-                },
-            ));
-            all.push(of("cut_cells", "cells cut", "Counts", ScalarOf::State, |simulation, _| {
-                simulation.bodies.iter().map(|body| body.statistics.torn as f64).sum()
-            }));
-        }
-        TearMode::Split => {
-            all.push(of("split_nodes", "nodes split", "Counts", ScalarOf::State, |simulation, _| {
-                simulation.bodies.iter().map(|body| body.statistics.split as f64).sum()
-            }));
-        }
-    }
-    all
+    [STATE, momenta, SUBSTEPS, of_model, of_tearing].into_iter().flatten()
 }
+
+const STATE: &[Scalar] = &[
+    smooth("energy", "energy [mass·unit²/s²]", ENERGY, |simulation, _| {
+        simulation.kinetic_energy() + simulation.elastic_energy()
+    }),
+    smooth("energy_vibration", "kinetic", ENERGY, |simulation, _| simulation.kinetic_energy()),
+    smooth("energy_elastic", "elastic", ENERGY, |simulation, _| simulation.elastic_energy()),
+    smooth("max_displacement", "largest displacement [radii]", "Displacement", |simulation, frames| {
+        let bodies = simulation.bodies.iter().zip(frames);
+        bodies.map(|(body, now)| now.max_displacement / body.radius).fold(0.0, f64::max)
+    }),
+    smooth("sleeping_bodies", "bodies at rest", "Counts", |simulation, _| {
+        simulation.bodies.iter().filter(|body| body.is_at_rest).count() as f64
+    }),
+];
+
+/// Only in scenes with free bodies.
+const MOMENTA: [Scalar; 6] = momenta([
+    |simulation, _| simulation.momentum().x,
+    |simulation, _| simulation.momentum().y,
+    |simulation, _| simulation.momentum().z,
+    |simulation, _| simulation.angular_momentum().x,
+    |simulation, _| simulation.angular_momentum().y,
+    |simulation, _| simulation.angular_momentum().z,
+]);
+
+const SUBSTEPS: &[Scalar] = &[jumping(
+    "substeps",
+    "steps of the integrator",
+    "Counts",
+    ScalarValue::SumOfSteps(|simulation| simulation.sum(|body| body.statistics.substeps as f64)),
+)];
+
+/// Only of finite elements that would tear.
+const TENSION: &[Scalar] = &[
+    jumping(
+        "tension",
+        "largest tension [mass/(unit·s²)]",
+        "Tension",
+        ScalarValue::MaxOfSteps(|simulation| simulation.largest(|body| body.statistics.tension)),
+    ),
+    smooth("would_tear", "cells that would have torn", "Counts", |simulation, _| {
+        simulation.sum(|body| body.statistics.torn as f64)
+    }),
+];
+
+/// Only of lattices.
+const SPRINGS: &[Scalar] = &[
+    jumping(
+        "step_limit",
+        "longest stable step [s]",
+        "Step limit",
+        ScalarValue::MaxOfSteps(|simulation| {
+            let limits = simulation.bodies.iter().map(|body| body.statistics.step_limit);
+            let limit = limits.fold(f64::INFINITY, f64::min);
+            if limit.is_finite() { limit } else { 0.0 }
+        }),
+    ),
+    jumping(
+        "strain",
+        "largest strain of a spring [–]",
+        "Strain",
+        ScalarValue::MaxOfSteps(|simulation| simulation.largest(|body| body.statistics.strain)),
+    ),
+];
+
+/// Only of lattices whose cells are cut.
+const CUT: &[Scalar] = &[
+    smooth("volume_lost", "fraction of the volume that is lost [–]", "Volume lost", |simulation, _| {
+        let volume = |body: &Body| body.cells.cell_count() as f64 * (body.cells.size() * body.radius).powi(3);
+        simulation.sum(|body| body.statistics.lost * volume(body)) / simulation.sum(volume)
+    }),
+    smooth("cut_cells", "cells cut", "Counts", |simulation, _| simulation.sum(|body| body.statistics.torn as f64)),
+];
+
+/// Only of lattices whose nodes are split.
+const SPLIT: &[Scalar] = &[smooth("split_nodes", "nodes split", "Counts", |simulation, _| {
+    simulation.sum(|body| body.statistics.split as f64)
+})];
 
 /// The schema of a scene of bodies made of cells.
 pub fn schema(scene: &Scene) -> Schema {
@@ -159,7 +135,7 @@ pub fn schema(scene: &Scene) -> Schema {
     };
     schema.model = scene.model.name().to_owned();
     schema.integrator = integrator.to_owned();
-    schema.scalars = scalars(scene).into_iter().map(|scalar| scalar.schema).collect();
+    schema.scalars = scalars(scene).map(|scalar| scalar.schema(scene)).collect();
     let can_tear = scene.model == Model::Lattice && scene.lattice.tear != TearMode::None;
     schema.bodies.iter_mut().for_each(|body| body.can_tear = can_tear);
     for term in &mut schema.terms {
@@ -212,6 +188,16 @@ impl Elastic {
         self.scene.model == Model::Lattice && cells <= DRAWN_CELLS
     }
 
+    /// The sum of a value over all bodies.
+    fn sum(&self, of: impl Fn(&Body) -> f64) -> f64 {
+        self.bodies.iter().map(of).sum()
+    }
+
+    /// The largest of all bodies' values, at least 0.
+    fn largest(&self, of: impl Fn(&Body) -> f64) -> f64 {
+        self.bodies.iter().map(of).fold(0.0, f64::max)
+    }
+
     fn kinetic_energy(&self) -> f64 {
         let of = |body: &Body| -> f64 {
             let moving = body.free.as_ref().map_or(DVec3::ZERO, |free| free.velocity);
@@ -252,7 +238,7 @@ impl Elastic {
                 let phase = self.phases.get(&[a as u32, b as u32]).copied().unwrap_or(Phase::Apart);
                 let reach = f64::max(one.sphere_radius() + other.radius, other.sphere_radius() + one.radius);
                 if phase != Phase::Apart || distance <= reach {
-                    pairs.push(PairFrame { a, b, q: distance / (one.radius + other.radius), phase: number(phase) });
+                    pairs.push(PairFrame { a, b, q: distance / (one.radius + other.radius), phase: phase as usize });
                 }
             }
         }
@@ -262,11 +248,16 @@ impl Elastic {
         self.bodies.iter().filter(|body| !body.is_at_rest).map(Body::elastic_energy).sum()
     }
 
+    /// What acts at the current time.
+    fn now_around(&self) -> StepContext<'_> {
+        let time = self.time_of(self.step);
+        StepContext { scene: &self.scene, phases: &self.phases, events: &[], start: time, end: time, step: self.step }
+    }
+
     /// Adds the forces on a body in its current state, interpolated from its nodes to the vertices.
     fn add_forces(&self, body: &Body, sources: &[u32], now: &mut BodyFrame) {
         let causes: Vec<Cause> = Cause::of(&self.scene).collect();
-        let (time, phases) = (self.time_of(self.step), &self.phases);
-        let around = StepContext { scene: &self.scene, phases, events: &[], start: time, end: time, step: self.step };
+        let (time, around) = (self.time_of(self.step), self.now_around());
         let mut acting = Instantaneous::default();
         let part = self.path(body.index).map(|path| around.part(path, body.index, &[], &[], [time, time]));
         if let Some(part) = &part {
@@ -288,10 +279,8 @@ impl Elastic {
             }
         };
         let weight = self.scene.influence.weight;
-        for &(cause, _, centre, strength, radius) in &acting.spheres {
-            add(cause, &|node| {
-                crate::model::influence::acceleration(weight, strength, radius, centre - positions[node])
-            });
+        for sphere in &acting.spheres {
+            add(sphere.cause, &|node| sphere.acceleration(weight, positions[node]));
         }
         for &(direction, strength) in &acting.pushes {
             let towards = back * direction;
@@ -345,9 +334,9 @@ impl Elastic {
             at_vertices(body, nodes, count, &mut of_vertices);
             term.accelerations.copy_from(&of_vertices);
             net.add_times(1.0, &of_vertices);
-            let mut of_cause = acting.spheres.iter().filter(|sphere| sphere.0 == *cause);
+            let mut of_cause = acting.spheres.iter().filter(|sphere| sphere.cause == *cause);
             if let (Some(only), None) = (of_cause.next(), of_cause.next()) {
-                term.source = Some(only.1).filter(|_| *cause != Cause::Point);
+                term.source = Some(only.source).filter(|_| *cause != Cause::Point);
             }
         }
         now.net_force = body.free.is_some().then(|| {
@@ -380,23 +369,15 @@ impl Elastic {
 impl Elastic {
     /// The reaction to the forces of a free body's sphere on others [mass · scene unit/s²].
     fn reaction(&self, body: &Body, others: &[u32], centres: &[DVec3]) -> DVec3 {
-        let time = self.time_of(self.step);
-        let around = StepContext {
-            scene: &self.scene,
-            phases: &self.phases,
-            events: &[],
-            start: time,
-            end: time,
-            step: self.step,
-        };
+        let (time, around) = (self.time_of(self.step), self.now_around());
         let (mut acting, weight) = (Instantaneous::default(), self.scene.influence.weight);
         let mut sum = DVec3::ZERO;
         for other in others.iter().filter_map(|&other| self.bodies.get(other as usize)) {
             around.acting(other.index, &[body.index as u32], &[], [time, time], centres, &mut acting);
-            for &(_, _, centre, strength, radius) in &acting.spheres {
+            for sphere in &acting.spheres {
                 for ((node, place), mass) in other.places().iter().enumerate().zip(other.masses()) {
                     if other.free.is_none() || !other.is_held(node) {
-                        sum -= crate::model::influence::acceleration(weight, strength, radius, centre - *place) * *mass;
+                        sum -= sphere.acceleration(weight, *place) * *mass;
                     }
                 }
             }
@@ -408,8 +389,9 @@ impl Elastic {
 /// A quantity of the nodes, interpolated to the current vertices of a body.
 fn at_vertices(body: &Body, nodes: &[DVec3], count: usize, vertices: &mut Vectors) {
     vertices.clear();
+    let corners = body.corners();
     for embedded in &body.cells.embedded {
-        vertices.push(embedded.mean(body.corners(embedded.cell), nodes));
+        vertices.push(embedded.mean(&corners[embedded.cell as usize], nodes));
     }
     if count > vertices.len() {
         body.exposed.iter().for_each(|&node| vertices.push(nodes[node as usize]));
@@ -446,9 +428,9 @@ impl Simulation for Elastic {
         summary.events.extend_from_slice(&self.events);
         summary.body_events.extend_from_slice(&self.tears);
         summary.timings.extend(self.timings);
-        summary.scalars.extend(scalars(&self.scene).into_iter().map(|scalar| match scalar.schema.of {
-            ScalarOf::State => 0.0,
-            _ => (scalar.value)(self, &[]),
+        summary.scalars.extend(scalars(&self.scene).map(|scalar| match scalar.value {
+            ScalarValue::State(_) => 0.0,
+            ScalarValue::SumOfSteps(value) | ScalarValue::MaxOfSteps(value) => value(self),
         }));
         summary.failure.clone_from(&self.failure);
     }
@@ -496,19 +478,18 @@ impl Simulation for Elastic {
             time(a).total_cmp(&time(b))
         })?;
         let (time, place) = first.statistics.first?;
-        let sum = |of: fn(&Body) -> f64| self.bodies.iter().map(of).sum::<f64>();
         let name = &self.scene.bodies[first.index].name;
         let what = match (&first.matter, self.scene.lattice.tear) {
             (Matter::Fem(_), _) => format!(
                 "would tear: {} cells beyond tear_stress; with a factored stiffness, bodies cannot tear",
-                sum(|body| body.statistics.torn as f64)
+                self.sum(|body| body.statistics.torn as f64)
             ),
             (_, TearMode::Split) => {
-                format!("torn: {} nodes split, no volume lost", sum(|body| body.statistics.split as f64))
+                format!("torn: {} nodes split, no volume lost", self.sum(|body| body.statistics.split as f64))
             }
             _ => {
-                let cells = sum(|body| body.cells.cell_count() as f64);
-                let cut = sum(|body| body.statistics.torn as f64);
+                let cells = self.sum(|body| body.cells.cell_count() as f64);
+                let cut = self.sum(|body| body.statistics.torn as f64);
                 format!("torn: {cut} of {cells} cells cut, their volume lost")
             }
         };
@@ -543,7 +524,7 @@ impl Simulation for Elastic {
                 a: pair.a,
                 b: pair.b,
                 q: pair.q,
-                phase: number(pair.phase),
+                phase: pair.phase as usize,
             })),
             None => self.near_pairs(&mut frame.pairs),
         }
@@ -591,9 +572,9 @@ impl Simulation for Elastic {
         }
         frame.scalars.clear();
         if want.scalars {
-            frame.scalars.extend(scalars(&self.scene).into_iter().map(|scalar| match scalar.schema.of {
-                ScalarOf::State => (scalar.value)(self, &frame.bodies),
-                _ => 0.0,
+            frame.scalars.extend(scalars(&self.scene).map(|scalar| match scalar.value {
+                ScalarValue::State(value) => value(self, &frame.bodies),
+                ScalarValue::SumOfSteps(_) | ScalarValue::MaxOfSteps(_) => 0.0,
             }));
         }
     }

@@ -2,7 +2,10 @@
 
 use glam::{DMat3, DVec3};
 
-use crate::models::cells::{TETRAHEDRA, corner};
+use crate::{
+    model::shape_matching::outer,
+    models::cells::{TETRAHEDRA, corner},
+};
 
 /// Young's modulus and Poisson's ratio of an isotropic material.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -47,7 +50,6 @@ pub fn cube_stiffness(elasticity: Elasticity) -> [[DMat3; 8]; 8] {
         for (i, p) in tetrahedron.into_iter().zip(gradients) {
             for (j, q) in tetrahedron.into_iter().zip(gradients) {
                 // V (λ p qᵀ + μ q pᵀ + μ p·q 1)
-                let outer = |p: DVec3, q: DVec3| DMat3::from_cols(p * q.x, p * q.y, p * q.z);
                 let block = outer(p, q) * lambda + outer(q, p) * mu + DMat3::from_diagonal(DVec3::splat(mu * p.dot(q)));
                 sum[i][j] += block * (1.0 / 6.0);
             }

@@ -5,9 +5,11 @@
 //! Factorisation and solution are scalar code without fused multiply-adds, so results are bit-identical on every
 //! machine.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
 use glam::{DMat3, DVec3};
+
+use crate::interrupt::is_raised;
 
 /// A symmetric matrix: the blocks on and below the diagonal, by column.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -29,7 +31,7 @@ impl Symmetric {
         // sorted chunks, which the last sort then merges
         for some in parts.chunks_mut(CHUNK) {
             some.sort_by_key(|&(row, column, _)| (column, row));
-            if interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+            if is_raised(interrupt) {
                 return None;
             }
         }
@@ -119,7 +121,7 @@ impl Cholesky {
     pub fn of(matrix: &Symmetric, max: u64, interrupt: Option<&AtomicBool>) -> Result<Cholesky, Unfactored> {
         const NONE: u32 = u32::MAX;
         let n = matrix.len();
-        let is_interrupted = || interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed));
+        let is_interrupted = || is_raised(interrupt);
         let children = children(matrix, n);
         // the pattern of a column is the union of that of the matrix and those of its children in the elimination tree
         let mut patterns: Vec<Vec<u32>> = Vec::with_capacity(n);

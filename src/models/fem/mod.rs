@@ -43,11 +43,12 @@
 mod element;
 mod matrix;
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
 use glam::{DMat3, DVec3};
 
 use super::cells::{Cells, TETRAHEDRA};
+use crate::{interrupt::is_raised, model::shape_matching::outer};
 
 pub use element::{Elasticity, cube_stiffness, gradients, largest_eigenvalue};
 pub use matrix::{Cholesky, Symmetric, Unfactored, dissection};
@@ -127,7 +128,7 @@ impl Element {
         let cube = cube_stiffness(elasticity);
         let mut parts = Vec::with_capacity(36 * cells.cell_count());
         for (cell, corners) in cells.corners.iter().enumerate() {
-            if cell % 4096 == 0 && interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+            if cell % 4096 == 0 && is_raised(interrupt) {
                 return None;
             }
             for i in 0..8 {
@@ -188,7 +189,7 @@ impl Element {
                 let mut gradient = DMat3::ZERO;
                 for (&corner, &slope) in tetrahedron.iter().zip(gradients) {
                     let x = displacements[corners[corner] as usize];
-                    gradient += DMat3::from_cols(x * slope.x, x * slope.y, x * slope.z);
+                    gradient += outer(x, slope);
                 }
                 largest_eigenvalue(self.elasticity.stress(gradient))
             };

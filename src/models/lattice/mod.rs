@@ -34,11 +34,12 @@ mod lanes;
 mod step;
 mod tear;
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
 use glam::DVec3;
 
 use super::cells::Cells;
+use crate::interrupt::is_raised;
 
 use lanes::{Group, group};
 pub use step::{Motion, Outside, Scheme};
@@ -156,7 +157,7 @@ impl Lattice {
         /// Nodes whose springs are sorted together.
         const STRETCH: usize = 1 << 16;
         let Lattice { corners, is_whole, keys, rest, .. } = self;
-        let check = || (!interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed))).then_some(());
+        let check = || (!is_raised(interrupt)).then_some(());
         let whole =
             || corners.iter().zip(is_whole.iter()).filter(|(_, is_whole)| **is_whole).map(|(corners, _)| corners);
         let pairs = |corners: &[u32; 8], found: &mut dyn FnMut(u32, u32, u32)| {

@@ -2,6 +2,8 @@
 
 use glam::{DMat3, DVec3};
 
+use crate::model::shape_matching::outer;
+
 /// The density of a ball at distance r from its centre, in units of the threshold:
 ///
 /// ```text
@@ -101,8 +103,7 @@ pub fn jet_of(balls: &[Ball], at: DVec3) -> Jet {
             jet.gradient += slope * x;
             // ∂/∂x (−6 u²/r_e² x) = −6 u²/r_e² 1 + 24 u/r_e⁴ x xᵀ
             let along = 24.0 * height * u * inverse * inverse;
-            let outer = DMat3::from_cols(x.x * x, x.y * x, x.z * x);
-            jet.hessian += outer * along + DMat3::from_diagonal(DVec3::splat(slope));
+            jet.hessian += outer(x, x) * along + DMat3::from_diagonal(DVec3::splat(slope));
         }
     }
     jet

@@ -467,13 +467,7 @@ fn idle(scene: &Scene) -> Option<String> {
 /// # Errors
 /// The scene has something that metaballs do not support.
 fn kernels(scene: &Scene) -> Result<Vec<Kernel>, Unsupported> {
-    let unsupported = |body: Option<&Body>, what: String, remedy: &str| Unsupported {
-        scene: scene.name.clone(),
-        model: Model::Metaballs,
-        body: body.map(|body| body.name.clone()),
-        what,
-        remedy: remedy.to_owned(),
-    };
+    let unsupported = |body: Option<&Body>, what: String, remedy: &str| Unsupported::new(scene, body, what, remedy);
     if scene.bodies.len() > MAX_BODIES {
         let what = format!("it has {} bodies, and the limit is {MAX_BODIES}", scene.bodies.len());
         return Err(unsupported(None, what, "use fewer"));
@@ -489,10 +483,7 @@ fn kernels(scene: &Scene) -> Result<Vec<Kernel>, Unsupported> {
             return Err(unsupported(Some(body), what, remedy));
         }
     }
-    if !scene.edits.is_empty() {
-        let what = "[[edit]]: the model does not change within a run".to_owned();
-        return Err(unsupported(None, what, "leave the edits out, or choose model = \"oscillators\""));
-    }
+    Unsupported::edits(scene)?;
     let kernel = |body: &Body| {
         let what = || format!("reach = {}: a density that ends within the ball has no surface", body.reach);
         Kernel::new(body.reach).ok_or_else(|| unsupported(Some(body), what(), "give a reach above 1"))
