@@ -8,7 +8,7 @@ use meldscope::{
     Scene, World,
     model::phase::Phase,
     scene::Motion,
-    sim::{BodyForces, Cause},
+    sim::{BodyForces, BodyView, Cause},
 };
 
 fn scene(text: &str) -> Scene {
@@ -405,4 +405,39 @@ motion = { free = { from = [1.1510962, -0.239, 1.12], velocity = [-1.373, 0, 0],
 ",
     );
     run(&mut world, 480);
+}
+
+/// Where the rounding of centres exceeds what tells a pair from its threshold elsewhere, pairs merge and reach their core as
+/// at the origin, to the rounding.
+#[test]
+fn bodies_far_from_the_origin_move_as_at_it() {
+    let collide = |middle: DVec3| {
+        let body = |name: &str, side: f64| {
+            let [from, velocity] = [middle + DVec3::new(1.9, 0.12, 0.0) * side, DVec3::X * -side];
+            format!(
+                "[[body]]\nname = \"{name}\"\nradius = 1.0\nmotion = {{ free = {{ from = {:?}, velocity = {:?} }} }}\n",
+                from.to_array(),
+                velocity.to_array()
+            )
+        };
+        let text = "dt = 0.016666666666666666\n[influence]\ncore_at = 0.7\ncore_width = 0.3\n".to_owned();
+        let mut world = world(&(text + &body("left", -1.0) + &body("right", 1.0)));
+        let mut times = Vec::new();
+        for _ in 0..90 {
+            step(&mut world);
+            times.extend(world.report().events.iter().map(|event| event.time));
+        }
+        let of = |body: BodyView<'_>| (0..body.mesh().vertex_count()).map(|i| body.displacement(i)).collect::<Vec<_>>();
+        let displacements: Vec<DVec3> = world.bodies().flat_map(of).collect();
+        (times, displacements)
+    };
+    let (times, near) = collide(DVec3::ZERO);
+    assert_eq!(times.len(), 2);
+    for far in [DVec3::new(1e4, 0.0, -3e3), DVec3::new(1e5, -7e4, 5e4)] {
+        let (far_times, displacements) = collide(far);
+        assert_eq!(times.len(), far_times.len(), "{far}");
+        assert!(times.iter().zip(&far_times).all(|(one, other)| (one - other).abs() < 1e-7), "{times:?} {far_times:?}");
+        let apart = near.iter().zip(&displacements).map(|(one, other)| one.distance(*other)).fold(0.0, f64::max);
+        assert!(apart < 1e-7, "{far}: {apart:e}");
+    }
 }
