@@ -54,8 +54,10 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     const HEADROOM: f64 = 1.3;
     /// Ratio of the longest duration to the typical one up to which nothing is cut off.
     const WHOLE: f64 = 8.0;
-    /// Share of all time in steps beyond the end from which on nothing is cut off: they are what the run takes.
-    const MOST_CUT: f64 = 0.5;
+    /// Nor is anything if the steps beyond that take more than this share of all time, and are more than this share of all
+    /// steps: they are what the run takes, not a few interruptions.
+    const MOST_TIME: f64 = 0.5;
+    const FEW: f64 = 0.05;
 
     let mut layout = Layout::of(recording);
     let root = layout.root(subject, tab);
@@ -64,16 +66,17 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         let Some(durations) = measured.durations.map(|of| of[usize::from(is_recording)]) else { continue };
         let (typical, (longest, step)) = (durations.typical(), durations.largest());
         if typical > 0.0 {
-            let (_, share) = durations.beyond(HEADROOM * typical);
-            let is_whole = longest <= WHOLE * typical || share > MOST_CUT;
+            let (count, share) = durations.beyond(WHOLE * typical);
+            let is_usual = share > MOST_TIME && count as f64 > FEW * durations.count() as f64;
+            let is_whole = longest <= WHOLE * typical || is_usual;
             let [low, high] = readable([0.0, if is_whole { longest } else { HEADROOM * typical }]);
             if longest > high {
                 let (count, share) = durations.beyond(high);
                 let title = format!(
-                    "{title}; {} beyond, {:.0} % of all time, up to {} in step {step}",
+                    "{title}; peak {} in step {step}; {} beyond: {:.0} % of all time",
+                    significant(longest),
                     counted(count, "step"),
-                    100.0 * share,
-                    significant(longest)
+                    100.0 * share
                 );
                 layout.log(&plot, &ViewBlueprint::update_fields().with_display_name(title));
             }

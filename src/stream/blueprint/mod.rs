@@ -111,9 +111,9 @@ pub fn of_comparison(
     for surface in second {
         layout.visualize(&surfaces.path, surface, &[("Points3D", &[VERTICES], &dots)]);
     }
-    let about = layout.view("TextDocument", "What is what", ABOUT.path, &[including(ABOUT.path)], &[]);
+    let about = layout.view("TextDocument", "Legend", ABOUT.path, &[including(ABOUT.path)], &[]);
     let left = layout.container(ContainerKind::Vertical, "Surfaces", vec![surfaces, about], &[3.4, 1.0]);
-    let title = "Largest difference [radii], as its decimal logarithm";
+    let title = "log10 of the largest difference [radii]";
     // runs that differ do so more and more: lines rise from the left
     let plot = layout.time_series(title, "/", &[family(&LOG_DIFFERENCE)], Corner2D::LeftTop);
     let events = layout.lines("Events", EVENTS.path);
@@ -151,7 +151,7 @@ pub fn of_map(measures: &[&str], recording: &StoreId, picture: [f64; 2]) -> Vec<
     let [of_map, of_measures] = [bounds(1.05, 0.14), bounds(1.12, 0.26)];
     let bounds: [(&str, &dyn AsComponents); 1] = [("VisualBounds2D", &of_map)];
     let map = layout.view("2D", "Map", MAP.family(), &[family(&MAP)], &bounds);
-    let about = layout.view("TextDocument", "What is what", ABOUT.path, &[including(ABOUT.path)], &[]);
+    let about = layout.view("TextDocument", "Legend", ABOUT.path, &[including(ABOUT.path)], &[]);
     let bounds: [(&str, &dyn AsComponents); 1] = [("VisualBounds2D", &of_measures)];
     let plots = measures.iter().map(|measure| {
         let entity = format!("{}/{measure}", MEASURE.family());

@@ -122,7 +122,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame, ne
         Entities::Body if is_crowd => {
             format!("- **Lines, lanes**, and the spheres of the last event's pair: {phases}\n")
         }
-        Entities::Body => format!("- **Spheres, lines, lanes**: {phases}; grey reaches no body\n"),
+        Entities::Body => format!("- **Spheres, lines, lanes**: {phases}; grey: reaches no body\n"),
         Entities::Batch => {
             format!("- **Spheres** (only of bodies that reach another), **lines, lanes**: {phases}\n")
         }
@@ -134,7 +134,8 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame, ne
             let hidden = |term: &&TermSchema| term.can_act && !term.is_shown && !is_crowd;
             let hidden: Vec<String> = schema.terms.iter().filter(hidden).map(called).collect();
             let hidden = (!hidden.is_empty()).then(|| format!("hidden at first: {}", hidden.join(", ")));
-            let shown = (!shown.is_empty()).then(|| format!("1 R means: {shown}"));
+            let shown = (!shown.is_empty())
+                .then(|| format!("1 R = {} unit long: {shown}", trimmed(&significant(schema.largest_radius()))));
             let parts: Vec<String> = shown.into_iter().chain(hidden).collect();
             let place = if is_crowd { " (in Forces; here hidden at first)" } else { "" };
             if parts.is_empty() { String::new() } else { format!("- **Arrows**{place}, {}\n", parts.join("; ")) }
@@ -159,7 +160,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame, ne
             0.0 => "sharp where they meet".to_owned(),
             blend => format!("smooth within {blend} R of where they meet"),
         };
-        format!("- **Surface**: bodies that are {} share one, {smooth}; white lines show where\n", joined.join(" or "))
+        format!("- **Surface**: bodies that are {} share one, {smooth}; white: their seams\n", joined.join(" or "))
     } else {
         String::new()
     };

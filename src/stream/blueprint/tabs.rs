@@ -89,7 +89,7 @@ impl Layout {
     /// An overview of everything.
     fn scene_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         let scene_view = self.scene_view((framing, WIDE), schema, scene_title(schema), settings);
-        let about = self.view("TextDocument", "What is what", ABOUT.path, &[including(ABOUT.path)], &[]);
+        let about = self.view("TextDocument", "Legend", ABOUT.path, &[including(ABOUT.path)], &[]);
         let left = self.container(ContainerKind::Vertical, "Space", vec![scene_view, about], &[2.6, 1.0]);
         let right = if schema.bodies.len() > 1 {
             // a lane for each pair, as far as there is room
@@ -121,7 +121,7 @@ impl Layout {
     /// The surfaces of several variants of a scene, and what differs between them.
     fn variants_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         let view = self.surface_view((framing, WIDE), "The same bodies in each model", schema, settings);
-        let about = self.view("TextDocument", "What is what", ABOUT.path, &[including(ABOUT.path)], &[]);
+        let about = self.view("TextDocument", "Legend", ABOUT.path, &[including(ABOUT.path)], &[]);
         let left = self.container(ContainerKind::Vertical, "Space", vec![view, about], &[2.6, 1.0]);
         let title = "Volume of all surfaces, by model [unit³]";
         let mut parts = vec![
@@ -219,7 +219,7 @@ impl Layout {
             });
             parts.push(self.container(ContainerKind::Tabs, "Pairs", plots.into(), &[]));
         }
-        let title = "Touching? Red-orange: only joined; yellow: only touching";
+        let title = "Contact (red-orange: joined, not touching; yellow: touching, not joined)";
         let mut contents: Vec<String> = pairs::named(schema, &PAIR_PHASE).map(|lane| format!("- {lane}")).collect();
         contents.push(family(&PAIR_PHASE));
         let contacts = self.lanes(title, PAIR_PHASE.family(), &contents);
@@ -227,7 +227,7 @@ impl Layout {
         parts.push(contacts);
         if pairs::has_named_pairs(schema) {
             // no marks of events, which are at 0: a change of a hundredth is visible
-            let title = "Volume [unit³]: the space between the lines is lost by merging";
+            let title = "Volume [unit³]: merging loses what is between the lines";
             parts.push(self.time_series(title, "/", &[family(&VOLUME)], Corner2D::LeftBottom));
         } else {
             let plot = self.plot("Groups: volume, bodies, genus", "/", &[family(&GROUP_LINE)], Corner2D::RightTop);
@@ -356,7 +356,7 @@ impl Layout {
         }
         let scale = self.view(
             "2D",
-            "Displacement [radii]: at this instant, at most a tenth of the surface has more than the colours show",
+            "Displacement [radii]: the colours end where at most a tenth of the surface has more",
             LEGEND.family(),
             &[family(&LEGEND)],
             &[],

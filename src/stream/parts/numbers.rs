@@ -283,6 +283,11 @@ impl Spread {
         f64::min(most, 2.0 * many)
     }
 
+    /// The number of values.
+    pub fn count(&self) -> u64 {
+        self.all
+    }
+
     /// The largest value, 0 if there are none, and its step.
     pub fn largest(&self) -> (f64, u64) {
         (self.largest, self.step)
