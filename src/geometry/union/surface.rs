@@ -224,7 +224,10 @@ impl<'a, 'b> Union<'a, 'b> {
         };
         for face in &faces.faces {
             let corners = face.corners.map(|p| name(&mut self, p, face.body));
-            self.new_triangles.push(NewTriangle { corners, part_of: named(face.body, face.triangle) });
+            // two copies of a vertex of the mesh have one name: such a triangle is an edge, there and back
+            if corners[0] != corners[1] && corners[1] != corners[2] && corners[2] != corners[0] {
+                self.new_triangles.push(NewTriangle { corners, part_of: named(face.body, face.triangle) });
+            }
         }
         let mut seam_edges = Vec::with_capacity(faces.seam.len());
         for edge in &faces.seam {
