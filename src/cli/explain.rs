@@ -366,8 +366,8 @@ impl Explained<'_> {
         let bodies = &self.history.frame.bodies;
         let towards = (bodies[b].centre - bodies[a].centre).normalize_or_zero();
         let along = |body: usize, term: usize, sign: f64| {
-            let accelerations = &bodies[body].terms.get(term)?.accelerations;
-            largest(accelerations)?;
+            let accelerations =
+                &bodies[body].terms.get(term).filter(|term| !term.accelerations.is_empty())?.accelerations;
             let mean = bodies[body].mean_acceleration(&self.schema.bodies[body], accelerations);
             Some(sign * mean.dot(towards))
         };

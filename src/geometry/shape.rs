@@ -3,7 +3,7 @@
 use std::{
     collections::HashMap,
     hash::Hash,
-    sync::{Arc, LazyLock, Mutex, PoisonError, Weak},
+    sync::{Arc, LazyLock, Mutex, Weak},
 };
 
 use super::{Mesh, Shape, Sphere};
@@ -140,7 +140,7 @@ static MESHES: LazyLock<Mutex<HashMap<Shape, Weak<Mesh>>>> = LazyLock::new(Mutex
 impl Shape {
     /// The mesh of this shape, shared by all callers as long as any of them holds it.
     pub fn mesh(&self) -> Arc<Mesh> {
-        let mut meshes = MESHES.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut meshes = crate::lock(&MESHES);
         if let Some(mesh) = meshes.get(self).and_then(Weak::upgrade) {
             return mesh;
         }

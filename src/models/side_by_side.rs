@@ -3,7 +3,7 @@
 
 use std::{
     collections::HashSet,
-    sync::{Arc, Mutex, PoisonError, atomic::AtomicBool},
+    sync::{Arc, Mutex, atomic::AtomicBool},
     time::Instant as Clock,
 };
 
@@ -14,7 +14,7 @@ use crate::{
     analysis::{surface::Merger, touch::Touches},
     colors,
     geometry::bounds,
-    hash,
+    hash, lock,
     observe::{
         BodyEvent, BodyFrame, Experiment, Frame, Instant, NearPair, PairEvent, PairFrame, Refusal, Schema, Simulation,
         StepFailure, StepSummary, SurfaceEvent, Want,
@@ -219,7 +219,7 @@ impl Surfaces for OffsetSurfaces {
             let asked: Vec<usize> =
                 (0..pairs.len()).filter(|&k| pairs[k].iter().all(|&body| place.has(body))).collect();
             let own: Vec<[usize; 2]> = asked.iter().map(|&k| pairs[k].map(|body| body - place.first)).collect();
-            let mut merger = merger.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut merger = lock(merger);
             let merged = merger.merge(&place.schema, &place.alone(frame), &own);
             all.groups.extend(merged.groups.iter().map(|group| Some(place.moved(group))));
             all.groups.extend((0..merged.overlapping).map(|_| None));

@@ -1,8 +1,7 @@
 //! The loop behind everything that runs a simulation: step, summarise, end.
 
-use std::sync::atomic::Ordering;
-
 use super::{Simulation, StepFailure, StepSummary};
+use crate::interrupt::is_raised;
 
 /// A simulation on the way to its last step. Between two steps, it can be observed.
 pub struct Run {
@@ -38,7 +37,7 @@ impl Run {
         if has_failed || self.last.is_some_and(|last| self.simulation.steps_taken() >= last) {
             return false;
         }
-        if self.simulation.interrupt().is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+        if is_raised(self.simulation.interrupt()) {
             let step = self.simulation.steps_taken();
             self.failure = Some(StepFailure::Interrupted(format!("interrupted after step {step}")));
             return false;

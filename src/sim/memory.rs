@@ -2,7 +2,7 @@
 
 use std::{
     collections::HashSet,
-    sync::{Mutex, PoisonError},
+    sync::Mutex,
     time::{Duration, Instant},
 };
 
@@ -138,7 +138,7 @@ const CACHE_LIFETIME: Duration = Duration::from_millis(100);
 static RECENT: Mutex<Option<(Instant, u64)>> = Mutex::new(None);
 
 fn recently_available() -> u64 {
-    let mut recent = RECENT.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut recent = crate::lock(&RECENT);
     match *recent {
         Some((then, available)) if then.elapsed() < CACHE_LIFETIME => available,
         _ => recent.insert((Instant::now(), available())).1,

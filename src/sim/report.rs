@@ -10,28 +10,16 @@ use glam::DVec3;
 use super::{events::Event, free::Ledger, memory::TooLarge};
 use crate::scene::{Integrator, InvalidScene};
 
-/// The stages of a step, in the order in which they run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stage {
-    /// Broad phase: which bodies can touch in this step.
-    Reach,
-    /// Event location: the exact times at which pairs change phase.
-    Events,
-    /// Integration of the equation of motion of every vertex.
-    Integrate,
-}
-
-impl Stage {
-    /// All stages, in order.
-    pub const ALL: [Stage; 3] = [Stage::Reach, Stage::Events, Stage::Integrate];
-
-    /// The name used in recordings.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Stage::Reach => "reach",
-            Stage::Events => "events",
-            Stage::Integrate => "integrate",
-        }
+named! {
+    /// The stages of a step, in the order in which they run.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum Stage {
+        /// Broad phase: which bodies can touch in this step.
+        Reach = "reach",
+        /// Event location: the exact times at which pairs change phase.
+        Events = "events",
+        /// Integration of the equation of motion of every vertex.
+        Integrate = "integrate",
     }
 }
 

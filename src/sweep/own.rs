@@ -1,6 +1,6 @@
 //! A run of an experiment that is not a scene.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
 use super::{
     Sweep,
@@ -8,6 +8,7 @@ use super::{
     run::{Interrupted, MAX_EVENTS},
 };
 use crate::{
+    interrupt::is_raised,
     observe::{Frame, Run, StepFailure, Want},
     scene::template::Setting,
 };
@@ -37,7 +38,7 @@ pub fn run(
     let mut run = Run::new(simulation, Some(schema.steps));
     let (mut events, mut times, mut count) = (Vec::new(), Vec::new(), 0);
     while run.step() {
-        if interrupt.is_some_and(|flag| flag.load(Ordering::Relaxed)) {
+        if is_raised(interrupt) {
             return Err(Interrupted);
         }
         for event in &run.summary.events {

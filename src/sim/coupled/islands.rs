@@ -1,6 +1,6 @@
 //! Islands: bodies that can act on each other within a step, and how they are advanced.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
 use glam::DVec3;
 use pulp::Arch;
@@ -11,6 +11,7 @@ use super::{
     near::Near,
 };
 use crate::{
+    lock,
     model::oscillator::Oscillator,
     parallel,
     scene::{Point, Scene},
@@ -101,10 +102,10 @@ pub(super) fn advance(jobs: &mut [Job], conditions: &Conditions<'_>) {
     let in_fixed_steps = jobs.iter().filter(|job| job.is_fixed).map(vertices).sum::<usize>() as u64;
     let advance = |turn: usize, job: &mut Job| {
         if !job.is_done {
-            let pooled = conditions.scratches.lock().unwrap_or_else(PoisonError::into_inner).pop();
+            let pooled = lock(conditions.scratches).pop();
             let mut scratch = pooled.unwrap_or_else(|| Scratch::new(conditions.arch));
             job.advance(turn, in_fixed_steps, conditions, &mut scratch);
-            conditions.scratches.lock().unwrap_or_else(PoisonError::into_inner).push(scratch);
+            lock(conditions.scratches).push(scratch);
         }
     };
     let left = jobs.iter().filter(|job| !job.is_done).map(vertices).sum::<usize>();
@@ -133,7 +134,7 @@ impl Job {
             return None; // its steps are not accurate enough to be subdivided
         }
         let paths = OfScene { scene, bodies: &self.all };
-        let mut dense = self.dense.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut dense = lock(&self.dense.0);
         let dense = dense.get_or_insert_with(|| {
             let parts = self.parts_before(scene, start);
             DenseOutput::new(parts, scene.tolerance, [start, end], Scratch::new(arch), &paths, work)

@@ -75,7 +75,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
                 let title = format!(
                     "{title}; peak {} in step {step}; {} beyond: {:.0} % of all time",
                     significant(longest),
-                    counted(count, "step"),
+                    counted(count, "frame"),
                     100.0 * share
                 );
                 layout.log(&plot, &ViewBlueprint::update_fields().with_display_name(title));

@@ -28,10 +28,14 @@ fn lengths(schema: &Schema, is_listed: impl Fn(&TermSchema) -> bool) -> String {
             None => lengths.push((scale, vec![called(term)])),
         }
     }
-    let lengths = lengths
-        .iter()
-        .map(|(scale, terms)| format!("{} = {} unit/s²", terms.join(", "), trimmed(&significant(radius / scale))));
+    let lengths =
+        lengths.iter().map(|(scale, terms)| format!("{} = {} unit/s²", terms.join(", "), rounded(radius / scale)));
     lengths.collect::<Vec<_>>().join("; ")
+}
+
+/// A number with three digits at most.
+fn rounded(x: f64) -> String {
+    trimmed(&significant(x)).to_owned()
 }
 
 /// The text about the arrows at the centres of free bodies.
@@ -41,7 +45,7 @@ fn at_centres(schema: &Schema) -> String {
     format!(
         "- **At the centres** of free bodies: {} (over M, and over M R), {} unit/s² is 1 R long; at most {} R\n",
         of.join(", "),
-        trimmed(&significant(radius / schema.net_force_scale)),
+        rounded(radius / schema.net_force_scale),
         forces::LONGEST_NET,
     )
 }
@@ -58,7 +62,7 @@ pub fn arrows(schema: &Schema) -> String {
         "**By body**: what each cause does to a body as a whole, all on one scale{}.\n\n\
          **Others**: an arrow of **1 R = {} unit** means: {}.\n\nArrows begin at vertices{}.{}\n",
         if is_crowd { "" } else { "; the strongest is labelled with its value [unit/s²]" },
-        trimmed(&significant(radius)),
+        rounded(radius),
         lengths(schema, |_| true),
         if is_uniform { "; those of uniform forces, at the centre" } else { "" },
         match is_crowd {
@@ -134,8 +138,8 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame, ne
             let hidden = |term: &&TermSchema| term.can_act && !term.is_shown && !is_crowd;
             let hidden: Vec<String> = schema.terms.iter().filter(hidden).map(called).collect();
             let hidden = (!hidden.is_empty()).then(|| format!("hidden at first: {}", hidden.join(", ")));
-            let shown = (!shown.is_empty())
-                .then(|| format!("1 R = {} unit long: {shown}", trimmed(&significant(schema.largest_radius()))));
+            let shown =
+                (!shown.is_empty()).then(|| format!("1 R = {} unit long: {shown}", rounded(schema.largest_radius())));
             let parts: Vec<String> = shown.into_iter().chain(hidden).collect();
             let place = if is_crowd { " (in Forces; here hidden at first)" } else { "" };
             if parts.is_empty() { String::new() } else { format!("- **Arrows**{place}, {}\n", parts.join("; ")) }
