@@ -36,7 +36,7 @@ const MAX_PAIRS: usize = 64;
 /// Surfaces are compared within a step each time that a pair has moved by this much [radii of the smaller body] …
 const FAR: f64 = 0.1;
 /// … but at most this often …
-const MAX_LOOKS: f64 = 8.0;
+const MAX_LOOKS: f64 = 32.0;
 /// … and where the centre distance turns by more than this [radii of the smaller body].
 const TREMBLE: f64 = 1e-6;
 /// Upper limit on the phase changes of a step for which the surfaces are compared.
@@ -72,6 +72,26 @@ struct Known {
     touched: Option<f64>,
 }
 
+/// Where the surfaces of a pair are compared within a step.
+#[derive(Clone, Copy, Default)]
+struct Looks {
+    /// Number of instants, evenly spaced.
+    parts: u32,
+    /// Time at which the centre distance turns [s], as a cubic between the ends of the step has it.
+    turn: Option<f64>,
+}
+
+/// A pair that is followed through a step.
+struct Followed {
+    bodies: [usize; 2],
+    /// Its last known state, and the time of that [s].
+    last: Known,
+    since: f64,
+    /// Its state after the step.
+    end: Known,
+    looks: Looks,
+}
+
 impl Touches {
     /// Starts at the simulation's current state.
     pub fn new(simulation: &dyn Simulation) -> Touches {
@@ -98,8 +118,8 @@ impl Touches {
     /// Finds the events of the last step, given its phase changes and the state `now` after it. Must be called after
     /// every step.
     ///
-    /// Whether surfaces touch is examined at the end of the step and, for a visit that is shorter than a step, at the
-    /// extremum of the centre distance within it, and at more instants if the bodies move far in it.
+    /// Surfaces are compared at the end of the step and, for visits that are shorter than a step, where the centre
+    /// distance turns, and each time that the bodies have moved by a tenth of the smaller radius.
     pub fn step(
         &mut self,
         simulation: &dyn Simulation,
@@ -140,18 +160,21 @@ impl Touches {
         simulation.near(&mut near);
         self.placed.clear();
         let own = simulation.contacts();
-        let mut pairs = BTreeMap::new();
         let mut watched: Vec<PairFrame> = now.pairs.clone();
-        // pairs that met and left within the step
-        for change in changes.iter().take(MAX_CHANGES) {
-            if !watched.iter().any(|pair| (pair.a, pair.b) == (change.a, change.b)) {
-                watched.push(PairFrame { a: change.a, b: change.b, q: change.q, phase: change.to });
+        // pairs that met and left within the step, and pairs in contact that left
+        let met = changes.iter().take(MAX_CHANGES).map(|of| PairFrame { a: of.a, b: of.b, q: of.q, phase: of.to });
+        let is_touching = |pair: &&PairFrame| self.pairs.get(&[pair.a, pair.b]).is_some_and(|known| known.is_touching);
+        for left in met.chain(self.before.pairs.iter().filter(is_touching).copied()) {
+            if !watched.iter().any(|pair| (pair.a, pair.b) == (left.a, left.b)) {
+                watched.push(left);
             }
         }
         if watched.len() > MAX_PAIRS {
             watched.sort_by(|x, y| x.q.total_cmp(&y.q).then((x.a, x.b).cmp(&(y.a, y.b))));
             watched.truncate(MAX_PAIRS);
         }
+        let mut pairs = BTreeMap::new();
+        let mut followed = Vec::new();
         for pair in &watched {
             if is_raised(self.interrupt) {
                 return; // no further step will be searched
@@ -167,43 +190,29 @@ impl Touches {
                 before.iter_mut().for_each(|before| before.crossing = None);
             }
             let mut known = before.unwrap_or_default();
-            if own.is_some() {
-                pairs.insert(bodies, known);
-                continue;
-            }
-            if self.is_far(bodies, now) {
-                (known.is_touching, known.crossing) = (false, None);
-            } else {
-                bodies.iter().for_each(|&body| self.place(body, now));
-                self.update_contact(bodies, &mut known);
-            }
-            if let Some(before) = before.filter(|_| is_next) {
-                let mut last = before;
-                let ends = [self.before.at.time, now.at.time];
-                let visits = if is_torn || before.is_touching != known.is_touching {
-                    Vec::new()
+            if own.is_none() {
+                if self.is_far(bodies, now) {
+                    (known.is_touching, known.crossing) = (false, None);
                 } else {
-                    self.instants_between(simulation, &near, bodies, before, now)
-                };
-                let mut start = ends[0];
-                for end in visits.into_iter().chain([ends[1]]) {
-                    let state = if end == ends[1] { known } else { self.known_at(simulation, bodies, last, now, end) };
-                    if state.is_touching != last.is_touching {
-                        let (time, q) = self.when(simulation, bodies, last, now, [start, end]);
-                        if is_raised(self.interrupt) {
-                            return; // the time is not accurate yet
-                        }
-                        let what = if state.is_touching { Finding::Touch } else { Finding::Part };
-                        last.touched = state.is_touching.then_some(time);
-                        found.push(SurfaceEvent { what, time, step: now.at.step, a: pair.a, b: pair.b, q });
-                    }
-                    last = Known { touched: last.touched, ..state };
-                    start = end;
+                    bodies.iter().for_each(|&body| self.place(body, now));
+                    self.update_contact(bodies, &mut known);
                 }
-                known.touched = last.touched;
+                if let Some(before) = before.filter(|_| is_next) {
+                    let ends = [before, known];
+                    let looks = if is_torn {
+                        Looks::default()
+                    } else {
+                        self.looks(simulation, &near, bodies, ends, changes, now)
+                    };
+                    followed.push(Followed { bodies, last: before, since: self.before.at.time, end: known, looks });
+                }
             }
             pairs.insert(bodies, known);
         }
+        if self.follow(simulation, &mut followed, now, found).is_none() {
+            return; // the times are not accurate yet
+        }
+        pairs.extend(followed.into_iter().map(|pair| (pair.bodies, pair.last)));
         take(own.unwrap_or_default(), &mut pairs, found);
         if is_next {
             self.compare(simulation, now, &changes[..changes.len().min(MAX_CHANGES)], found);
@@ -256,75 +265,134 @@ impl Touches {
         }
     }
 
-    /// The instants within the step [s] at which a pair, in contact or not at both of its ends, may be otherwise.
-    fn instants_between(
-        &self,
-        simulation: &dyn Simulation,
-        near: &[NearPair],
-        bodies: [usize; 2],
-        before: Known,
-        now: &Frame,
-    ) -> Vec<f64> {
-        let is_it = |pair: &&NearPair| [pair.a, pair.b] == bodies;
-        let (Some(from), Some(to)) = (self.near.iter().find(is_it), near.iter().find(is_it)) else {
-            // it came within reach in this step, or left: halfway is the best guess
-            return vec![0.5 * (self.before.at.time + now.at.time)];
-        };
-        let ends = [self.before.at.time, now.at.time];
-        let [time, distance] = from.extremum(to, simulation, ends, before.is_touching);
-        let reach: f64 = bodies
-            .map(|body| {
-                let displaced = |frame: &Frame| frame.bodies.get(body).map_or(0.0, |body| body.max_displacement);
-                self.schema.bodies[body].radius + displaced(&self.before).max(displaced(now))
-            })
-            .iter()
-            .sum();
-        if !before.is_touching && distance > reach * (1.0 + 1e-9) {
-            return Vec::new();
-        }
-        let smaller = bodies.map(|body| self.schema.bodies[body].radius).into_iter().fold(f64::INFINITY, f64::min);
-        let parts = ((to.apart - from.apart).length() / (FAR * smaller)).min(MAX_LOOKS) as u32;
-        let looks = (1..=parts).map(|k| ends[0] + f64::from(k) / f64::from(parts + 1) * (ends[1] - ends[0]));
-        // bodies at rest on each other tremble by less than any visit
-        let far = [from, to].map(|pair| (pair.apart.length() - distance).abs()).into_iter().fold(f64::MAX, f64::min);
-        let is_turning = ends[0] < time && time < ends[1] && far > TREMBLE * smaller;
-        let mut instants: Vec<f64> = looks.chain(is_turning.then_some(time)).collect();
-        instants.sort_by(f64::total_cmp);
-        instants
-    }
-
-    /// The state of a pair at a time within the step to `now` [s], given that before that time. It is found by
-    /// interpolation, which costs little; a change is confirmed by the simulation.
-    fn known_at(
+    /// Follows pairs through the step to `now`, and finds when they touch and part. `None` if it is interrupted.
+    fn follow(
         &mut self,
         simulation: &dyn Simulation,
-        bodies: [usize; 2],
-        before: Known,
+        pairs: &mut [Followed],
         now: &Frame,
-        time: f64,
-    ) -> Known {
+        found: &mut Vec<SurfaceEvent>,
+    ) -> Option<()> {
+        // all pairs are compared at the same instants, because the simulation recomputes the step for each of them
+        let ends = [self.before.at.time, now.at.time];
+        let parts = pairs.iter().map(|pair| pair.looks.parts).max().unwrap_or(0);
+        let mut bodies: Vec<usize> =
+            pairs.iter().filter(|pair| pair.looks.parts > 0).flat_map(|pair| pair.bodies).collect();
+        bodies.sort_unstable();
+        bodies.dedup();
+        let mut state = Frame::default();
+        for k in 1..=parts {
+            let time = ends[0] + f64::from(k) / f64::from(parts + 1) * (ends[1] - ends[0]);
+            state_within(simulation, &self.schema, [&self.before, now], time, &bodies, &mut state);
+            for pair in pairs.iter_mut().filter(|pair| pair.looks.parts > 0) {
+                self.turn(simulation, pair, time, now, found)?;
+                let mut known = pair.last;
+                self.update_contact_in(&state, pair.bodies, &mut known);
+                self.advance(simulation, pair, known, time, now, found)?;
+            }
+        }
+        for pair in pairs {
+            self.turn(simulation, pair, ends[1], now, found)?;
+            self.advance(simulation, pair, pair.end, ends[1], now, found)?;
+        }
+        Some(())
+    }
+
+    /// Compares the surfaces of a pair where its centre distance turns, if that is before a time [s]. The state is found
+    /// by interpolation, which costs little; a change is confirmed by the simulation.
+    fn turn(
+        &mut self,
+        simulation: &dyn Simulation,
+        pair: &mut Followed,
+        end: f64,
+        now: &Frame,
+        found: &mut Vec<SurfaceEvent>,
+    ) -> Option<()> {
+        let Some(time) = pair.looks.turn.take_if(|turn| *turn < end) else { return Some(()) };
         let mut inside = std::mem::take(&mut self.inside);
-        let mut known = before;
+        let mut known = pair.last;
         for is_exact in [false, true] {
             let ends = [&self.before, now];
             if is_exact {
-                state_within(simulation, &self.schema, ends, time, &bodies, &mut inside);
+                state_within(simulation, &self.schema, ends, time, &pair.bodies, &mut inside);
             } else {
-                between(&self.schema, ends, time, &bodies, &mut inside);
-                let [a, b] = bodies;
+                between(&self.schema, ends, time, &pair.bodies, &mut inside);
+                let [a, b] = pair.bodies;
                 if let Some(apart) = simulation.apart(a, b, time) {
                     inside.bodies[b].centre = inside.bodies[a].centre + apart; // paths need no interpolation
                 }
             }
-            known = before;
-            self.update_contact_in(&inside, bodies, &mut known);
-            if known.is_touching == before.is_touching {
+            known = pair.last;
+            self.update_contact_in(&inside, pair.bodies, &mut known);
+            if known.is_touching == pair.last.is_touching {
                 break;
             }
         }
-        self.placed.retain(|body, _| !bodies.contains(body)); // their positions are of another time
         self.inside = inside;
-        known
+        self.advance(simulation, pair, known, time, now, found)
+    }
+
+    /// Takes a pair to its state at a time within the step [s].
+    fn advance(
+        &mut self,
+        simulation: &dyn Simulation,
+        pair: &mut Followed,
+        known: Known,
+        time: f64,
+        now: &Frame,
+        found: &mut Vec<SurfaceEvent>,
+    ) -> Option<()> {
+        let mut touched = pair.last.touched;
+        if known.is_touching != pair.last.is_touching {
+            let (time, q) = self.when(simulation, pair.bodies, pair.last, now, [pair.since, time]);
+            if is_raised(self.interrupt) {
+                return None;
+            }
+            let (what, [a, b]) = (if known.is_touching { Finding::Touch } else { Finding::Part }, pair.bodies);
+            touched = known.is_touching.then_some(time);
+            found.push(SurfaceEvent { what, time, step: now.at.step, a, b, q });
+        }
+        (pair.last, pair.since) = (Known { touched, ..known }, time);
+        Some(())
+    }
+
+    /// Where within the step to `now` the surfaces of a pair have to be compared, given its states at both ends.
+    fn looks(
+        &self,
+        simulation: &dyn Simulation,
+        near: &[NearPair],
+        bodies: [usize; 2],
+        [before, known]: [Known; 2],
+        changes: &[PairEvent],
+        now: &Frame,
+    ) -> Looks {
+        let ends = [self.before.at.time, now.at.time];
+        let [radius, other_radius] = bodies.map(|body| self.schema.bodies[body].radius);
+        let smaller = radius.min(other_radius);
+        let parts = |path: f64| (path / (FAR * smaller)).min(MAX_LOOKS) as u32;
+        let apart = |frame: &Frame| frame.bodies[bodies[1]].centre - frame.bodies[bodies[0]].centre;
+        let is_it = |pair: &&NearPair| [pair.a, pair.b] == bodies;
+        let (Some(from), Some(to)) = (self.near.iter().find(is_it), near.iter().find(is_it)) else {
+            // it came within reach in this step, or left
+            return Looks { parts: parts(apart(now).distance(apart(&self.before))).max(1), turn: None };
+        };
+        let speed = 0.5 * (from.rate.length() + to.rate.length());
+        let path = from.apart.distance(to.apart).max(speed * (ends[1] - ends[0]));
+        let [time, distance] = from.extremum(to, simulation, ends, before.is_touching);
+        // where forces jump, the cubic that the extremum comes from is no bound
+        let jumps = changes.iter().any(|change| bodies.contains(&change.a) || bodies.contains(&change.b));
+        let least = if jumps { 0.5 * (from.apart.length() + to.apart.length() - path) } else { distance };
+        let displaced = |frame: &Frame, body: usize| frame.bodies.get(body).map_or(0.0, |body| body.max_displacement);
+        let displaced = bodies.map(|body| displaced(&self.before, body).max(displaced(now, body)));
+        let reach = radius + other_radius + displaced.iter().sum::<f64>();
+        let has_changed = before.is_touching != known.is_touching;
+        if !before.is_touching && !has_changed && least > reach * (1.0 + 1e-9) {
+            return Looks::default();
+        }
+        // bodies at rest on each other tremble by less than any visit
+        let far = [from, to].map(|pair| (pair.apart.length() - distance).abs()).into_iter().fold(f64::MAX, f64::min);
+        let is_turning = !has_changed && ends[0] < time && time < ends[1] && far > TREMBLE * smaller;
+        Looks { parts: parts(path), turn: is_turning.then_some(time) }
     }
 
     /// Time at which the surfaces of a pair touched or parted between two times in the step [s], and q at that time.
@@ -352,7 +420,6 @@ impl Touches {
         let [a, b] = bodies;
         let radii = self.schema.bodies[a].radius + self.schema.bodies[b].radius;
         let q = inside.bodies[a].centre.distance(inside.bodies[b].centre) / radii;
-        self.placed.retain(|body, _| !bodies.contains(body)); // their positions are of another time
         self.inside = inside;
         (high, q)
     }
@@ -523,6 +590,32 @@ mod tests {
             let middle = 11.0 / 120.0;
             assert!(touch.time < middle && middle < part.time && part.time - touch.time < 0.0167, "{model}: {all:?}");
         }
+    }
+
+    /// A body that swings through the place where it touches another two and a half times in a step.
+    #[test]
+    fn all_visits_within_a_step_are_found() {
+        let text = "duration = 0.5\n[influence]\nalpha = 0\nbeta = 0\nreach = 3\n[[body]]\nname = \"a\"\nradius = 1.0\n\
+                    motion = { fixed = [0, 0, 0] }\n[[body]]\nname = \"b\"\nradius = 1.0\nresponse = \"rigid\"\n\
+                    motion = { sine = { center = [2.05, 0, 0], amplitude = [-0.2, 0, 0], frequency = 5.0 } }\n";
+        let early = 0.25f64.asin() / (10.0 * std::f64::consts::PI);
+        let expected = [early, 0.1 - early, 0.2 + early, 0.3 - early, 0.4 + early, 0.5 - early];
+        let events: Vec<_> = found(text, 0.5).into_iter().filter(SurfaceEvent::is_contact).collect();
+        assert_eq!(events.len(), expected.len(), "{events:?}");
+        for (k, (event, expected)) in events.iter().zip(expected).enumerate() {
+            assert_eq!(event.what, if k % 2 == 0 { Finding::Touch } else { Finding::Part }, "{events:?}");
+            assert!((event.time - expected).abs() < 1e-6, "{events:?}");
+        }
+    }
+
+    #[test]
+    fn a_pair_that_leaves_its_reach_within_a_step_parts() {
+        let text = "duration = 1.0\n[influence]\nalpha = 0\nbeta = 0\nreach = 1.1\n[[body]]\nname = \"a\"\nradius = 1.0\n\
+                    motion = { fixed = [0, 0, 0] }\n[[body]]\nname = \"b\"\nradius = 1.0\n\
+                    motion = { line = { from = [1.8, 0, 0], velocity = [3, 0, 0] } }\n";
+        let events: Vec<_> = found(text, 0.5).into_iter().filter(SurfaceEvent::is_contact).collect();
+        let [part] = events[..] else { panic!("{events:?}") };
+        assert!(part.what == Finding::Part && (part.time - 0.2 / 3.0).abs() < 1e-6, "{events:?}");
     }
 
     /// Merged where the surfaces begin to touch: the remark does not say that they touch before they do.
