@@ -486,11 +486,6 @@ impl Scene {
         }
     }
 
-    /// The acceleration of a free body on which nothing else acts [scene unit/s²].
-    pub(crate) fn free_fall(&self) -> DVec3 {
-        self.gravity
-    }
-
     /// The law of the pair of bodies `a` and `b`, in either order.
     pub fn law(&self, a: usize, b: usize) -> PairLaw {
         self.law_at(self.law_index(a, b))

@@ -45,7 +45,7 @@ use crate::{
         Motion, Path,
         template::{Setting, Template},
     },
-    sim::{Event, Failure, Options, States, events::PairPaths},
+    sim::{Event, Failure, Options, States, events::PairPaths, terms::free_fall},
     view,
 };
 
@@ -381,7 +381,7 @@ impl<'a> Run<'a> {
         if count > MAX_BODIES
             || self.pairs.values().any(|pair| pair.is_merged)
             || !scene.is_coupled()
-            || scene.gravity != DVec3::ZERO
+            || free_fall(scene) != DVec3::ZERO
             || !scene.planes.is_empty()
             || self.world.pairs().next().is_some()
             || scene.points.iter().any(|point| point.end() > self.world.time())

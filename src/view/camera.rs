@@ -2,7 +2,10 @@
 
 use glam::DVec3;
 
-use crate::scene::{Body, Motion, Plane, Scene};
+use crate::{
+    scene::{Body, Motion, Plane, Scene},
+    sim::terms::free_fall,
+};
 
 /// What a camera should have in view, see [`Simulation::framing`](crate::observe::Simulation::framing).
 pub fn framing(scene: &Scene, only_affected_bodies: bool) -> Vec<(DVec3, f64)> {
@@ -28,7 +31,7 @@ fn positions(scene: &Scene) -> Vec<Vec<DVec3>> {
         let position = |(body, stays): (&Body, &Option<DVec3>)| match (&body.motion, stays) {
             (_, Some(stays)) => *stays,
             (Motion::Prescribed(path), _) => path.position(time),
-            (Motion::Free(free), _) => free.from + time * (free.velocity + 0.5 * time * scene.free_fall()),
+            (Motion::Free(free), _) => free.from + time * (free.velocity + 0.5 * time * free_fall(scene)),
         };
         let positions: Vec<DVec3> = bodies.iter().zip(&stays).map(position).collect();
         for (i, body) in bodies.iter().enumerate().filter(|(_, body)| body.path().is_none()) {

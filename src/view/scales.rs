@@ -1,12 +1,15 @@
 //! Lengths of arrows.
 
-use crate::scene::{Body, Scene};
+use crate::{
+    scene::{Body, Scene},
+    sim::terms::free_fall,
+};
 
 /// Length per acceleration of net force arrows: about a radius for gravity or for a quarter of the strongest influence,
 /// whichever is larger.
 pub fn net_force_scale(scene: &Scene) -> f64 {
     let radius = largest_radius(scene);
-    arrow_length(2.5 * radius, f64::max(scene.free_fall().length(), 0.25 * strongest_pull(scene, radius)))
+    arrow_length(2.5 * radius, f64::max(free_fall(scene).length(), 0.25 * strongest_pull(scene, radius)))
 }
 
 /// Like [`net_force_scale`], for reactions: what acts on a heavy body accelerates a light one by up to the ratio

@@ -54,7 +54,7 @@ use crate::{
         FreeMotion, Integrator, Model, Path, Plane, Point, Scene,
         path::{Bounds, Given, Kinematics},
     },
-    sim::{Event, events::PairPaths},
+    sim::{Event, events::PairPaths, terms},
 };
 
 /// Upper limit on phase changes in a step; more would take forever.
@@ -365,7 +365,7 @@ impl Elastic {
         for body in &self.bodies {
             body.acted.pulls.iter().for_each(|&(source, pull)| reactions[source as usize] -= pull);
         }
-        let free_fall = self.scene.free_fall();
+        let free_fall = terms::free_fall(&self.scene);
         for (body, reaction) in self.bodies.iter_mut().zip(reactions) {
             let mass = body.free_mass();
             if let Some(free) = &mut body.free {

@@ -311,7 +311,7 @@ impl Elastic {
             let reaction = self.reaction(body, sources, &centres);
             back_at_centre = reaction;
             let per_mass = reaction / body.free_mass();
-            for (cause, whole) in [(Cause::Gravity, self.scene.gravity), (Cause::Reaction, per_mass)] {
+            for (cause, whole) in terms::free_fall_by_cause(&self.scene).chain([(Cause::Reaction, per_mass)]) {
                 if whole != DVec3::ZERO {
                     add(cause, &|_| whole);
                 }
@@ -341,7 +341,8 @@ impl Elastic {
         }
         now.net_force = body.free.is_some().then(|| {
             let outer = [Cause::Attraction, Cause::Repulsion, Cause::Core, Cause::Point, Cause::Push, Cause::Plane];
-            let (mut force, mut torque) = (back_at_centre + self.scene.free_fall() * body.free_mass(), DVec3::ZERO);
+            let (mut force, mut torque) =
+                (back_at_centre + terms::free_fall(&self.scene) * body.free_mass(), DVec3::ZERO);
             for (_, nodes) in by_cause.iter().filter(|(cause, _)| outer.contains(cause)) {
                 for ((f, m), place) in nodes.iter().zip(body.masses()).zip(&positions) {
                     force += *f * *m;

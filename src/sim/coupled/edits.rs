@@ -15,6 +15,7 @@ use crate::{
         report::StepReport,
         solver::Takeover,
         span::Span,
+        terms::free_fall,
         work::Work,
     },
 };
@@ -47,7 +48,7 @@ impl Coupled {
             if wake_all && !member.is_awake {
                 (member.is_awake, member.slow_steps) = (true, 0);
             }
-            member.bound_motion(&scene.bodies[index], scene.free_fall(), span);
+            member.bound_motion(&scene.bodies[index], free_fall(scene), span);
         }
         // what was not apart before is listed below
         let among = Among { scene, members: &mut self.members, time: 0.0 };
@@ -146,7 +147,7 @@ impl Coupled {
             member.body.follow(path.at(time));
         }
         member.is_awake = true;
-        member.bound_motion(&scene.bodies[body], scene.free_fall(), Span { start: time, end: time + scene.dt });
+        member.bound_motion(&scene.bodies[body], free_fall(scene), Span { start: time, end: time + scene.dt });
         member
     }
 

@@ -25,6 +25,7 @@ use crate::{
         free::{self, Body},
         report::StepReport,
         span::Span,
+        terms::free_fall,
     },
 };
 
@@ -122,7 +123,7 @@ impl ExplicitStep<'_> {
                 let Frame { centre, velocity, .. } = frames[index];
                 let given = self.scene.bodies[index].force.as_ref();
                 let given = given.map_or(DVec3::ZERO, |force| force.acceleration(t, centre, velocity));
-                let shared = self.scene.free_fall() + given + reaction / member.body.mass();
+                let shared = free_fall(self.scene) + given + reaction / member.body.mass();
                 forces.outer.iter_mut().for_each(|force| *force += shared);
             }
         }

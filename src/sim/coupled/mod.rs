@@ -63,6 +63,7 @@ use super::{
     report::{Failure, Stage, StepReport, Stopwatch, Strain},
     solver::{Setting, Starts, Step},
     span::Span,
+    terms::free_fall,
     work::{Stop, Tally, Work},
 };
 use crate::{
@@ -158,7 +159,7 @@ impl Coupled {
         };
         let first = Span { start: 0.0, end: scene.dt };
         for (member, body) in coupled.members.iter_mut().zip(&scene.bodies) {
-            member.bound_motion(body, scene.free_fall(), first);
+            member.bound_motion(body, free_fall(scene), first);
         }
         let among = Among { scene, members: &mut coupled.members, time: 0.0 };
         coupled.near = Near::of_all(among, max_pairs, work)?;
@@ -240,7 +241,7 @@ impl Coupled {
             if let Some(path) = scene.bodies[body as usize].path() {
                 member.body.follow(path.at(span.start));
             }
-            member.bound_motion(&scene.bodies[body as usize], scene.free_fall(), span);
+            member.bound_motion(&scene.bodies[body as usize], free_fall(scene), span);
         }
         let tally = Tally::new(step.work, None);
         let mut among = Among { scene, members: &mut self.members, time: span.start };
@@ -268,7 +269,7 @@ impl Coupled {
                 }
                 if !is_awake {
                     self.wake(other);
-                    self.members[other as usize].bound_motion(&scene.bodies[other as usize], scene.free_fall(), span);
+                    self.members[other as usize].bound_motion(&scene.bodies[other as usize], free_fall(scene), span);
                 }
             }
         }
@@ -507,12 +508,12 @@ impl Coupled {
                 continue;
             }
             let free::Body { centre, velocity, .. } = &mut member.body;
-            *centre += h * (*velocity + 0.5 * h * scene.free_fall());
-            *velocity += h * scene.free_fall();
+            *centre += h * (*velocity + 0.5 * h * free_fall(scene));
+            *velocity += h * free_fall(scene);
             member.step_length = f64::INFINITY;
             if let Some(spin) = member.rigid_spin {
                 member.turn(spin, h);
-            } else if scene.free_fall() == DVec3::ZERO && member.body.velocity == DVec3::ZERO {
+            } else if free_fall(scene) == DVec3::ZERO && member.body.velocity == DVec3::ZERO {
                 self.put_to_sleep(body);
             }
         }

@@ -46,7 +46,7 @@ impl Conserved {
             let (shape, mass) = (&*body.shape, body.mass());
             sum.momentum += mass * body.velocity;
             sum.kinetic += 0.5 * mass * body.velocity.length_squared();
-            sum.gravity -= mass * field.gravity.dot(body.centre);
+            sum.gravity -= mass * field.free_fall().dot(body.centre);
             let axes = DMat3::from_quat(body.rotation);
             let frame_spin = body.frame_spin();
             let (mut spin, mut own, mut elastic) = (DVec3::ZERO, 0.0, 0.0);

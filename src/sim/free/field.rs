@@ -11,13 +11,14 @@ use crate::{
         shape_matching::Plane,
     },
     scene::{Force, Point, Scene},
+    sim::terms::{self, Cause},
 };
 
 /// External forces, and the parameters that all pairs share.
 #[derive(Clone, Debug)]
 pub struct Field {
-    /// Gravity: acceleration of free bodies [scene unit/s²].
-    pub gravity: DVec3,
+    /// Accelerations of all free bodies, by cause [scene unit/s²].
+    pub uniform: Vec<(Cause, DVec3)>,
     /// Planes, which act on every vertex of every body.
     pub planes: Vec<Plane>,
     /// Pushes, which act on single bodies.
@@ -38,7 +39,7 @@ pub struct Field {
 impl Default for Field {
     fn default() -> Field {
         Field {
-            gravity: DVec3::ZERO,
+            uniform: Vec::new(),
             planes: Vec::new(),
             pushes: Vec::new(),
             forces: Vec::new(),
@@ -116,14 +117,15 @@ impl Pair {
 impl Field {
     /// Sets what acts on all bodies of a scene, and the parameters that all pairs share.
     pub(in crate::sim) fn set_common(&mut self, scene: &Scene) {
-        self.gravity = scene.gravity;
+        self.uniform.clear();
+        self.uniform.extend(terms::free_fall_by_cause(scene));
         self.planes.clone_from(&scene.planes);
         (self.weight, self.scaling) = (scene.influence.weight, scene.influence.scaling);
     }
 
     /// The acceleration of a free body on which nothing else acts [scene unit/s²].
     pub(super) fn free_fall(&self) -> DVec3 {
-        self.gravity
+        self.uniform.iter().map(|(_, acceleration)| acceleration).sum()
     }
 
     /// Acceleration of free body `index` by forces set by a program, at `t` [s] [scene unit/s²].

@@ -72,7 +72,7 @@ impl<'a> Snapshot<'a> {
             && field.planes.iter().all(|plane| plane.depth(body.centre) + extent < 0.0)
             && !field.pushes.iter().any(|push| push.body as usize == index)
             && !field.forces.iter().any(|(body, _)| *body as usize == index)
-            && (field.gravity == DVec3::ZERO || !body.is_free())
+            && (field.uniform.is_empty() || !body.is_free())
     }
 
     /// The force on the vertices of body `index` by the sphere of `source`, Σ m f [mass · scene unit/s²]; its opposite
@@ -131,7 +131,7 @@ impl<'a> Snapshot<'a> {
             }
         };
         if body.is_free() {
-            add_uniform((Cause::Gravity, self.field.gravity));
+            self.field.uniform.iter().copied().for_each(&mut add_uniform);
             add_uniform((Cause::Reaction, reaction / body.mass()));
             *force = sum + body.mass() * self.field.free_fall() + reaction;
             *torque = if body.turns() { moment } else { DVec3::ZERO };

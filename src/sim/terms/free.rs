@@ -1,8 +1,15 @@
 //! Terms of scenes with free bodies: gravity, planes, and the reactions to the forces of their spheres. The solver of
-//! such scenes computes its own forces, so these terms contribute nothing here; their names are needed for observation.
+//! such scenes computes the forces of planes and the reactions itself; their names are needed for observation.
 
-use super::Term;
+use glam::DVec3;
+
+use super::{Cause, Term};
+use crate::scene::Scene;
 
 pub struct Coupled;
 
-impl Term for Coupled {}
+impl Term for Coupled {
+    fn free_fall(scene: &Scene) -> Option<(Cause, DVec3)> {
+        (scene.gravity != DVec3::ZERO).then_some((Cause::Gravity, scene.gravity))
+    }
+}

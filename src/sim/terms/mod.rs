@@ -85,6 +85,11 @@ macro_rules! terms {
             [$($module::$Term::uniform(scene, material, motion)),*].into_iter().flatten()
         }
 
+        /// The accelerations of a free body on which nothing else acts, by cause [scene unit/s²].
+        pub(crate) fn free_fall_by_cause(scene: &Scene) -> impl Iterator<Item = (Cause, DVec3)> + use<> {
+            [$($module::$Term::free_fall(scene)),*].into_iter().flatten()
+        }
+
         impl<P: Phases> On<'_, P> {
             /// Collects what acts on the body at an instant; no vertex is farther from its centre than `farthest`
             /// [scene unit].
@@ -121,8 +126,9 @@ macro_rules! terms {
 }
 
 // In the order in which their accelerations are summed. For bodies on paths, a new term is a file beside this one and a line
-// here; if all vertices share its acceleration, that holds for coupled scenes and the elastic models, too. Apart from that, free
-// bodies (`free::force`, `coupled::explicit`) and the elastic models (`models::elastic`) sum terms themselves.
+// here; if all vertices of a body share its acceleration, that holds for free bodies and the elastic models, too. Terms that
+// depend on positions are summed by free bodies (`free::force`, `coupled::explicit`) and the elastic models (`models::elastic`)
+// themselves.
 terms! {
     spheres::Spheres => [
         /// (3.4): influence spheres of merged bodies.
@@ -160,6 +166,11 @@ terms! {
     ];
 }
 
+/// The acceleration of a free body on which nothing else acts [scene unit/s²].
+pub(crate) fn free_fall(scene: &Scene) -> DVec3 {
+    free_fall_by_cause(scene).map(|(_, acceleration)| acceleration).sum()
+}
+
 /// The accelerations at `t` [s] that all vertices of a body on a path share, by cause; none of a free body
 /// [scene unit/s²].
 pub(crate) fn uniform_on(scene: &Scene, index: usize, t: f64) -> impl Iterator<Item = (Cause, DVec3)> + use<> {
@@ -172,6 +183,11 @@ pub(crate) fn uniform_on(scene: &Scene, index: usize, t: f64) -> impl Iterator<I
 trait Term {
     /// The acceleration that all vertices of a body share at an instant, given its motion [scene unit/s²].
     fn uniform(_scene: &Scene, _material: &Material, _motion: &Kinematics) -> Option<(Cause, DVec3)> {
+        None
+    }
+
+    /// The acceleration of all free bodies [scene unit/s²].
+    fn free_fall(_scene: &Scene) -> Option<(Cause, DVec3)> {
         None
     }
 
