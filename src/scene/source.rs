@@ -1,12 +1,13 @@
 //! What a recording needs to create a scene again: its text, and what a run changes in it.
 
-use super::{ForFree, Model, Scene, SceneError};
+use super::{Body, ForFree, Model, Scene, SceneError};
 
 /// The name of the first of these fields in which two values differ.
 macro_rules! first_difference {
-    ($one:expr, $other:expr; $($field:ident),+) => {
-        [$((stringify!($field), $one.$field == $other.$field)),+].into_iter().find(|(_, is_same)| !is_same).map(|(name, _)| name)
-    };
+    ($one:expr, $other:expr; $Type:ident { $($field:ident),+ } except $($ignored:ident),+) => {{
+        let $Type { $($field,)+ $($ignored: _),+ } = $one; // all fields: a new one does not compile until it is listed
+        [$((stringify!($field), *$field == $other.$field)),+].into_iter().find(|(_, is_same)| !is_same).map(|(name, _)| name)
+    }};
 }
 
 impl Scene {
@@ -66,8 +67,9 @@ impl Scene {
     fn difference(&self, other: &Scene) -> Option<String> {
         let named = match self.bodies.len() == other.bodies.len() {
             true => first_difference!(
-                self, other; lattice, fem, influence, thresholds, core_width, for_free, pairs, gravity, planes, blend, points,
-                pushes, edits
+                self, other; Scene {
+                    lattice, fem, influence, thresholds, core_width, for_free, pairs, gravity, planes, blend, points, pushes, edits
+                } except name, dt, duration, integrator, model, tolerance, bodies, source, set, pushed_out
             ),
             false => Some("bodies"),
         };
@@ -99,10 +101,12 @@ impl Scene {
     }
 }
 
-impl super::Body {
+impl Body {
     /// A field in which the body differs from another one.
-    fn difference(&self, other: &super::Body) -> Option<&'static str> {
-        let named = first_difference!(self, other; name, radius, reach, material, shape, mass, group, color, motion);
+    fn difference(&self, other: &Body) -> Option<&'static str> {
+        let named = first_difference!(
+            self, other; Body { name, radius, reach, material, shape, mass, group, color, motion } except force
+        );
         named.or((self.force.is_some() || other.force.is_some()).then_some("force"))
     }
 }
