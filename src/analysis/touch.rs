@@ -36,7 +36,7 @@ const MAX_PAIRS: usize = 64;
 /// Surfaces are compared within a step each time that a pair has moved by this much [radii of the smaller body] …
 const FAR: f64 = 0.1;
 /// … but at most this often …
-const MAX_LOOKS: f64 = 32.0;
+const MAX_SAMPLES: f64 = 32.0;
 /// … and where the centre distance turns by more than this [radii of the smaller body].
 const TREMBLE: f64 = 1e-6;
 /// Upper limit on the phase changes of a step for which the surfaces are compared.
@@ -74,22 +74,22 @@ struct Known {
 
 /// Where the surfaces of a pair are compared within a step.
 #[derive(Clone, Copy, Default)]
-struct Looks {
+struct Samples {
     /// Number of instants, evenly spaced.
-    parts: u32,
-    /// Time at which the centre distance turns [s], as a cubic between the ends of the step has it.
-    turn: Option<f64>,
+    count: u32,
+    /// Time of an extremum of the centre distance [s], of a cubic between the ends of the step.
+    extremum: Option<f64>,
 }
 
-/// A pair that is followed through a step.
-struct Followed {
+/// A pair during a step.
+struct Tracked {
     bodies: [usize; 2],
     /// Its last known state, and the time of that [s].
     last: Known,
     since: f64,
     /// Its state after the step.
     end: Known,
-    looks: Looks,
+    samples: Samples,
 }
 
 impl Touches {
@@ -118,8 +118,8 @@ impl Touches {
     /// Finds the events of the last step, given its phase changes and the state `now` after it. Must be called after
     /// every step.
     ///
-    /// Surfaces are compared at the end of the step and, for visits that are shorter than a step, where the centre
-    /// distance turns, and each time that the bodies have moved by a tenth of the smaller radius.
+    /// Surfaces are compared at the end of the step and, for visits that are shorter than a step, at the extremum of the
+    /// centre distance, and each time that the bodies have moved by a tenth of the smaller radius.
     pub fn step(
         &mut self,
         simulation: &dyn Simulation,
@@ -174,7 +174,7 @@ impl Touches {
             watched.truncate(MAX_PAIRS);
         }
         let mut pairs = BTreeMap::new();
-        let mut followed = Vec::new();
+        let mut tracked = Vec::new();
         for pair in &watched {
             if is_raised(self.interrupt) {
                 return; // no further step will be searched
@@ -199,20 +199,20 @@ impl Touches {
                 }
                 if let Some(before) = before.filter(|_| is_next) {
                     let ends = [before, known];
-                    let looks = if is_torn {
-                        Looks::default()
+                    let samples = if is_torn {
+                        Samples::default()
                     } else {
-                        self.looks(simulation, &near, bodies, ends, changes, now)
+                        self.samples(simulation, &near, bodies, ends, changes, now)
                     };
-                    followed.push(Followed { bodies, last: before, since: self.before.at.time, end: known, looks });
+                    tracked.push(Tracked { bodies, last: before, since: self.before.at.time, end: known, samples });
                 }
             }
             pairs.insert(bodies, known);
         }
-        if self.follow(simulation, &mut followed, now, found).is_none() {
+        if self.track(simulation, &mut tracked, now, found).is_none() {
             return; // the times are not accurate yet
         }
-        pairs.extend(followed.into_iter().map(|pair| (pair.bodies, pair.last)));
+        pairs.extend(tracked.into_iter().map(|pair| (pair.bodies, pair.last)));
         take(own.unwrap_or_default(), &mut pairs, found);
         if is_next {
             self.compare(simulation, now, &changes[..changes.len().min(MAX_CHANGES)], found);
@@ -265,50 +265,50 @@ impl Touches {
         }
     }
 
-    /// Follows pairs through the step to `now`, and finds when they touch and part. `None` if it is interrupted.
-    fn follow(
+    /// Tracks pairs through the step to `now`, and finds when they touch and part. `None` if it is interrupted.
+    fn track(
         &mut self,
         simulation: &dyn Simulation,
-        pairs: &mut [Followed],
+        pairs: &mut [Tracked],
         now: &Frame,
         found: &mut Vec<SurfaceEvent>,
     ) -> Option<()> {
         // all pairs are compared at the same instants, because the simulation recomputes the step for each of them
         let ends = [self.before.at.time, now.at.time];
-        let parts = pairs.iter().map(|pair| pair.looks.parts).max().unwrap_or(0);
+        let count = pairs.iter().map(|pair| pair.samples.count).max().unwrap_or(0);
         let mut bodies: Vec<usize> =
-            pairs.iter().filter(|pair| pair.looks.parts > 0).flat_map(|pair| pair.bodies).collect();
+            pairs.iter().filter(|pair| pair.samples.count > 0).flat_map(|pair| pair.bodies).collect();
         bodies.sort_unstable();
         bodies.dedup();
         let mut state = Frame::default();
-        for k in 1..=parts {
-            let time = ends[0] + f64::from(k) / f64::from(parts + 1) * (ends[1] - ends[0]);
+        for k in 1..=count {
+            let time = ends[0] + f64::from(k) / f64::from(count + 1) * (ends[1] - ends[0]);
             state_within(simulation, &self.schema, [&self.before, now], time, &bodies, &mut state);
-            for pair in pairs.iter_mut().filter(|pair| pair.looks.parts > 0) {
-                self.turn(simulation, pair, time, now, found)?;
+            for pair in pairs.iter_mut().filter(|pair| pair.samples.count > 0) {
+                self.compare_at_extremum(simulation, pair, time, now, found)?;
                 let mut known = pair.last;
                 self.update_contact_in(&state, pair.bodies, &mut known);
                 self.advance(simulation, pair, known, time, now, found)?;
             }
         }
         for pair in pairs {
-            self.turn(simulation, pair, ends[1], now, found)?;
+            self.compare_at_extremum(simulation, pair, ends[1], now, found)?;
             self.advance(simulation, pair, pair.end, ends[1], now, found)?;
         }
         Some(())
     }
 
-    /// Compares the surfaces of a pair where its centre distance turns, if that is before a time [s]. The state is found
-    /// by interpolation, which costs little; a change is confirmed by the simulation.
-    fn turn(
+    /// Compares the surfaces of a pair at the extremum of its centre distance, if that is before `end` [s]. The state is
+    /// interpolated, which costs little; if it shows a change, the simulation recomputes it.
+    fn compare_at_extremum(
         &mut self,
         simulation: &dyn Simulation,
-        pair: &mut Followed,
+        pair: &mut Tracked,
         end: f64,
         now: &Frame,
         found: &mut Vec<SurfaceEvent>,
     ) -> Option<()> {
-        let Some(time) = pair.looks.turn.take_if(|turn| *turn < end) else { return Some(()) };
+        let Some(time) = pair.samples.extremum.take_if(|time| *time < end) else { return Some(()) };
         let mut inside = std::mem::take(&mut self.inside);
         let mut known = pair.last;
         for is_exact in [false, true] {
@@ -336,7 +336,7 @@ impl Touches {
     fn advance(
         &mut self,
         simulation: &dyn Simulation,
-        pair: &mut Followed,
+        pair: &mut Tracked,
         known: Known,
         time: f64,
         now: &Frame,
@@ -357,7 +357,7 @@ impl Touches {
     }
 
     /// Where within the step to `now` the surfaces of a pair have to be compared, given its states at both ends.
-    fn looks(
+    fn samples(
         &self,
         simulation: &dyn Simulation,
         near: &[NearPair],
@@ -365,16 +365,16 @@ impl Touches {
         [before, known]: [Known; 2],
         changes: &[PairEvent],
         now: &Frame,
-    ) -> Looks {
+    ) -> Samples {
         let ends = [self.before.at.time, now.at.time];
         let [radius, other_radius] = bodies.map(|body| self.schema.bodies[body].radius);
         let smaller = radius.min(other_radius);
-        let parts = |path: f64| (path / (FAR * smaller)).min(MAX_LOOKS) as u32;
+        let count = |path: f64| (path / (FAR * smaller)).min(MAX_SAMPLES) as u32;
         let apart = |frame: &Frame| frame.bodies[bodies[1]].centre - frame.bodies[bodies[0]].centre;
         let is_it = |pair: &&NearPair| [pair.a, pair.b] == bodies;
         let (Some(from), Some(to)) = (self.near.iter().find(is_it), near.iter().find(is_it)) else {
             // it came within reach in this step, or left
-            return Looks { parts: parts(apart(now).distance(apart(&self.before))).max(1), turn: None };
+            return Samples { count: count(apart(now).distance(apart(&self.before))).max(1), extremum: None };
         };
         let speed = 0.5 * (from.rate.length() + to.rate.length());
         let path = from.apart.distance(to.apart).max(speed * (ends[1] - ends[0]));
@@ -387,12 +387,12 @@ impl Touches {
         let reach = radius + other_radius + displaced.iter().sum::<f64>();
         let has_changed = before.is_touching != known.is_touching;
         if !before.is_touching && !has_changed && least > reach * (1.0 + 1e-9) {
-            return Looks::default();
+            return Samples::default();
         }
         // bodies at rest on each other tremble by less than any visit
         let far = [from, to].map(|pair| (pair.apart.length() - distance).abs()).into_iter().fold(f64::MAX, f64::min);
         let is_turning = !has_changed && ends[0] < time && time < ends[1] && far > TREMBLE * smaller;
-        Looks { parts: parts(path), turn: is_turning.then_some(time) }
+        Samples { count: count(path), extremum: is_turning.then_some(time) }
     }
 
     /// Time at which the surfaces of a pair touched or parted between two times in the step [s], and q at that time.
