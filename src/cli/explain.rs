@@ -183,7 +183,8 @@ impl Explained<'_> {
         let time = self.history.frame.at.time;
         let mut text =
             format!("\nbody {}: {}", body.name, counted(vertices(now, body.mesh.vertex_count()) as u64, "vertex"));
-        text += &if body.is_free { format!(", free, mass {}", short(body.mass)) } else { ", on a path".to_owned() };
+        let mass = now.net_force.map_or(body.mass, |net| net.mass);
+        text += &if body.is_free { format!(", free, mass {}", short(mass)) } else { ", on a path".to_owned() };
         let _ = write!(
             text,
             "\n  radius {}, influence sphere {}",
@@ -195,7 +196,7 @@ impl Explained<'_> {
             let _ =
                 write!(text, ", velocity {}, spin {}", vector(motion.velocity, body.radius), vector(motion.spin, 1.0));
             if let Some(net) = now.net_force {
-                let _ = write!(text, "\n  acceleration of the centre {}", vector(net.force / body.mass, body.radius));
+                let _ = write!(text, "\n  acceleration of the centre {}", vector(net.force / net.mass, body.radius));
             }
         }
         if now.is_absent {
@@ -210,7 +211,7 @@ impl Explained<'_> {
         }
         let rows = self.schema.terms.iter().zip(&now.terms).filter_map(|(term, frame)| {
             let (most, at) = largest(&frame.accelerations)?;
-            let mean = now.mean_acceleration(body, &frame.accelerations);
+            let mean = now.mean_acceleration(body, frame);
             let cells = [mean.x, mean.y, mean.z, mean.length(), most].map(short);
             Some(std::iter::once(term.label.to_owned()).chain(cells).chain([at.to_string()]).collect())
         });
@@ -366,9 +367,8 @@ impl Explained<'_> {
         let bodies = &self.history.frame.bodies;
         let towards = (bodies[b].centre - bodies[a].centre).normalize_or_zero();
         let along = |body: usize, term: usize, sign: f64| {
-            let accelerations =
-                &bodies[body].terms.get(term).filter(|term| !term.accelerations.is_empty())?.accelerations;
-            let mean = bodies[body].mean_acceleration(&self.schema.bodies[body], accelerations);
+            let term = bodies[body].terms.get(term).filter(|term| !term.accelerations.is_empty())?;
+            let mean = bodies[body].mean_acceleration(&self.schema.bodies[body], term);
             Some(sign * mean.dot(towards))
         };
         let rows = self.schema.terms.iter().enumerate().filter_map(|(index, term)| {

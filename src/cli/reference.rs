@@ -1,6 +1,6 @@
 //! `meldscope reference`: every key, entity and column, from the tables that parse and write them.
 
-use std::{collections::HashSet, fmt::Write as _};
+use std::fmt::Write as _;
 
 use super::{export, print_lines};
 use crate::{
@@ -136,12 +136,15 @@ fn tables() -> String {
     section("Events (`meldscope export --events`)", &export::tables::EVENTS);
     section("Pairs within reach (`meldscope export --pairs`)", &export::tables::PAIRS);
     section("Bodies (`meldscope export --bodies`)", &export::tables::BODIES);
-    let mut names = HashSet::new();
-    let scalars = scalars::all().filter(|scalar| names.insert(scalar.name)).map(|scalar| {
+    let mut scalars: Vec<Column> = export::tables::SCALARS.into();
+    for scalar in scalars::all() {
         let about = format!("{}: {}", scalar.plot, scalar.label);
-        Column { about: about.into(), ..Column::new(scalar.name, table::Kind::Float, "") }
-    });
-    let scalars: Vec<Column> = export::tables::SCALARS.into_iter().chain(scalars).collect();
+        match scalars.iter_mut().find(|known| known.name == scalar.name) {
+            Some(known) if known.about.split("; or ").any(|known| known == about) => {}
+            Some(known) => known.about = format!("{}; or {about}", known.about).into(),
+            None => scalars.push(Column { about: about.into(), ..Column::new(scalar.name, table::Kind::Float, "") }),
+        }
+    }
     section("Scalars (`meldscope export --scalars`), those that the scene has", &scalars);
     section("States (`meldscope export --states`), a row for each vertex", &export::tables::STATES);
     section(

@@ -240,7 +240,7 @@ fn vary(program: Program<'_>, arguments: &Arguments, recorded: &Recorded) -> Res
     saver.end(&run);
     drop(progress);
     print(&format!(
-        "{}: {} of {} s{}, tolerance {:e}, instead of {} of {} s{}, tolerance {:e}; not verified",
+        "{}: {} of {} s{}, tolerance {:e}, instead of {} of {} s{}, tolerance {:e}; set: {}; not verified",
         recorded.path.display(),
         counted(run.simulation.steps_taken(), "step"),
         schema.dt,
@@ -250,6 +250,7 @@ fn vary(program: Program<'_>, arguments: &Arguments, recorded: &Recorded) -> Res
         was.dt,
         was.method(),
         was.tolerance,
+        arguments.set.iter().map(ToString::to_string).collect::<Vec<_>>().join(", "),
     ));
     print(&format!(
         "  largest displacement: {:.6} radii, of body \"{}\" at t = {:.6} s",

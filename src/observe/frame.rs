@@ -127,6 +127,8 @@ pub struct NetForce {
     pub force: DVec3,
     /// Torque about its centre [mass · scene unit²/s²].
     pub torque: DVec3,
+    /// Mass of the body now: less than in the schema, if a piece has come off.
+    pub mass: f64,
 }
 
 /// The contribution of one force term to a body.
@@ -137,6 +139,9 @@ pub struct TermFrame {
     pub accelerations: Vectors,
     /// Index of the body that causes the accelerations, if it is a single one.
     pub source: Option<u32>,
+    /// Their sum over the masses that they move, by the mass of the body [scene unit/s²], if these masses are not at the
+    /// vertices.
+    pub mean: Option<DVec3>,
 }
 
 /// A pair of bodies at an instant.
@@ -176,16 +181,16 @@ impl MotionFrame {
 }
 
 impl NetForce {
-    /// A force [mass · scene unit/s²] and a torque [mass · scene unit²/s²].
-    pub fn new(force: DVec3, torque: DVec3) -> NetForce {
-        NetForce { force, torque }
+    /// A force [mass · scene unit/s²] and a torque [mass · scene unit²/s²] on a body of this mass.
+    pub fn new(force: DVec3, torque: DVec3, mass: f64) -> NetForce {
+        NetForce { force, torque, mass }
     }
 }
 
 impl TermFrame {
     /// Accelerations of the vertices [scene unit/s²], by one body if `source` is given.
     pub fn new(accelerations: Vectors, source: Option<u32>) -> TermFrame {
-        TermFrame { accelerations, source }
+        TermFrame { accelerations, source, mean: None }
     }
 }
 
@@ -194,6 +199,17 @@ impl PairFrame {
     pub fn new(a: usize, b: usize, q: f64, phase: usize) -> PairFrame {
         PairFrame { a, b, q, phase }
     }
+}
+
+/// The weighted sum of vectors; zero where only rounding is left.
+pub(crate) fn weighted_sum(of: impl Iterator<Item = (DVec3, f64)>) -> DVec3 {
+    const ROUNDING: f64 = 1e-12;
+
+    let (mut sum, mut lengths) = (DVec3::ZERO, 0.0);
+    for (vector, weight) in of {
+        (sum, lengths) = (sum + vector * weight, lengths + (vector * weight).length());
+    }
+    if sum.length() > ROUNDING * lengths { sum } else { DVec3::ZERO }
 }
 
 impl BodyFrame {
@@ -207,20 +223,15 @@ impl BodyFrame {
         self.mesh_of(body).at(body.radius)
     }
 
-    /// What accelerations of its vertices do to the body as a whole [scene unit/s²]: their mean, of a free body by mass, so
-    /// that it is the net force over the mass. Zero where only rounding is left, as of internal forces.
-    pub fn mean_acceleration(&self, body: &BodySchema, accelerations: &Vectors) -> DVec3 {
-        const ROUNDING: f64 = 1e-12;
-
+    /// What a force term does to the body as a whole [scene unit/s²]: the mean of its accelerations, of a free body by
+    /// mass, so that it is the net force over the mass. Zero where only rounding is left, as of internal forces.
+    pub fn mean_acceleration(&self, body: &BodySchema, term: &TermFrame) -> DVec3 {
+        let accelerations = &term.accelerations;
         let shares = self.mesh_of(body).shares();
         let equal = 1.0 / accelerations.len().max(1) as f64;
         let is_weighted = body.is_free && shares.len() == accelerations.len();
-        let (mut sum, mut lengths) = (DVec3::ZERO, 0.0);
-        for i in 0..accelerations.len() {
-            let of = accelerations.get(i) * if is_weighted { shares[i] } else { equal };
-            (sum, lengths) = (sum + of, lengths + of.length());
-        }
-        if sum.length() > ROUNDING * lengths { sum } else { DVec3::ZERO }
+        let share = |i: usize| if is_weighted { shares[i] } else { equal };
+        term.mean.unwrap_or_else(|| weighted_sum((0..accelerations.len()).map(|i| (accelerations.get(i), share(i)))))
     }
 
     /// Sets the body to rest: no vertex is displaced. Leaves the forces unchanged.

@@ -314,7 +314,7 @@ impl Mistakes {
         let terms = schema.terms.len();
         ensure!(self, now.terms.len() == terms =>
             "{} has {} entries, expected {terms}, one per term of the schema", field("terms"), now.terms.len());
-        for (index, TermFrame { accelerations, source }) in now.terms.iter().enumerate() {
+        for (index, TermFrame { accelerations, source, mean }) in now.terms.iter().enumerate() {
             let length = accelerations.len();
             let fits = length == 0 || length == vertices;
             ensure!(self, fits =>
@@ -322,6 +322,8 @@ impl Mistakes {
                 field(&format!("terms[{index}].accelerations")));
             self.source(schema, *source, || field(&format!("terms[{index}].source")));
             if deeply {
+                ensure!(self, mean.is_none_or(DVec3::is_finite) =>
+                    "{} is not finite", field(&format!("terms[{index}].mean")));
                 ensure!(self, is_finite(accelerations) =>
                     "{} has a number that is not finite", field(&format!("terms[{index}].accelerations")));
             }

@@ -231,12 +231,12 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
         quantities_a.compare(&quantities_b, &instants, a.schema.dt, &mut deviations);
         deviations.finish()
     });
-    // surfaces that differ within the tolerance touch and part earlier or later
+    // bodies that differ within the tolerance meet, touch and part earlier or later
     let is_tolerable = |change: &Change| {
         let Change::Moved(was, is) = change else { return false };
         let change_in = |of: &quantities::Recorded, dt: f64| of.change_of_gap(&was.pair, [was.time / dt, is.time / dt]);
         let change = change_in(&quantities_a, a.schema.dt).or_else(|| change_in(&quantities_b, b.schema.dt));
-        was.is_contact() && change.is_some_and(|change| change <= SENSITIVITY * tolerance)
+        change.is_some_and(|change| change <= SENSITIVITY * tolerance)
     };
     let event_count = events.as_ref().map_or(0, |[first, _]| first.len());
     let mut changes = events.map(|[first, second]| events::compare(&first, &second)).unwrap_or_default();

@@ -12,9 +12,10 @@ use super::{
     row::Measures,
 };
 use crate::{
+    models,
     observe::{Experiment, InvalidVariation, Variation, simulation::FindExperiment},
     scene::{
-        Scene, SceneError, builtin,
+        Model, Scene, SceneError, builtin,
         keys::{ANY, Fallback, Key, Kind, Range, Section, Text, find, words},
         parse::{
             on_deep_stack,
@@ -523,7 +524,12 @@ fn try_values(sweep: &Sweep, axes: &[Table<'_>], sets: &[Table<'_>]) -> Result<(
         if let Some(template) = &template {
             let fixed = sweep.set[..count].iter().map(|(key, setting)| (key, setting));
             let of_axes = design.axes.iter().map(|axis| &axis.key).zip(point);
-            return template.scene(fixed.chain(of_axes)).map(drop);
+            let scene = template.scene(fixed.chain(of_axes))?;
+            if template.base().model != Model::Oscillators {
+                return Ok(()); // whatever the values are: the sweep says so when it runs
+            }
+            let supported = models::need_oscillators(&scene, "a sweep");
+            return supported.map_err(|error| SceneError::plain(&sweep.scene_file, error.to_string()));
         }
         let invalid = match sweep.own(point) {
             Some(Err(invalid)) => invalid,

@@ -94,7 +94,7 @@ pub const RESULTS: [Column; 19] = [
         Kind::Float,
         "sum over steps of the largest estimated error of a vertex [radii]",
     ),
-    Column::required("steps", Kind::Integer, "steps taken until the outcome was certain"),
+    Column::required("steps", Kind::Integer, "steps taken: to the end of the scene, or until the outcome was certain"),
     Column::required("end", Kind::Float, "simulated time at the end [s]"),
     Column::required("checksum", Kind::Count, "hash of the exact state at the end"),
 ];

@@ -18,12 +18,12 @@
 //!
 //! - if all bodies are on paths that are lines, keyframes or fixed: after the last phase change, which the paths determine
 //!   in advance; a run without one continues to the end of the scene, so that its closest approach is known;
-//! - if there are free bodies: once no pair is merged, nothing else acts (no gravity, plane or further push), and for every
-//!   pair the centres move apart and each body is out of reach of the other's sphere, even if its vertices were displaced
-//!   by one and a half times the distance that their energy allows.
+//! - if there are free bodies: once nothing else acts (no gravity, plane or further push), and for every pair the centres
+//!   move apart and each body is out of reach of the other's sphere, even if its vertices were displaced by one and a half
+//!   times the distance that their energy allows.
 //!
-//! While a pair is merged, it may still split, so the run goes on. Scenes of more than eight bodies run to the end. All
-//! measures are over the steps taken.
+//! While a pair is merged, the run goes on. Scenes of more than eight bodies run to the end. All measures are over the
+//! steps taken.
 
 use std::{collections::BTreeMap, sync::atomic::AtomicBool, time::Instant};
 
@@ -40,7 +40,7 @@ use crate::{
     analysis::touch::Touches,
     model::phase::Phase,
     models,
-    observe::{Frame, Simulation as _, StepSummary, Want, surface::Finding},
+    observe::{Frame, NearPair, Simulation as _, StepSummary, Want, surface::Finding},
     scene::{
         Motion, Path,
         template::{Setting, Template},
@@ -188,8 +188,8 @@ struct Pair {
     merged: Option<[DVec3; 2]>,
     /// Position and velocity of b relative to a at the last split.
     split: Option<[DVec3; 2]>,
-    /// Time and q² after the last two steps.
-    last: [(f64, f64); 2],
+    /// Its last state, and the time of that [s].
+    last: Option<(f64, NearPair)>,
 }
 
 /// A run in progress.
@@ -204,7 +204,7 @@ struct Run<'a> {
     first_merge: Option<f64>,
     first_split: Option<f64>,
     time_merged: f64,
-    /// q² and time of the closest approach.
+    /// q and time of the closest approach.
     closest: Option<(f64, f64)>,
     energy: f64,
     error: f64,
@@ -337,28 +337,23 @@ impl<'a> Run<'a> {
     fn record_distances(&mut self) {
         let time = self.world.time();
         for view in self.world.pairs() {
-            let squared = view.q * view.q;
-            let pair = match self.pairs.get_mut(&(view.a, view.b)) {
-                Some(pair) => pair,
-                None => {
-                    let relative = self.relative(view.a, view.b);
-                    let mut pair = Pair::met(relative, time);
-                    if view.phase != Phase::Apart {
-                        (pair.is_merged, pair.merged) = (true, Some(relative));
-                    }
-                    self.pairs.entry((view.a, view.b)).or_insert(pair)
-                }
-            };
-            let [before, last] = pair.last;
-            let now = (time, squared);
-            let mut least = now;
-            if let Some(vertex) = lowest([before, last, now]) {
-                least = vertex;
+            let relative @ [apart, rate] = self.relative(view.a, view.b);
+            let scene = self.world.scene();
+            let (dt, radii) = (scene.dt, scene.bodies[view.a].radius + scene.bodies[view.b].radius);
+            let pair = self.pairs.entry((view.a, view.b)).or_insert_with(|| {
+                let is_merged = view.phase != Phase::Apart;
+                Pair { is_merged, merged: is_merged.then_some(relative), ..Pair::met(relative, time) }
+            });
+            let now = NearPair::new([view.a, view.b], view.phase as usize, apart, rate);
+            let before = pair.last.replace((time, now));
+            let turns = before.filter(|(start, before)| {
+                time - start < 1.5 * dt && before.apart.dot(before.rate) < 0.0 && apart.dot(rate) > 0.0
+            });
+            let nearest = turns.map(|(start, before)| before.extremum(&now, &self.world, [start, time], false));
+            let [time, distance] = nearest.unwrap_or([time, apart.length()]);
+            if self.closest.is_none_or(|(known, _)| distance / radii < known) {
+                self.closest = Some((distance / radii, time));
             }
-            if self.closest.is_none_or(|(known, _)| least.1 < known) {
-                self.closest = Some((least.1, least.0));
-            }
-            pair.last = [last, now];
         }
     }
 
@@ -373,13 +368,15 @@ impl<'a> Run<'a> {
 
     /// Whether no pair can change its phase any more.
     fn is_certain(&mut self) -> bool {
+        if self.pairs.values().any(|pair| pair.is_merged) {
+            return false;
+        }
         if let Some(last) = self.last_change {
             return self.world.time() >= last;
         }
         let count = self.world.body_count();
         let scene = self.world.scene();
         if count > MAX_BODIES
-            || self.pairs.values().any(|pair| pair.is_merged)
             || !scene.is_coupled()
             || free_fall(scene) != DVec3::ZERO
             || !scene.planes.is_empty()
@@ -449,10 +446,7 @@ impl<'a> Run<'a> {
         cells.push(Cell::List(self.times));
         cells.extend(self.counts.map(Cell::I64));
         cells.extend([number(self.first_merge), number(self.first_split), Cell::F64(self.time_merged)]);
-        cells.extend([
-            number(self.closest.map(|(squared, _)| squared.max(0.0).sqrt())),
-            number(self.closest.map(|(_, time)| time)),
-        ]);
+        cells.extend([number(self.closest.map(|(q, _)| q)), number(self.closest.map(|(_, time)| time))]);
         cells.push(number(is_coupled.then_some(self.energy)));
         let momentum = self.world.conserved().map(|conserved| conserved.momentum.to_array());
         cells.extend((0..3).map(|k| number(momentum.map(|momentum| momentum[k]))));
@@ -468,18 +462,8 @@ impl<'a> Run<'a> {
 
 impl Pair {
     fn met(relative: [DVec3; 2], time: f64) -> Pair {
-        let nothing = (f64::NEG_INFINITY, f64::INFINITY);
-        Pair { is_merged: false, since: time, met: relative, merged: None, split: None, last: [nothing; 2] }
+        Pair { is_merged: false, since: time, met: relative, merged: None, split: None, last: None }
     }
-}
-
-/// The vertex of the parabola through three points (t, y), if it is a minimum between the first and the last.
-fn lowest([(t0, y0), (t1, y1), (t2, y2)]: [(f64, f64); 3]) -> Option<(f64, f64)> {
-    let (slope, next) = ((y1 - y0) / (t1 - t0), (y2 - y1) / (t2 - t1));
-    let curvature = (next - slope) / (t2 - t0);
-    let time = 0.5 * (t0 + t1) - 0.5 * slope / curvature;
-    let lowest = y0 + (time - t0) * (slope + curvature * (time - t1));
-    (curvature > 0.0 && t0 < time && time < t2).then_some((time, lowest))
 }
 
 /// Time of the last phase change of a scene whose bodies are all on non-periodic paths [s]; `None` if there is none, or

@@ -38,8 +38,8 @@ pub(super) fn add_coupled_forces(
         term.source = forces.sources[cause as usize];
         std::mem::swap(&mut term.accelerations, &mut forces.by_cause[cause as usize]);
     }
-    let is_free = world.scene().bodies[index].path().is_none();
-    now.net_force = is_free.then_some(NetForce { force: forces.force, torque: forces.torque });
+    let body = &world.scene().bodies[index];
+    now.net_force = body.path().is_none().then_some(NetForce::new(forces.force, forces.torque, body.mass));
 }
 
 /// Labels the vertices of a body by the kinds of sphere that act on them.

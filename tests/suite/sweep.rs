@@ -123,6 +123,10 @@ fn broken_sweeps_are_rejected_with_their_position() {
         ),
         (&format!("count = 4\n{axis}"), "s.toml:2:9: count: not for a grid"),
         (
+            "[[axis]]\nkey = 'model'\nvalues = ['oscillators', 'lattice']\n",
+            "s.toml:4:10: axis[0].values: model = \"lattice\" makes the scene invalid: ",
+        ),
+        (
             &format!("{axis}[jump]\nfirst_merg = 0.1\n"),
             "s.toml:8:1: jump.first_merg: unknown key; did you mean \"first_merge\"?",
         ),
@@ -179,6 +183,37 @@ fn a_boundary_in_closed_form_is_found_to_1e_9() {
         assert_eq!(outcome == "apart", offset / 2.0 > *merge_at, "{cells:?}");
         if let (true, Cell::F64(closest)) = (outcome == "apart", &cells[11]) {
             assert!((closest - offset / 2.0).abs() < 1e-12, "{cells:?}");
+        }
+    }
+}
+
+/// Whether a run ends early or not, and however far the bodies move in a step.
+#[test]
+fn the_closest_approach_and_the_time_merged_are_exact() {
+    for until in ["certain", "end"] {
+        let dir = folder(&format!(
+            "scene = 'passing.toml'\nuntil = '{until}'\n\
+             [[axis]]\nkey = 'body.b.motion.line.velocity[0]'\nvalues = [1.1, 2.0, 30.0]\n\
+             [[set]]\nkey = 'influence.merge_at'\nvalue = 1.05\n[[set]]\nkey = 'influence.split_at'\nvalue = 1.2\n"
+        ));
+        succeeds(&dir, "s.toml --out out");
+        let columns: Vec<Column> = of(&dir).into_iter().filter(|column| column.name != RUN_TIME).collect();
+        let rows = rows(&dir.file("out"), &of(&dir));
+        assert_eq!(rows.len(), 3);
+        for cells in rows.values() {
+            let number = |name: &str| {
+                let at = columns.iter().position(|column| column.name == name).unwrap();
+                // the row is no cell
+                let Cell::F64(number) = cells[at - 1] else { panic!("{name}: {cells:?}") };
+                number
+            };
+            let speed = number("body.b.motion.line.velocity[0]");
+            let from_middle = |q: f64| (4.0 * q * q - 4.0).sqrt() / speed;
+            let split = 4.0 / speed + from_middle(1.2);
+            let merged = f64::min(split, 4.0) - (4.0 / speed - from_middle(1.05));
+            assert!((number("time_merged") - merged).abs() < 1e-9, "{until}, {speed}: {cells:?}");
+            assert!((number("closest") - 1.0).abs() < 1e-9, "{until}, {speed}: {cells:?}");
+            assert!((number("closest_time") - 4.0 / speed).abs() < 1e-5, "{until}, {speed}: {cells:?}");
         }
     }
 }

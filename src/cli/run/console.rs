@@ -140,9 +140,10 @@ pub fn summarize(console: &Console, outcome: &Outcome, finished: &Finished) {
         console.print(&format!("  {}", event.line));
     }
     let more = event_count - of_bodies - events.len() as u64;
-    for (more, of) in [(more, ""), (*of_bodies, " of single bodies")] {
+    for (more, what) in [(more, "more"), (*of_bodies, "of single bodies")] {
         if more > 0 {
-            console.print(&format!("  … and {} more{of}, in the recording's event log", thousands(more)));
+            let and = if events.is_empty() && what != "more" { "" } else { "… and " };
+            console.print(&format!("  {and}{} {what}, in the recording's event log", thousands(more)));
         }
     }
     for approach in approaches.iter().take(MOST_APPROACHES) {

@@ -322,7 +322,7 @@ impl StepContext<'_> {
 }
 
 /// Bound on |∂(c − r) W|: 1 for the linear weight, less than 2 for Wendland's.
-fn steep(weight: Weight) -> f64 {
+pub fn steep(weight: Weight) -> f64 {
     if weight == Weight::Linear { 1.0 } else { 2.0 }
 }
 

@@ -9,7 +9,7 @@ use glam::{DMat3, DVec3};
 
 use super::{
     CORE,
-    act::{Instantaneous, Part, StepContext},
+    act::{Instantaneous, Part, StepContext, steep},
     coupled::{ExternalForces, Free, is_coupled},
 };
 use crate::{
@@ -172,15 +172,20 @@ impl Shared {
     }
 }
 
-/// Number of implicit steps in a step of the scene. The forces of spheres, of at most two at once, and of planes are
-/// explicit, from the last half step. With free bodies, the effect of a heavy body on a light one counts, too.
+/// Number of implicit steps in a step of the scene. The forces of spheres, of at most two at once and all force points,
+/// and of planes are explicit, from the last half step. With free bodies, the effect of a heavy body on a light one
+/// counts, too.
 fn divisions(scene: &Scene, contact: f64) -> u64 {
-    let strongest = scene.laws().map(|law| law.alpha.max(law.beta)).fold(0.0, f64::max);
+    let steep = steep(scene.influence.weight);
+    let strongest = steep * scene.laws().map(|law| law.alpha.max(law.beta)).fold(0.0, f64::max);
+    let on_any =
+        |point| (0..scene.bodies.len()).map(|body| scene.point_strength(point, body).abs()).fold(0.0, f64::max);
+    let points = steep * scene.points.iter().map(on_any).sum::<f64>();
     let planes = scene.planes.iter().map(|plane| plane.stiffness).sum::<f64>() * contact;
     let of = |pick: fn(f64, f64) -> f64, start| scene.bodies.iter().map(|body| body.mass).fold(start, pick);
     let ratio = if is_coupled(scene) { of(f64::max, 0.0) / of(f64::min, f64::INFINITY) } else { 0.0 };
     // explicit forces of stiffness ω² are stable up to a step of 2/ω
-    (scene.dt * ((2.0 + ratio) * strongest + planes).sqrt() / (2.0 * OF_LIMIT)).ceil().max(1.0) as u64
+    (scene.dt * ((2.0 + ratio) * strongest + points + planes).sqrt() / (2.0 * OF_LIMIT)).ceil().max(1.0) as u64
 }
 
 /// Upper bound of a body's memory without the factor [bytes]; `is_new` if no earlier body shares its elements.
@@ -377,7 +382,7 @@ impl Body {
         now: &mut Instantaneous,
         interrupt: Option<&'static AtomicBool>,
     ) {
-        let Body { matter, statistics, mesh, cells, directions, contact, index, failure, .. } = self;
+        let Body { matter, statistics, mesh, cells, exposed, directions, contact, index, failure, .. } = self;
         let Matter::Lattice(springs) = matter else { return };
         let Springs { lattice, motion } = &mut **springs;
         let (scene, length) = (around.scene, part.end - part.start);
@@ -428,6 +433,7 @@ impl Body {
                         mesh,
                         cells,
                         corners,
+                        exposed,
                         motion: [part.centre(t), part.velocity(t)],
                         min_stop: *contact * h,
                     };
@@ -460,7 +466,8 @@ impl Body {
             let positions: Vec<DVec3> =
                 rest.iter().zip(x.iter()).zip(u.iter()).map(|((l, x), u)| *l + *x + *u * half).collect();
             let motion = [part.centre(middle), part.velocity(middle)];
-            let of = Contact { planes, mesh, cells, corners: &cells.corners, motion, min_stop: *contact * stepper.h };
+            let (corners, min_stop) = (&cells.corners[..], *contact * stepper.h);
+            let of = Contact { planes, mesh, cells, corners, exposed: &[], motion, min_stop };
             let mut pressed = vec![DVec3::ZERO; positions.len()];
             of.accelerate(&element.masses, scene.bodies[*index].mass, &positions, u, &mut pressed);
             for (force, &node) in forces.iter_mut().zip(&element.free) {
@@ -656,6 +663,7 @@ impl Body {
             mesh: &self.mesh,
             cells: &self.cells,
             corners: self.corners(),
+            exposed: &self.exposed,
             motion: [centre, velocity],
             min_stop: 0.0,
         };
@@ -705,6 +713,8 @@ pub struct Contact<'a> {
     pub mesh: &'a Mesh,
     pub cells: &'a Cells,
     pub corners: &'a [[u32; 8]],
+    /// The nodes on the surface of a body that has torn.
+    pub exposed: &'a [u32],
     /// Position and velocity of the centre.
     pub motion: [DVec3; 2],
     /// Limits the rate of friction on a vertex to the inverse of this [s]: a step times the effect of a vertex on a
@@ -714,26 +724,39 @@ pub struct Contact<'a> {
 
 impl Contact<'_> {
     /// Adds the accelerations of the nodes: each vertex, with its share of the body's mass, distributes its force to
-    /// them.
+    /// them. The surface of a body that has torn consists of nodes.
     pub fn accelerate(&self, masses: &[f64], mass: f64, positions: &[DVec3], velocities: &[DVec3], into: &mut [DVec3]) {
+        for node in self.exposed.iter().map(|&node| node as usize) {
+            into[node] += self.of_planes(positions[node], || velocities[node]);
+        }
+        if !self.exposed.is_empty() {
+            return;
+        }
         for (embedded, share) in self.cells.embedded.iter().zip(self.mesh.shares()) {
             let corners = &self.corners[embedded.cell as usize];
-            let place = embedded.mean(corners, positions) + self.motion[0];
-            for plane in self.planes {
-                let depth = plane.depth(place);
-                if depth <= 0.0 {
-                    continue;
-                }
-                let velocity = embedded.mean(corners, velocities) + self.motion[1];
-                let slide = velocity - plane.normal * plane.normal.dot(velocity);
-                let pressure = plane.stiffness * depth;
-                let rate = plane.friction * pressure / (slide.length_squared() + plane.slip * plane.slip).sqrt();
-                let force = plane.normal * pressure - slide * (rate / (1.0 + rate * self.min_stop));
+            let force = self.of_planes(embedded.mean(corners, positions), || embedded.mean(corners, velocities));
+            if force != DVec3::ZERO {
                 for (&node, &weight) in corners.iter().zip(&embedded.weights) {
                     into[node as usize] += force * (weight * share * mass / masses[node as usize]);
                 }
             }
         }
+    }
+
+    /// The acceleration of a point of the surface by the planes, given its place and velocity relative to the centre.
+    fn of_planes(&self, place: DVec3, velocity: impl Fn() -> DVec3) -> DVec3 {
+        let mut sum = DVec3::ZERO;
+        for plane in self.planes {
+            let depth = plane.depth(place + self.motion[0]);
+            if depth > 0.0 {
+                let velocity = velocity() + self.motion[1];
+                let slide = velocity - plane.normal * plane.normal.dot(velocity);
+                let pressure = plane.stiffness * depth;
+                let rate = plane.friction * pressure / (slide.length_squared() + plane.slip * plane.slip).sqrt();
+                sum += plane.normal * pressure - slide * f64::min(rate, 1.0 / self.min_stop);
+            }
+        }
+        sum
     }
 }
 

@@ -158,6 +158,7 @@ struct Loads<'a> {
     mesh: &'a Mesh,
     cells: &'a Cells,
     corners: &'a [[u32; 8]],
+    exposed: &'a [u32],
     directions: &'a [DVec3],
     /// Masses of the nodes.
     masses: &'a [f64],
@@ -197,8 +198,9 @@ impl Loads<'_> {
             }
         }
         if !self.planes.is_empty() {
-            let Loads { planes, mesh, cells, corners, min_stop, place, .. } = *self;
-            let of = Contact { planes, mesh, cells, corners, motion: [place.centre, place.velocity], min_stop };
+            let Loads { planes, mesh, cells, corners, exposed, min_stop, place, .. } = *self;
+            let of =
+                Contact { planes, mesh, cells, corners, exposed, motion: [place.centre, place.velocity], min_stop };
             of.accelerate(self.masses, self.mass, positions, velocities, into);
         }
         acted.mean = DVec3::ZERO;
@@ -552,7 +554,8 @@ impl Body {
     fn pull(&mut self, around: &StepContext<'_>, t: f64, h: f64, count: u64, places: &[Place], centres: &[DVec3]) {
         let mut now = std::mem::take(&mut self.now);
         self.find_acting(around, [around.start, around.end], Some(t), centres, &mut now);
-        let Body { matter, statistics, mesh, cells, directions, contact, index, free, acted, radius, .. } = self;
+        let Body { matter, statistics, mesh, cells, exposed, directions, contact, index, free, acted, radius, .. } =
+            self;
         let Matter::Lattice(springs) = matter else { return };
         let Springs { lattice, motion } = &mut **springs;
         let place = places[*index];
@@ -563,6 +566,7 @@ impl Body {
             mesh,
             cells,
             corners: &lattice.corners,
+            exposed,
             directions,
             masses: &lattice.masses,
             mass: around.scene.bodies[*index].mass,
@@ -615,6 +619,7 @@ impl Body {
             mesh,
             cells,
             corners: &cells.corners,
+            exposed: &[],
             directions,
             masses: &finite.element.masses,
             mass: around.scene.bodies[*index].mass,

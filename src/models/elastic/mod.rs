@@ -103,11 +103,11 @@ pub fn check(scene: &Scene) -> Result<(), Unsupported> {
     }
     let (scheme, remedy) = match scene.model {
         Model::Fem => (
-            "steps are implicit",
+            "finite elements take implicit steps",
             "remove the key integrator: with \"exponential\", the default, the model uses its own scheme",
         ),
         _ => (
-            "steps are explicit",
+            "a lattice takes steps of euler or verlet",
             "choose \"euler\" or \"verlet\", which step by dt, or \"exponential\", the default, with which the model divides dt",
         ),
     };
@@ -118,7 +118,7 @@ pub fn check(scene: &Scene) -> Result<(), Unsupported> {
         _ => false,
     };
     if !is_known {
-        return unsupported(None, &format!("integrator = \"{}\": its {scheme}", scene.integrator), remedy);
+        return unsupported(None, &format!("integrator = \"{}\": {scheme}", scene.integrator), remedy);
     }
     Ok(())
 }

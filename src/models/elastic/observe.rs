@@ -17,6 +17,7 @@ use crate::{
     models::lattice::Constants,
     observe::{
         BodyFrame, Frame, Instant, MotionFrame, NearPair, NetForce, PairFrame, Schema, Simulation, StepSummary, Want,
+        frame::{TermFrame, weighted_sum},
     },
     scene::{Integrator, Model, Scene, TearMode},
     sim::{Cause, World, terms},
@@ -29,7 +30,7 @@ use crate::{
 /// Springs are drawn in scenes of at most this many cells: more would hide each other.
 const DRAWN_CELLS: usize = 64;
 
-const ENERGY: &str = "Energy [mass·unit²/s²] by kind; what spheres, planes and damping bring is not counted";
+const ENERGY: &str = "Energy [mass·unit²/s²] by kind; what forces and damping bring is not counted";
 
 /// A scalar of bodies made of cells; the values of the state also depend on the frames of the bodies.
 type Scalar = scalars::Scalar<fn(&Elastic, &[BodyFrame]) -> f64, fn(&Elastic) -> f64>;
@@ -145,6 +146,7 @@ pub fn schema(scene: &Scene) -> Schema {
             term.label = "Dampers";
         }
     }
+    let limit = scene.bodies.iter().map(|body| step_limit(scene, body)).fold(f64::INFINITY, f64::min);
     let across = if scene.model == Model::Fem { scene.fem.cells } else { scene.lattice.cells };
     let made_of = match scene.model {
         Model::Fem => format!(
@@ -152,15 +154,18 @@ pub fn schema(scene: &Scene) -> Schema {
              stable.",
             scene.fem.poisson
         ),
-        _ => {
-            let limits = scene.bodies.iter().map(|body| step_limit(scene, body));
-            let limit = limits.fold(f64::INFINITY, f64::min);
-            format!(
-                "Bodies are lattices of {across} cells along a diameter, each with 28 springs; at rest, steps up to {limit:.2e} s are stable."
-            )
-        }
+        _ => format!(
+            "Bodies are lattices of {across} cells along a diameter, each with 28 springs; at rest, steps up to {limit:.2e} s are stable."
+        ),
     };
     schema.law = format!("{made_of} {}", schema.law);
+    if scene.model == Model::Lattice && scene.integrator != Integrator::Exponential && scene.dt > limit {
+        schema.warnings.push(format!(
+            "dt = {:?} s is too long for integrator = \"{}\" with this lattice, which is stable up to {limit:.2e} s at rest: lower dt, or \
+             choose \"exponential\", the default, with which the model divides dt",
+            scene.dt, scene.integrator
+        ));
+    }
     if scene.tolerance != Scene::DEFAULT_TOLERANCE {
         schema.warnings.push(format!(
             "tolerance has no effect with model = \"{}\": its step length follows from stability, and its accuracy from dt and cells",
@@ -320,10 +325,10 @@ impl Elastic {
         let count = now.mesh.as_ref().map_or(body.mesh.vertex_count(), |mesh| mesh.vertex_count());
         let held: Vec<bool> = (0..n).map(|node| body.is_held(node)).collect();
         now.terms.resize_with(causes.len(), Default::default);
-        let mut net = Vectors::zeros(count);
+        let (mut net, mut net_mean, mass_now) = (Vectors::zeros(count), DVec3::ZERO, body.free_mass());
         let mut of_vertices = Vectors::default();
         for (cause, term) in causes.iter().zip(&mut now.terms) {
-            term.source = None;
+            (term.source, term.mean) = (None, body.free.as_ref().map(|_| DVec3::ZERO));
             term.accelerations.clear();
             let Some((_, nodes)) = by_cause.iter_mut().find(|(known, _)| known == cause) else { continue };
             // no force acts on held nodes
@@ -332,8 +337,15 @@ impl Elastic {
                 continue;
             }
             at_vertices(body, nodes, count, &mut of_vertices);
+            if now.mesh.is_some() {
+                (0..body.cells.embedded.len()).for_each(|former| of_vertices.set(former, DVec3::ZERO));
+            }
             term.accelerations.copy_from(&of_vertices);
             net.add_times(1.0, &of_vertices);
+            if body.free.is_some() {
+                let mean = weighted_sum(nodes.iter().copied().zip(body.masses().iter().map(|mass| mass / mass_now)));
+                (term.mean, net_mean) = (Some(mean), net_mean + mean);
+            }
             let mut of_cause = acting.spheres.iter().filter(|sphere| sphere.cause == *cause);
             if let (Some(only), None) = (of_cause.next(), of_cause.next()) {
                 term.source = Some(only.source).filter(|_| *cause != Cause::Point);
@@ -349,7 +361,7 @@ impl Elastic {
                     torque += place.cross(*f * *m);
                 }
             }
-            NetForce { force, torque }
+            NetForce::new(force, torque, mass_now)
         });
         let label = |i: usize| {
             view::terms::label([Cause::Attraction, Cause::Repulsion, Cause::Core].map(|cause| {
@@ -362,7 +374,7 @@ impl Elastic {
         now.labels = labels;
         now.has_forces = true;
         if let Some(at) = causes.iter().position(|cause| *cause == Cause::Net) {
-            now.terms[at].accelerations = net;
+            now.terms[at] = TermFrame { mean: body.free.as_ref().map(|_| net_mean), ..TermFrame::new(net, None) };
         }
     }
 }
@@ -552,6 +564,11 @@ impl Simulation for Elastic {
                 at_vertices(body, &body.x, count, &mut now.displacements);
                 at_vertices(body, &body.u, count, &mut now.velocities);
                 now.displaced(mesh.at(body.radius));
+                if now.mesh.is_some() {
+                    // the vertices of the surface before it tore are no longer part of it
+                    now.lengths[..body.cells.embedded.len()].fill(0.0);
+                    now.max_displacement = now.lengths.iter().copied().fold(0.0, f64::max);
+                }
             }
             now.clear_forces();
             if has_springs {
@@ -574,7 +591,7 @@ impl Simulation for Elastic {
         frame.scalars.clear();
         if want.scalars {
             frame.scalars.extend(scalars(&self.scene).map(|scalar| match scalar.value {
-                ScalarValue::State(value) => value(self, &frame.bodies),
+                ScalarValue::State(value) => value(self, &frame.bodies) + 0.0, // the sum of nothing is −0
                 ScalarValue::SumOfSteps(_) | ScalarValue::MaxOfSteps(_) => 0.0,
             }));
         }

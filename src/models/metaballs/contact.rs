@@ -3,7 +3,8 @@
 //! By Morse theory, the level set at the threshold changes its topology only when a critical point of the density
 //! crosses the threshold. Two components join when a saddle of index 1 does (a minimum along the path from one to the
 //! other, a maximum across it). For two balls, the saddle is on the line of their centres. Other balls shift it off
-//! that line; Newton's method finds it from the minimum on the line.
+//! that line; Newton's method finds it from the minimum on the line. It joins the two balls if the paths of steepest
+//! ascent from it end in them.
 
 use glam::{DMat3, DVec3};
 
@@ -14,8 +15,10 @@ use crate::sim::numerics::roots::root;
 const SAMPLES: u32 = 32;
 /// Upper limit on Newton steps.
 const MAX_STEPS: u32 = 60;
-/// The longest Newton step [centre distances].
+/// The longest Newton step, and the steps of an ascent [centre distances].
 const MAX_STRIDE: f64 = 0.05;
+/// Upper limit on the steps of an ascent.
+const MAX_ASCENT: u32 = 100;
 
 /// The saddle between two balls.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,7 +32,7 @@ pub struct Saddle {
 impl Saddle {
     /// The saddle between the first two balls, in the density of all. `None` if there is none: the balls are so close
     /// that the density is monotonic between the centres, or so far apart that there is no density between them, or a
-    /// third ball fills the space between.
+    /// third ball fills the space between, or joins them.
     pub fn between(balls: &[Ball]) -> Option<Saddle> {
         let (a, b) = (balls.first()?, balls.get(1)?);
         let along = b.centre - a.centre;
@@ -49,20 +52,22 @@ impl Saddle {
             let length = step.length();
             if length <= 4.0 * f64::EPSILON * (place.length() + distance) {
                 let is_between = place.distance(start) < 0.5 * distance;
-                return (is_between && has_index_one(&hessian)).then_some(Saddle { place, density: value });
+                let is_saddle = is_between && has_index_one(&hessian) && ascends_to_both(balls, place);
+                return is_saddle.then_some(Saddle { place, density: value });
             }
             place += step * f64::min(1.0, MAX_STRIDE * distance / length);
         }
         // at the level of rounding errors, steps need not shrink: accept a stationary point
         let Jet { value, gradient, hessian } = jet_of(balls, place);
         let is_still = gradient.length() * distance < 1e-10 && place.distance(start) < 0.5 * distance;
-        (is_still && has_index_one(&hessian)).then_some(Saddle { place, density: value })
+        let is_saddle = is_still && has_index_one(&hessian) && ascends_to_both(balls, place);
+        is_saddle.then_some(Saddle { place, density: value })
     }
 }
 
 /// Whether the first two balls are joined directly at the threshold, not through other balls.
 pub fn are_one(balls: &[Ball]) -> bool {
-    let [a, b, ..] = balls else { return false };
+    let [a, b, others @ ..] = balls else { return false };
     let distance = a.centre.distance(b.centre);
     if distance <= a.radius + b.radius {
         return true; // the density is above the threshold inside both balls
@@ -70,12 +75,41 @@ pub fn are_one(balls: &[Ball]) -> bool {
     if distance >= a.support() + b.support() {
         return false;
     }
-    // a straight path that is dense enough suffices
+    if !others.is_empty() && are_one(&balls[..2]) {
+        return true; // whatever is between them
+    }
+    // a straight path that is dense enough suffices, unless it leads through another ball
+    let along = (b.centre - a.centre) / distance;
+    let is_in_the_way = |other: &Ball| {
+        let nearest = (other.centre - a.centre).dot(along).clamp(a.radius, distance - b.radius);
+        other.centre.distance(a.centre + nearest * along) <= other.radius
+    };
     match lowest(balls) {
+        _ if others.iter().any(is_in_the_way) => false,
         None => true,
         Some(place) if density_of(balls, place) >= 1.0 => true,
         Some(_) => Saddle::between(balls).is_some_and(|saddle| saddle.density >= 1.0),
     }
+}
+
+/// Whether the density ascends from a saddle to the first two balls, one on each side of it.
+fn ascends_to_both(balls: &[Ball], saddle: DVec3) -> bool {
+    let along = balls[1].centre - balls[0].centre;
+    if balls.len() == 2 || along.length() <= balls[0].radius + balls[1].radius {
+        return true; // no other ball joins them
+    }
+    let stride = MAX_STRIDE * along.length();
+    [-along, along].into_iter().enumerate().all(|(expected, side)| {
+        let mut place = saddle + 0.1 * stride * side.normalize_or_zero();
+        for _ in 0..MAX_ASCENT {
+            let contains = |ball: &Ball| place.distance(ball.centre) <= ball.radius;
+            if contains(&balls[expected]) || balls.iter().any(contains) {
+                return contains(&balls[expected]);
+            }
+            place += stride * slope_of(balls, place).normalize_or_zero();
+        }
+        false
+    })
 }
 
 /// The point of minimum density on the line from the first ball's centre to the second's, or only between their
@@ -158,6 +192,25 @@ mod tests {
         assert!(saddle.place.distance(DVec3::new(0.0, y, 0.0)) < 1e-12, "{saddle:?} {y}");
         assert!((saddle.density - f(y)).abs() < 1e-13);
         assert!(saddle.density > f(0.0), "higher than on the line");
+    }
+
+    #[test]
+    fn balls_that_a_third_one_bridges_are_not_one() {
+        let row = |d: f64| [ball(0.0, 0.0, 1.0, 2.0), ball(d, 0.0, 1.0, 2.0), ball(0.5 * d, 0.0, 0.4, 2.0)];
+        for d in [2.6, 2.7, 2.8] {
+            let [a, c, b] = row(d);
+            assert!(!are_one(&[a, c, b]) && are_one(&[a, b, c]) && are_one(&[b, c, a]), "{d}");
+            assert!(Saddle::between(&[a, c, b]).is_none(), "{d}");
+        }
+        assert!(are_one(&row(2.2)), "without the third");
+        // beside them, it only helps
+        let [a, c, mut b] = row(2.6);
+        assert!(!are_one(&[a, c]));
+        b.centre.y = 1.2;
+        assert!(!are_one(&[a, c, b]), "{b:?}");
+        b.radius = 1.2;
+        b.centre.y = 1.25;
+        assert!(are_one(&[a, c, b]), "{b:?}");
     }
 
     #[test]

@@ -42,12 +42,13 @@ use crate::{
     disjoint_sets::DisjointSets,
     geometry::Rest,
     hash,
+    model::influence::Weight,
     observe::{
         BodyFrame, Frame, Instant, NearPair, Schema, Simulation, StepSummary, SurfaceEvent, Want,
         schema::{OwnSurfaces, ScalarOf, ScalarSchema, TermSchema},
         surface::Finding,
     },
-    scene::{Body, Model, Path, Scene},
+    scene::{Body, Integrator, Model, Path, Scene},
     sim::{Options, World, numerics::roots::root},
     view,
 };
@@ -455,6 +456,9 @@ fn idle(scene: &Scene) -> Option<String> {
         (!scene.pushes.is_empty(), "[[push]]"),
         (!scene.planes.is_empty(), "[[plane]]"),
         (scene.gravity != DVec3::ZERO, "gravity"),
+        (scene.influence.weight != Weight::Linear, "influence.weight"),
+        (scene.integrator != Integrator::Exponential, "integrator"),
+        (scene.tolerance != Scene::DEFAULT_TOLERANCE, "tolerance"),
     ];
     let given: Vec<&str> = given.into_iter().filter(|(is_given, _)| *is_given).map(|(_, name)| name).collect();
     (!given.is_empty()).then(|| {

@@ -12,7 +12,7 @@ use crate::model::{
     phase::{Phase, Thresholds},
     shape_matching::{Plane, rotation_by},
 };
-use crate::sim::work::Tally;
+use crate::sim::{terms::Cause, work::Tally};
 
 impl Island {
     /// An island at t = 0 whose error stays within `tolerance` [radii/s].
@@ -31,6 +31,10 @@ impl Island {
     fn conserved(&self) -> Conserved {
         self.snapshot().conserved()
     }
+}
+
+fn falling(gravity: DVec3) -> Vec<(Cause, DVec3)> {
+    vec![(Cause::Gravity, gravity)]
 }
 
 /// No paths, for islands without prescribed bodies.
@@ -119,7 +123,7 @@ fn a_throw_is_a_parabola() {
     let o = Oscillator { omega: 12.0, damping: 1.0 };
     let (from, velocity) = (DVec3::new(1.0, 2.0, 3.0), DVec3::new(-1.0, 4.0, 5.0));
     let thrown = body(1.0, o, from, velocity, DVec3::new(0.5, -1.0, 2.0));
-    let mut island = Island::new(vec![thrown], vec![], Field { gravity, ..Field::default() }, 1e-6);
+    let mut island = Island::new(vec![thrown], vec![], Field { uniform: falling(gravity), ..Field::default() }, 1e-6);
     let spin = island.bodies()[0].spin;
     run(&mut island, 2.0, 1.0 / 60.0);
     let expected = from + 2.0 * velocity + 2.0 * gravity;
@@ -308,7 +312,7 @@ fn a_slab_slides_as_far_as_friction_lets_it() {
     let (stiffness, friction, slip, gravity, speed) = (4000.0, 0.3, 0.02, 9.81, 1.2);
     let plane = Plane { normal: DVec3::Z, offset: 0.0, stiffness, friction, slip };
     let thrown = slab(30.0, DVec3::new(0.0, 0.0, -gravity / stiffness), speed * DVec3::X);
-    let field = Field { planes: vec![plane], gravity: -gravity * DVec3::Z, ..Field::default() };
+    let field = Field { planes: vec![plane], uniform: falling(-gravity * DVec3::Z), ..Field::default() };
     let mut island = Island::new(vec![thrown], vec![], field, 1e-6);
     run(&mut island, 1.0, 1.0 / 60.0);
     // v′ = −μ g v/√(v² + v_s²)
@@ -327,7 +331,7 @@ fn chatter_is_reported_and_a_core_width_prevents_it() {
         let law = PairLaw { thresholds, core_width, ..LAW };
         let at = |x: f64| slab(30.0, DVec3::new(x, 0.0, -9.81 / 4000.0), DVec3::ZERO);
         let pairs = vec![pair(0, 1, Phase::Merged, law)];
-        let field = Field { planes: vec![plane], gravity: -9.81 * DVec3::Z, ..Field::default() };
+        let field = Field { planes: vec![plane], uniform: falling(-9.81 * DVec3::Z), ..Field::default() };
         let mut island = Island::new(vec![at(-0.71), at(0.71)], pairs, field, 1e-6);
         let mut report = Report::default();
         (1..=60).try_for_each(|step| island.advance(f64::from(step) / 60.0, &NoPaths, &mut report))
@@ -543,7 +547,7 @@ fn the_ledger_accounts_for_friction_and_pushes() {
     for (damping, pushes) in [(0.0, vec![]), (1.0, vec![push])] {
         let o = Oscillator { omega: 12.0, damping };
         let thrown = body(1.0, o, 1.2 * DVec3::Z, DVec3::new(2.0, 0.5, 0.0), DVec3::new(0.0, 3.0, 1.0));
-        let field = Field { gravity, planes: vec![plane], pushes, ..Field::default() };
+        let field = Field { uniform: falling(gravity), planes: vec![plane], pushes, ..Field::default() };
         let (error, ledger) = unexplained(Island::new(vec![thrown], vec![], field, 1e-6), &NoPaths, 1.5);
         assert!(error < 1e-6, "{damping}: {error:e} {ledger:?}");
         assert!(ledger.friction < 0.0 && (ledger.pushes > 0.0) == (damping > 0.0));
@@ -577,7 +581,7 @@ fn the_ledger_accounts_for_bodies_on_paths() {
 fn observed_forces_are_those_that_move_the_bodies() {
     use crate::sim::Cause;
     let plane = Plane { normal: DVec3::Z, offset: -0.74, stiffness: 400.0, friction: 0.4, slip: 0.05 };
-    let field = Field { gravity: -2.0 * DVec3::Z, planes: vec![plane], ..Field::default() };
+    let field = Field { uniform: falling(-2.0 * DVec3::Z), planes: vec![plane], ..Field::default() };
     let law = PairLaw { thresholds: Thresholds { core_at: 0.8, ..LAW.thresholds }, core_width: 0.3, ..LAW };
     let o = Oscillator { omega: 12.0, damping: 1.5 };
     let a = body(1.0, o, DVec3::new(-0.9, 0.1, 0.0), DVec3::new(1.2, 0.0, 0.0), DVec3::new(0.2, 0.0, 2.5));

@@ -141,9 +141,9 @@ impl ResultantRows {
 
 /// The acceleration of a body by one cause [scene unit/s²]; `None` if it acts nowhere.
 fn resultant(number: usize, (term, body): (&TermSchema, &BodySchema), now: &BodyFrame) -> Option<DVec3> {
-    let at_vertices = now.terms.get(number).map(|of| &of.accelerations).filter(|of| !of.is_empty());
+    let at_vertices = now.terms.get(number).filter(|of| !of.accelerations.is_empty());
     let at_vertices = at_vertices.map(|of| match term.is_uniform {
-        true => of.get(0),
+        true => of.accelerations.get(0),
         false => now.mean_acceleration(body, of),
     });
     let at_points = now.point_forces.iter().filter(|force| force.term == number).map(|force| force.acceleration);
