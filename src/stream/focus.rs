@@ -60,19 +60,24 @@ impl Focus {
     }
 }
 
-/// What a camera must have in view to show all bodies: their spheres, or of many the corners of the box around them and
-/// the label above; of several variants, also their names.
+/// What a camera must have in view to show all bodies: their spheres, of many those that are furthest out; of several
+/// variants, also their names.
 fn extent(view: FrameView<'_>) -> Vec<(DVec3, f64)> {
     let present = view.bodies().filter(|(_, now)| !now.is_absent);
-    if !recent::is_drawn_alone(view.schema) || !view.schema.variants.is_empty() {
-        let headings = view.schema.variants.iter().map(|variant| (variant.heading, 0.0));
-        let spheres = present.map(|(body, now)| (now.centre, body.radius)).chain(headings);
-        return spheres.filter(|(centre, _)| centre.is_finite()).collect();
+    let headings = view.schema.variants.iter().map(|variant| (variant.heading, 0.0));
+    let spheres = present.map(|(body, now)| (now.centre, body.radius)).chain(headings);
+    let spheres: Vec<(DVec3, f64)> = spheres.filter(|(centre, _)| centre.is_finite()).collect();
+    if !recent::is_drawn_alone(view.schema) {
+        return spheres;
     }
-    let ([low, high], top) = (view.bounds(), recent::label_height(view));
-    let ends = [low, high.with_z(top)];
-    let corner = |number: usize| DVec3::from_array([0, 1, 2].map(|axis| ends[number >> axis & 1][axis]));
-    (0..8).map(|number| (corner(number), 0.0)).filter(|(corner, _)| corner.is_finite()).collect()
+    // towards the corners, edges and faces of a box
+    let directions = (0..27).map(|number| [1, 3, 9].map(|place| f64::from(number / place % 3 - 1)));
+    let furthest = |direction: [f64; 3]| {
+        let direction = DVec3::from_array(direction).normalize_or_zero();
+        let reach = |(centre, radius): &(DVec3, f64)| centre.dot(direction) + radius;
+        spheres.iter().copied().max_by(|one, other| reach(one).total_cmp(&reach(other)))
+    };
+    directions.filter_map(furthest).collect()
 }
 
 /// The diagonal of the box around spheres (centre and radius).

@@ -28,47 +28,56 @@ pub fn camera_past(
     let (middle, extent) = (0.5 * (low + high), high - low);
     let is_flat = laid_out || extent.z < 0.2 * f64::min(extent.x, extent.y);
     let first = DVec3::new(-0.2, -1.0, if is_flat { 1.0 } else { 0.4 }).normalize(); // towards the eye
-    let mut best = (eye(spheres, middle, first, aspect), hidden(eye(spheres, middle, first, aspect), wanted, others));
+    let mut best = (eye(spheres, first, aspect), first);
+    let mut least = hidden(best.0, wanted, others);
     // a smaller gain does not justify turning away from the default direction
     const WORTH: f64 = 0.02;
     for height in [0.4, 0.9, 1.6, -0.3] {
         for twelfth in [0, 1, 11, 2, 10, 3, 9, 4, 8, 5, 7, 6] {
-            if best.1 <= WORTH {
+            if least <= WORTH {
                 break;
             }
             let angle = std::f64::consts::TAU * f64::from(twelfth) / 12.0 - 0.2;
             let back = DVec3::new(angle.sin(), -angle.cos(), height).normalize();
-            let from = eye(spheres, middle, back, aspect);
+            let from = eye(spheres, back, aspect);
             let hidden = hidden(from, wanted, others);
-            if hidden + WORTH < best.1 {
-                best = (from, hidden);
+            if hidden + WORTH < least {
+                (best, least) = ((from, back), hidden);
             }
         }
     }
+    let (from, back) = best;
+    let target = from - (from - middle).dot(back) * back;
     EyeControls3D::new()
         .with_kind(Eye3DKind::Orbital)
-        .with_position(Position3D::from(best.0.as_vec3()))
-        .with_look_target(Position3D::from(middle.as_vec3()))
+        .with_position(Position3D::from(from.as_vec3()))
+        .with_look_target(Position3D::from(target.as_vec3()))
         .with_eye_up(Vector3D::from(glam::Vec3::Z))
 }
 
-/// The nearest eye position in direction `back` from the middle that has all spheres in view.
-fn eye(spheres: &[(DVec3, f64)], middle: DVec3, back: DVec3, aspect: f64) -> DVec3 {
+/// The nearest eye position from which a camera that looks against direction `back` has all spheres in view.
+fn eye(spheres: &[(DVec3, f64)], back: DVec3, aspect: f64) -> DVec3 {
     /// Half the viewer's vertical field of view, 55°.
     const HALF_HEIGHT: f64 = 0.5205;
     /// Free margin on either side [half heights of the view].
-    const MARGIN: f64 = 0.02;
+    const MARGIN: f64 = 0.04;
 
-    let half_width = (aspect - MARGIN) * HALF_HEIGHT;
     let right = DVec3::Z.cross(back).normalize();
     let up = back.cross(right);
-    // The distance at which a sphere at `centre` just fits between the planes of the view frustum.
-    let distance = |centre: DVec3, radius: f64| {
-        let offset = centre - middle;
-        let fits = |sideways: f64, half: f64| (sideways.abs() + radius * half.hypot(1.0)) / half;
-        offset.dot(back) + f64::max(fits(offset.dot(right), half_width), fits(offset.dot(up), HALF_HEIGHT))
+    // the planes of the view frustum that face each other touch a sphere each, and meet at the eye
+    let fit = |sideways: DVec3, half: f64| {
+        let reach = |sideways: DVec3| {
+            let of = |&(centre, radius): &(DVec3, f64)| {
+                centre.dot(sideways) + half * centre.dot(back) + radius * half.hypot(1.0)
+            };
+            spheres.iter().map(of).fold(f64::NEG_INFINITY, f64::max)
+        };
+        let [one, other] = [reach(sideways), reach(-sideways)];
+        (0.5 * (one - other), 0.5 * (one + other) / half)
     };
-    middle + back * spheres.iter().map(|&(centre, radius)| distance(centre, radius)).fold(0.0, f64::max)
+    let (x, of_width) = fit(right, (aspect - MARGIN) * HALF_HEIGHT);
+    let (y, of_height) = fit(up, (1.0 - MARGIN) * HALF_HEIGHT);
+    x * right + y * up + f64::max(of_width, of_height) * back
 }
 
 /// How much `others` hide the spheres `wanted` from an eye; 0 if not at all. Each other sphere counts by its overlap as
