@@ -68,6 +68,8 @@ elements! {
     [f32; 4]: values => tuples(values)?;
     /// Line segments.
     [Float3; 2]: values => strips(values.iter().map(|_| 2), values.as_flattened().to_vec())?;
+    /// Line segments in a plane.
+    [[f32; 2]; 2]: values => strips(values.iter().map(|_| 2), values.as_flattened().to_vec())?;
     /// Labels.
     String: values => Arc::new(StringArray::from(values));
     /// Strings from a small fixed set.
@@ -101,7 +103,7 @@ fn tuples<const N: usize>(values: Vec<[f32; N]>) -> Result<ArrayRef, ArrowError>
 }
 
 /// Line strips of the given lengths.
-fn strips(lengths: impl Iterator<Item = usize>, points: Vec<Float3>) -> Result<ArrayRef, ArrowError> {
+fn strips<const N: usize>(lengths: impl Iterator<Item = usize>, points: Vec<[f32; N]>) -> Result<ArrayRef, ArrowError> {
     let points = tuples(points)?;
     let item = Field::new("item", points.data_type().clone(), false);
     Ok(Arc::new(ListArray::try_new(item.into(), OffsetBuffer::from_lengths(lengths), points, None)?))

@@ -122,7 +122,15 @@ entities! {
     BODY_FORCE = "/forces/NAME/CAUSE" ["Scalars"]
         "Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, by mass if it is free, and of that by forces at points [scene unit/s²]; with at most 16 bodies, from the first frame in which it acts.";
     RESULTANTS = "/world/resultants" ["Arrows3D"]
-        "The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre; all on one scale, on which the longest of an instant is 1.5 times as long as the largest radius. With at most 16 bodies, the strongest of each body is labelled with the body, its value [scene unit/s²] and, with at most 4 bodies, its cause; bodies on which nothing acts have arrows of no length with their names.";
+        "The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre; all on one scale, on which the longest of an instant is 1.5 times as long as the largest radius. The strongest causes on the five bodies with the strongest are labelled with the body, the cause and the value [scene unit/s²]; with at most 5 bodies, those on which nothing acts have arrows of no length with their names.";
+    STRONGEST = "/strongest" ["Scalars, SeriesLines"]
+        "With more than 3 bodies: the largest of the net forces on bodies by each cause, over their masses [scene unit/s²].";
+    RANKED_FORCES = "/ranking/forces" ["Points2D, LineStrips2D"]
+        "With more than 3 bodies: rows with labels and bars, for those with the strongest forces at an instant.";
+    RANKED_DISPLACEMENTS = "/ranking/displacements" ["Points2D, LineStrips2D"]
+        "The same, for those with the largest displacements.";
+    RANKED_PAIRS = "/ranking/pairs" ["Points2D, LineStrips2D"]
+        "With more than 3 bodies: rows with labels, q and thresholds, for the pairs that change phase next.";
     POINTS = "/world/points" ["Ellipsoids3D, Points3D"]
         "The influence spheres of force points, while they act, and above them their names.";
     SPRINGS = "/world/springs/NAME" ["LineStrips3D"]
@@ -175,6 +183,8 @@ entities! {
         "What a stage of the step or of the recording costs [ms per step].";
     STACKED = "/timings/stacked/N_STAGE" ["Scalars"]
         "The same, with the stages before it on the same thread; numbered from the top of the stack.";
+    RANKED_STAGES = "/timings/ranking" ["Points2D, LineStrips2D"]
+        "Rows with labels and bars: the share and the peak of each stage in the whole run.";
     SPEED = "/timings/speed" ["Scalars"]
         "Steps per second.";
     LAG = "/timings/lag" ["Scalars"]
@@ -190,7 +200,7 @@ entities! {
     LARGEST = "/largest" ["Points3D, LineStrips3D"]
         "The vertex with the largest displacement of those that lie in no other body, and above it its label, also with the largest of all.";
     LARGEST_OF_BODIES = "/largest/bodies" ["Points3D"]
-        "The names of the bodies, each with its largest displacement [radii]; of at most 16.";
+        "The names of the five bodies with the largest displacements [radii], and these.";
     STAGES = "/stages" ["TextLog"]
         "One line per stage of the steps recorded in detail, with the largest displacement and how far vertices moved since the stage before, on the timeline stage, which the entities under /world have too, and on that of steps.";
     CHECKSUM = "/checksum" ["checksum"]

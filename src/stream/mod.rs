@@ -49,7 +49,11 @@
 //! | `/world/forces` | AnnotationContext | Names of the pairs of bodies between which forces act, as classes of arrows. |
 //! | `/world/forces/CAUSE` | Arrows3D | Accelerations of vertices and of points of contact by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre. |
 //! | `/forces/NAME/CAUSE` | Scalars | Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, by mass if it is free, and of that by forces at points [scene unit/s²]; with at most 16 bodies, from the first frame in which it acts. |
-//! | `/world/resultants` | Arrows3D | The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre; all on one scale, on which the longest of an instant is 1.5 times as long as the largest radius. With at most 16 bodies, the strongest of each body is labelled with the body, its value [scene unit/s²] and, with at most 4 bodies, its cause; bodies on which nothing acts have arrows of no length with their names. |
+//! | `/world/resultants` | Arrows3D | The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre; all on one scale, on which the longest of an instant is 1.5 times as long as the largest radius. The strongest causes on the five bodies with the strongest are labelled with the body, the cause and the value [scene unit/s²]; with at most 5 bodies, those on which nothing acts have arrows of no length with their names. |
+//! | `/strongest` | Scalars, SeriesLines | With more than 3 bodies: the largest of the net forces on bodies by each cause, over their masses [scene unit/s²]. |
+//! | `/ranking/forces` | Points2D, LineStrips2D | With more than 3 bodies: rows with labels and bars, for those with the strongest forces at an instant. |
+//! | `/ranking/displacements` | Points2D, LineStrips2D | The same, for those with the largest displacements. |
+//! | `/ranking/pairs` | Points2D, LineStrips2D | With more than 3 bodies: rows with labels, q and thresholds, for the pairs that change phase next. |
 //! | `/world/points` | Ellipsoids3D, Points3D | The influence spheres of force points, while they act, and above them their names. |
 //! | `/world/springs/NAME` | LineStrips3D | The springs of a body, blue where they are shorter than at rest, red-orange where longer; with forces, and of at most 64 cells. |
 //! | `/world/trails` | LineStrips3D | The path of the centre of each free body, one segment per frame; not with more than 64 bodies. |
@@ -76,6 +80,7 @@
 //! | `/marks/q/KIND` | Scalars, SeriesPoints | Events as markers in plots of q. |
 //! | `/timings/STAGE` | Scalars | What a stage of the step or of the recording costs [ms per step]. |
 //! | `/timings/stacked/N_STAGE` | Scalars | The same, with the stages before it on the same thread; numbered from the top of the stack. |
+//! | `/timings/ranking` | Points2D, LineStrips2D | Rows with labels and bars: the share and the peak of each stage in the whole run. |
 //! | `/timings/speed` | Scalars | Steps per second. |
 //! | `/timings/lag` | Scalars | How far a run in real time is behind [ms]. |
 //! | `/diagnostics/SCALAR` | Scalars | Energy, error, counts. |
@@ -83,7 +88,7 @@
 //! | `/diagnostics/overlapping_groups` | Scalars | Groups that could not be united in time and are drawn as overlapping meshes. |
 //! | `/legend/PART` | Image; Points2D | The colour scale of displacements, and its numbers at the instant. |
 //! | `/largest` | Points3D, LineStrips3D | The vertex with the largest displacement of those that lie in no other body, and above it its label, also with the largest of all. |
-//! | `/largest/bodies` | Points3D | The names of the bodies, each with its largest displacement [radii]; of at most 16. |
+//! | `/largest/bodies` | Points3D | The names of the five bodies with the largest displacements [radii], and these. |
 //! | `/stages` | TextLog | One line per stage of the steps recorded in detail, with the largest displacement and how far vertices moved since the stage before, on the timeline stage, which the entities under /world have too, and on that of steps. |
 //! | `/checksum` | checksum | A hash of the exact state after every step; a thin recording has several steps per row, at the time of the last one. |
 //! | `/about` | TextDocument | The text of the panel. |

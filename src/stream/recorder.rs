@@ -25,10 +25,10 @@ use super::{
     instant::Instant,
     machine, palette,
     parts::{
-        FrameView, batch::BatchedBodies, bodies::SeparateBodies, body_forces::BodyForces, forces::Forces,
-        groups::GroupPlots, heat::Heat, lines::Lines, marks, merged::MergedEntities, numbers::FrameNumbers, pairs,
-        pairs::PairPlots, planes, points::Points, spheres::SphereEntities, springs::Springs, touching::Touching,
-        trails::Trails,
+        FrameView, batch::BatchedBodies, bodies::SeparateBodies, body_forces::BodyForces, changes::Changes,
+        forces::Forces, groups::GroupPlots, heat::Heat, lines::Lines, marks, merged::MergedEntities,
+        numbers::FrameNumbers, pairs, pairs::PairPlots, planes, points::Points, spheres::SphereEntities,
+        springs::Springs, touching::Touching, trails::Trails,
     },
     series::Series,
     settings::{FORMAT, Frames, Trigger, application, recording_id},
@@ -96,6 +96,8 @@ pub struct Recorder {
 struct FrameParts {
     state: StateParts,
     pairs: PairPlots,
+    /// The pairs that change phase next.
+    changes: Option<Changes>,
     groups: GroupPlots,
     touching: Touching,
     numbers: FrameNumbers,
@@ -255,14 +257,15 @@ impl Recorder {
     /// for a while would lose the user's arrangement.
     pub fn measured_layout(&self, simulation: &dyn Simulation, tab: Tab) -> Vec<LogMsg> {
         let Some(parts) = &self.parts else { return Vec::new() };
+        let focus = parts.focus.focus();
         let measured = Measured {
             duration: self.at.time,
             durations: Some(parts.numbers.totals()),
             fastest: parts.numbers.fastest(),
             distances: parts.pairs.plotted(),
             lines: parts.series.outlines().collect(),
-            pairs: parts.pairs.told(&self.schema, &parts.series),
-            focus: parts.focus.focus().filter(|_| self.flight.is_none()), // a flight recorder may have dropped it
+            pairs: parts.pairs.told(&self.schema, focus.as_ref().map_or(0.0, |focus| focus.time)),
+            focus: focus.filter(|_| self.flight.is_none()), // a flight recorder may have dropped it
             kept: self.kept.map(|kept| kept.map(|at| at.time)),
             have_acted: parts.body_forces.as_ref().map_or(&[], BodyForces::have_acted),
         };
@@ -475,7 +478,7 @@ impl Recorder {
             self.write_kept();
             if let Some(parts) = &mut self.parts {
                 parts.series.extend_all(&mut self.chunks);
-                parts.numbers.log_medians(&self.schema, &mut self.chunks);
+                parts.numbers.log_ranking(&mut self.chunks);
                 if self.flight.is_none() {
                     let level = parts.pairs.plotted().map(|[low, _]| low);
                     let first = Instant { step: self.first, time: self.first as f64 * self.schema.dt };
@@ -527,6 +530,7 @@ impl FrameParts {
         FrameParts {
             state,
             pairs: PairPlots::new(settings),
+            changes: Changes::new(schema, chunks),
             groups: GroupPlots::new(schema, settings.pairs, &mut series, chunks),
             touching: Touching::default(),
             numbers,
@@ -542,7 +546,8 @@ impl FrameParts {
     /// Logs changed values; `number` is the number of the frame.
     fn log(&mut self, view: FrameView<'_>, number: u64, chunks: &mut Chunks) {
         let start = Clock::now();
-        let FrameParts { state, pairs, groups, touching, numbers, trails, series, focus, body_forces, heat } = self;
+        let FrameParts { state, pairs, changes, groups, touching, numbers, trails, series, focus, body_forces, heat } =
+            self;
         focus.frame(view);
         let [extracting, ahead] = state.log(view, pairs.choose(view, series, chunks), chunks);
         if let Some(trails) = trails {
@@ -556,6 +561,9 @@ impl FrameParts {
         }
         let merged = state.merged.merged();
         pairs.log(view, &merged.pairs, number, series, chunks);
+        if let Some(changes) = changes {
+            changes.log(view, chunks);
+        }
         groups.log(view, merged, series, chunks);
         touching.log(view, pairs.shown(), &merged.pairs, chunks);
         numbers.log_scalars(view, series, chunks);

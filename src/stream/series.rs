@@ -53,12 +53,6 @@ pub struct Outline {
 impl Outline {
     const MAX_POINTS: usize = 256;
 
-    /// Whether its points differ from those of another line by at most `tolerance`.
-    pub fn is_within(&self, other: &Outline, tolerance: f64) -> bool {
-        let is_same = |(x, y): (&(u64, f64), &(u64, f64))| x.0 == y.0 && (x.1 - y.1).abs() <= tolerance;
-        self.points.len() == other.points.len() && self.points.iter().zip(&other.points).all(is_same)
-    }
-
     /// Adds a value to the line.
     pub fn add(&mut self, step: u64, value: f64) {
         let [low, high] = self.range.unwrap_or([value; 2]);

@@ -489,16 +489,19 @@ impl Run {
         entities.extend(TIMINGS.map(|stage| format!("/timings/{stage}")));
         let stacked = TIMINGS.iter().filter(|&&stage| stage != "wait").rev().zip(1..);
         entities.extend(stacked.map(|(stage, number)| format!("/timings/stacked/{number}_{stage}")));
-        entities.extend(["/timings/speed", "/timings/lag", "/world/pairs", "/world/recent"].map(str::to_owned));
+        entities.extend(["/timings/ranking", "/timings/speed", "/timings/lag"].map(str::to_owned));
+        entities.extend(["/world/pairs", "/world/recent"].map(str::to_owned));
         entities.extend((2..=16).contains(&self.scene.bodies.len()).then(|| "/world/names".to_owned()));
         if self.scene.bodies.len() > 8 {
             entities.extend(["/recent/pair", "/recent/spheres", "/recent/names"].map(str::to_owned));
         }
         if self.settings.detail == Detail::Forces {
-            entities.extend(["/legend/bar", "/legend/ticks", "/largest"].map(str::to_owned));
-            if self.scene.bodies.len() <= 16 {
-                entities.push("/largest/bodies".to_owned());
-            }
+            entities.extend(["/legend/bar", "/legend/ticks", "/largest", "/largest/bodies"].map(str::to_owned));
+        }
+        if self.scene.bodies.len() > 3 {
+            let forces = ["/ranking/forces", "/ranking/displacements", "/strongest"].map(str::to_owned);
+            entities.extend(forces.into_iter().filter(|_| self.settings.detail == Detail::Forces));
+            entities.push("/ranking/pairs".to_owned());
         }
         entities.insert(0, "/marks/axis/ends".to_owned());
         entities.extend((!self.pairs().is_empty()).then(|| "/marks/q/ends".to_owned()));
@@ -874,8 +877,9 @@ impl Run {
                 }
             }
             let bodies: Vec<_> = world.bodies().enumerate().collect();
-            let are_named = bodies.len() <= 16;
-            let idle = bodies.iter().filter(|(index, _)| are_named && !expected.iter().any(|(body, ..)| body == index));
+            let idle = bodies
+                .iter()
+                .filter(|(index, _)| bodies.len() <= 5 && !expected.iter().any(|(body, ..)| body == index));
             let idle: Vec<_> = idle.map(|(index, body)| (*index, "", body.centre(), DVec3::ZERO)).collect();
             expected.extend(idle);
             let longest = expected.iter().map(|(.., mean)| mean.length()).fold(0.0, f64::max);
@@ -889,10 +893,22 @@ impl Run {
             }
             let labels = held.texts("Arrows3D:labels");
             assert_eq!(labels.len(), expected.len(), "{at}");
+            let strongest_on = |index: usize| {
+                let of_body = expected.iter().filter(|(body, cause, ..)| *body == index && *cause != "net");
+                of_body.map(|(.., mean)| mean.length()).fold(0.0, f64::max)
+            };
+            let mut ranked: Vec<usize> = (0..bodies.len()).collect();
+            ranked.sort_by(|&one, &other| strongest_on(other).total_cmp(&strongest_on(one)));
+            // equal ones are in any order
+            let fifth = ranked.get(4).map_or(0.0, |&index| strongest_on(index));
+            let count = labels.iter().filter(|label| !label.is_empty()).count();
+            let acting = ranked.iter().filter(|&&index| strongest_on(index) > 0.0).count();
+            assert_eq!(count, if bodies.len() <= 5 { bodies.len() } else { acting.min(5) }, "{at}");
             for (index, body) in self.scene.bodies.iter().enumerate() {
                 let of_body = || expected.iter().zip(&labels).filter(|((body, ..), _)| *body == index);
                 let labelled: Vec<_> = of_body().filter(|(_, label)| !label.is_empty()).collect();
-                assert_eq!(labelled.len(), usize::from(are_named), "{at}");
+                assert!(labelled.len() <= 1, "{at}");
+                assert!(labelled.is_empty() || strongest_on(index) >= fifth * (1.0 - 1e-12), "{at}: {}", body.name);
                 for ((_, cause, _, mean), label) in labelled {
                     let others = of_body().filter(|((_, cause, ..), _)| *cause != "net");
                     let strongest = others.map(|((.., mean), _)| mean.length()).fold(0.0, f64::max);
@@ -903,10 +919,7 @@ impl Run {
                         assert_eq!(*label, body.name, "{at}");
                         continue;
                     }
-                    let named = match self.scene.bodies.len() {
-                        ..=4 => format!("{}: {cause} ", body.name),
-                        _ => format!("{} ", body.name),
-                    };
+                    let named = format!("{}: {cause} ", body.name);
                     let number: f64 = label.strip_prefix(&named).expect("its name").parse().expect("a number");
                     assert!((number - strongest).abs() <= 6e-3 * strongest.max(1e-9), "{at}: {label}, but {strongest}");
                 }
@@ -918,7 +931,7 @@ impl Run {
     /// the number at the end of the colours.
     fn verify_largest(&self) {
         let (track, scale) = (self.track("/largest"), self.track("/legend/ticks"));
-        let of_bodies = (self.scene.bodies.len() <= 16).then(|| self.track("/largest/bodies"));
+        let of_bodies = self.track("/largest/bodies");
         self.walk_frames(|frame, world| {
             let hides = |at: DVec3, index: usize| {
                 let others = world.bodies().enumerate().filter(|(other, _)| *other != index);
@@ -942,16 +955,19 @@ impl Run {
                     }
                 }
             }
-            for (body, label) in
-                of_bodies.iter().flat_map(|track| world.bodies().zip(track.held[frame].texts("Points3D:labels")))
-            {
-                let largest = (0..body.vertex_count()).map(|v| body.displacement(v).length()).fold(0.0, f64::max);
-                let expected = match largest / body.scene().radius {
-                    0.0 => body.scene().name.clone(),
-                    largest => format!("{} {largest:.3} R", body.scene().name),
-                };
-                assert_eq!(label, expected, "step {}", world.steps_taken());
-            }
+            let largest_of = |body: &BodyView<'_>| {
+                let lengths = (0..body.vertex_count()).map(|vertex| body.displacement(vertex).length());
+                lengths.fold(0.0, f64::max) / body.scene().radius
+            };
+            let mut ranked: Vec<(f64, String)> =
+                world.bodies().map(|body| (largest_of(&body), body.scene().name.clone())).collect();
+            ranked.sort_by(|one, other| other.0.total_cmp(&one.0));
+            let expected = ranked.into_iter().take(5).map(|(largest, name)| match largest {
+                0.0 => name,
+                largest => format!("{name} {largest:.3} R"),
+            });
+            let expected: Vec<String> = expected.collect();
+            assert_eq!(of_bodies.held[frame].texts("Points3D:labels"), expected, "step {}", world.steps_taken());
             if let Some((displacement, position, label)) = largest {
                 let held = &track.held[frame];
                 let logged = held.texts("Points3D:labels").concat();

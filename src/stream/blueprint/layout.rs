@@ -14,7 +14,7 @@ use crate::{
             archetypes::{
                 ActiveVisualizers, Background, ContainerBlueprint, LineGrid3D, PanelBlueprint, PlotLegend, ScalarAxis,
                 TextLogColumns, TimeAxis, TimePanelBlueprint, ViewBlueprint, ViewContents, ViewportBlueprint,
-                VisualizerInstruction,
+                VisualBounds2D, VisualizerInstruction,
             },
             components::{
                 AbsoluteTimeRange, BackgroundKind, ContainerKind, Corner2D, LinkAxis, LoopMode, PanelState, PlayState,
@@ -29,6 +29,7 @@ use crate::{
         chunks::{Chunks, blueprint_time},
         contract::{DRAWN, Entity, MARKS_ON_AXIS, RESTING, SIM_TIME, STAGE, WORLD},
         light, palette,
+        parts::ranking,
         settings::{Entities, Settings},
     },
 };
@@ -77,6 +78,8 @@ pub struct Layout {
     pub distances: Vec<String>,
     /// The plots of scalars, with their names.
     pub scalars: Vec<(String, &'static str)>,
+    /// The plots of gaps, overlaps and necks, each with its measure.
+    pub measures: Vec<(String, &'static Entity)>,
     /// The lanes of phases.
     pub phases: Vec<String>,
     /// Views of whether surfaces touch.
@@ -128,6 +131,7 @@ impl Layout {
             plots: Vec::new(),
             distances: Vec::new(),
             scalars: Vec::new(),
+            measures: Vec::new(),
             phases: Vec::new(),
             contacts: Vec::new(),
             forces: Vec::new(),
@@ -257,6 +261,13 @@ impl Layout {
     pub fn lanes(&mut self, name: &str, origin: &str, contents: &[String]) -> Part {
         let axis = TimeAxis::new().with_link(LinkAxis::LinkToGlobal);
         self.view("StateTimeline", name, origin, contents, &[("TimeAxis", &axis)])
+    }
+
+    /// Rows with labels and bars.
+    pub fn ranking(&mut self, title: &str, Entity { path, .. }: &Entity) -> Part {
+        let [left, right, top, bottom] = ranking::BOUNDS;
+        let range = datatypes::Range2D { x_range: [left, right].into(), y_range: [top, bottom].into() };
+        self.view("2D", title, path, &[including(path)], &[("VisualBounds2D", &VisualBounds2D::new(range))])
     }
 
     /// Replaces the contents of a view.

@@ -13,8 +13,12 @@ use crate::{
         blueprint::archetypes::{PlotLegend, ViewBlueprint},
     },
     stream::{
-        contract::{DIAGNOSTIC, Entity, GROUP_LINE, MARKS_AT_Q, PAIR_CONTACT, PAIR_DISTANCE, PAIR_LEVEL, PAIR_PHASE},
+        contract::{
+            DIAGNOSTIC, Entity, GROUP_LINE, MARKS_AT_Q, MARKS_ON_AXIS, PAIR_CONTACT, PAIR_DISTANCE, PAIR_LEVEL,
+            PAIR_PHASE,
+        },
         focus::Focus,
+        palette,
         parts::{
             numbers::Spread,
             pairs::{self, Told},
@@ -64,7 +68,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     layout.finish(root); // already sent; the new ids continue after its own
     for (plot, is_recording, title) in std::mem::take(&mut layout.timings) {
         let Some(durations) = measured.durations.map(|of| of[usize::from(is_recording)]) else { continue };
-        let (typical, (longest, step)) = (durations.typical(), durations.largest());
+        let (typical, (longest, _)) = (durations.typical(), durations.largest());
         if typical > 0.0 {
             let (count, share) = durations.beyond(WHOLE * typical);
             let is_usual = share > MOST_TIME && count as f64 > FEW * durations.count() as f64;
@@ -72,12 +76,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             let [low, high] = readable([0.0, if is_whole { longest } else { HEADROOM * typical }]);
             if longest > high {
                 let (count, share) = durations.beyond(high);
-                let title = format!(
-                    "{title}; peak {} in step {step}; {} beyond: {:.0} % of all time",
-                    significant(longest),
-                    counted(count, "frame"),
-                    100.0 * share
-                );
+                let title = format!("{title}; {} beyond: {:.0} % of all time", counted(count, "frame"), 100.0 * share);
                 layout.log(&plot, &ViewBlueprint::update_fields().with_display_name(title));
             }
             layout.set_range(&plot, [low, high]);
@@ -176,23 +175,37 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             }
         }
     }
-    let Told { alike, changed, met, all } = &measured.pairs;
-    let is_shorter = alike.len() < *all || changed.len() < *all || met.len() < *all;
+    let Told { moving, left_out, changed, met, all } = &measured.pairs;
+    let is_shorter = moving.len() < *all || changed.len() < *all || met.len() < *all;
     if is_shorter || (!pairs::has_named_pairs(subject.schema) && *all > 0) {
         // the pairs that have plots, and what they plot, are known only now
         let mut lines = vec![family(&MARKS_AT_Q)];
-        for alike in alike {
-            let Some(pair) = alike.first() else { continue };
+        if *left_out > 0 {
+            // marks of events on lines that are left out would be puzzling
+            lines = vec![including(&MARKS_AT_Q.of(&["ends"]))];
+            let pairs = format!("{} of {all} pairs, those with changes nearest to the opening", moving.len());
+            for plot in &layout.distances.clone() {
+                let title = ViewBlueprint::update_fields().with_display_name(format!("Pair distances q: {pairs}"));
+                layout.log(plot, &title);
+            }
+        }
+        let plots = layout.distances.iter().map(|plot| (plot.clone(), &PAIR_DISTANCE)).chain(layout.measures.clone());
+        let plots: Vec<(String, &Entity)> = plots.collect();
+        for (plot, measure) in &plots {
+            // of all pairs, those with lines have the colours that differ most
+            for (index, entity) in moving.iter().map(|pair| measure.of(&[pair])).enumerate() {
+                let color = SeriesLines::update_fields().with_colors([palette::color(palette::distance(index))]);
+                layout.visualize(plot, &entity, &[("SeriesLines", &[], &color)]);
+            }
+        }
+        for (plot, measure) in std::mem::take(&mut layout.measures) {
+            let lines = moving.iter().map(|pair| including(&measure.of(&[pair])));
+            layout.set_contents(&plot, lines.chain([family(&MARKS_ON_AXIS)]).collect());
+        }
+        for pair in moving {
             lines.push(including(&PAIR_DISTANCE.of(&[pair])));
             let levels = subject.schema.thresholds.iter().map(|threshold| PAIR_LEVEL.of(&[pair, threshold.name]));
             lines.extend(levels.map(|level| including(&level)));
-            if alike.len() > 1 {
-                let others = counted(alike.len() as u64 - 1, "other pair");
-                let style = SeriesLines::update_fields().with_names([format!("q {pair}, and {others} like it")]);
-                for plot in layout.distances.clone() {
-                    layout.visualize(&plot, &PAIR_DISTANCE.of(&[pair]), &[("SeriesLines", &[], &style)]);
-                }
-            }
         }
         let lanes = |of: &Entity, pairs: &[String]| pairs.iter().map(|pair| including(&of.of(&[pair]))).collect();
         let views = [

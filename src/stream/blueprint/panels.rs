@@ -6,7 +6,7 @@ use crate::{
     observe::{Frame, Schema, schema::TermSchema},
     stream::{
         palette,
-        parts::{body_forces, forces, recent, trails},
+        parts::{forces, ranking, recent, trails},
         settings::{Detail, Entities, Frames, Settings},
     },
     text::{self, counted, significant, trimmed},
@@ -54,21 +54,21 @@ fn at_centres(schema: &Schema) -> String {
 pub fn arrows(schema: &Schema) -> String {
     let radius = schema.largest_radius();
     let is_uniform = schema.terms.iter().any(|term| term.can_act && term.is_uniform);
-    let is_crowd = schema.bodies.len() > body_forces::MOST_BODIES;
     if !schema.terms.iter().any(|term| term.can_act) {
         return "No force can act in this scene.\n".to_owned();
     }
     format!(
-        "**By body**: what each cause does to a body as a whole, all on one scale{}.\n\n\
-         **Others**: an arrow of **1 R = {} unit** means: {}.\n\nArrows begin at vertices{}.{}\n",
-        if is_crowd { "" } else { "; the strongest is labelled with its value [unit/s²]" },
+        "**By body**: what each cause does to a body as a whole, all on one scale; the strongest is labelled with its value \
+         [unit/s²]{}.\n\n\
+         **Others**: an arrow of **1 R = {} unit** means: {}.\n\nArrows begin at vertices{}. \
+         The plots use the same colours and show means over bodies.\n",
+        match schema.bodies.len() > ranking::LABELLED {
+            true => format!(" on {} bodies", ranking::LABELLED),
+            false => String::new(),
+        },
         rounded(radius),
         lengths(schema, |_| true),
         if is_uniform { "; those of uniform forces, at the centre" } else { "" },
-        match is_crowd {
-            true => format!(" The net forces of up to {} bodies are plotted.", body_forces::MOST_BODIES),
-            false => " The plots use the same colours and show the mean over each body.".to_owned(),
-        },
     )
 }
 

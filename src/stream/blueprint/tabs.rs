@@ -22,14 +22,15 @@ use crate::{
             ABOUT, ACCURACY, ARROWS, BODY, BODY_FORCE, BODY_SCALAR, BODY_SURFACE, DEFORMING, DIAGNOSTIC, EVENTS,
             Entity, FORCE, GROUP_LINE, INFLUENCE, LAG, LARGEST, LEGEND, MARKS_AT_Q, MERGED, MERGED_SURFACE, NAMES,
             PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR, PLANE, POINTS,
-            RECENT_NAMES, RECENT_PAIR, RECENT_SPHERES, RESTING, RESULTANTS, SIM_TIME, SPEED, STAGE, STAGES, STEP,
-            TOUCHING, TRAILS, VOLUME, WORLD,
+            RANKED_DISPLACEMENTS, RANKED_FORCES, RANKED_PAIRS, RANKED_STAGES, RECENT_NAMES, RECENT_PAIR,
+            RECENT_SPHERES, RESTING, RESULTANTS, SIM_TIME, SPEED, STAGE, STAGES, STEP, STRONGEST, TOUCHING, TRAILS,
+            VOLUME, WORLD,
         },
         palette,
         parts::{
             body_forces, forces, heat, numbers,
             pairs::{self, MEASURES},
-            recent, trails,
+            ranking, recent, trails,
         },
         settings::{Detail, Entities, Settings},
     },
@@ -69,8 +70,7 @@ impl Layout {
             tabs.push((Tab::Displacement, self.displacement_tab(&close, schema, settings)));
         }
         if schema.bodies.len() > 1 {
-            let parts = self.pair_views(schema);
-            tabs.push((Tab::Pairs, self.container(ContainerKind::Vertical, "Pairs", parts, &[2.0, 1.0, 0.8])));
+            tabs.push((Tab::Pairs, self.pairs_tab(schema)));
         }
         tabs.push((Tab::Timings, self.timings_tab(schema)));
         tabs.push((Tab::Energy, self.energy_tab(schema)));
@@ -94,13 +94,15 @@ impl Layout {
         let right = if schema.bodies.len() > 1 {
             // a lane for each pair, as far as there is room
             let mut parts = self.pair_views(schema);
-            if recent::is_drawn_alone(schema) {
-                // as many names would cover half of a small plot
+            if is_ranked(schema) {
+                // as many names would cover half of a small plot, and lanes of all pairs have no room
                 self.log(&format!("{}/PlotLegend", parts[0].path), &PlotLegend::new().with_visible(false));
+                parts[1] = self.ranking(NEXT, &RANKED_PAIRS);
             }
             let shares = match schema.bodies.len() {
                 2 => [1.5, 0.5, 0.9, 1.0],
-                _ if recent::is_drawn_alone(schema) => [1.2, 0.9, 0.8, 1.4],
+                _ if recent::is_drawn_alone(schema) => [1.0, 1.5, 0.7, 1.2],
+                _ if is_ranked(schema) => [1.0, 1.5, 0.7, 0.7],
                 _ => [1.4, 1.1, 0.8, 0.9],
             };
             parts.push(match recent::is_drawn_alone(schema) {
@@ -215,7 +217,9 @@ impl Layout {
             ];
             let plots = measures.map(|(title, measure)| {
                 let contents: Vec<String> = pairs::named(schema, measure).map(|line| including(&line)).collect();
-                self.plot(title, "/", &contents, Corner2D::RightTop)
+                let plot = self.plot(title, "/", &contents, Corner2D::RightTop);
+                self.measures.push((plot.path.clone(), measure));
+                plot
             });
             parts.push(self.container(ContainerKind::Tabs, "Pairs", plots.into(), &[]));
         }
@@ -262,19 +266,19 @@ impl Layout {
     /// scene, of which the first is in front, and the net force on each body over time. All views have the same initial
     /// camera; Rerun 0.36 cannot link two of them.
     pub fn forces_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
-        /// Plots upon one another, of more bodies, would have no room for numbers: they are tabs.
-        const MOST_STACKED: usize = 3;
-
         let sums = schema.terms.iter().filter(|term| term.is_sum).map(|sum| sum.name);
         let sums = sums.chain(forces::NET_KINDS.map(|(name, ..)| name));
         let mut arrows: Vec<String> = sums.map(|name| format!("- {}", FORCE.of(&[name]))).collect();
         arrows.push(family(&FORCE));
-        let resultants = [including(RESULTANTS.path), format!("- {}", NAMES.path)];
         // a resultant is labelled with its body
-        let arrows_by_body =
-            if schema.bodies.len() > body_forces::MOST_BODIES { &resultants[..1] } else { &resultants };
-        let by_body = self.forces_view(framing, "By body", arrows_by_body, schema, settings);
-        let mut views = vec![by_body, self.forces_view(framing, "All", &arrows, schema, settings)];
+        let resultants = [including(RESULTANTS.path), format!("- {}", NAMES.path)];
+        let mut views = vec![self.forces_view(framing, "By body", &resultants, schema, settings)];
+        // arrows of several scales in one view would be compared
+        let mut scales = schema.terms.iter().filter(|term| term.can_act).map(|term| schema.arrow_scale_of(term));
+        let first = scales.next();
+        if scales.all(|scale| Some(scale) == first) {
+            views.push(self.forces_view(framing, "All", &arrows, schema, settings));
+        }
         for term in &schema.terms {
             if !term.can_act {
                 self.forces.push(None);
@@ -289,27 +293,37 @@ impl Layout {
         let scale = including(ARROWS.path);
         let scale = self.view("TextDocument", "What arrows and lines mean", ARROWS.path, &[scale], &[]);
         let causes = self.container(ContainerKind::Vertical, "Forces", vec![causes, scale], &[4.2, 1.0]);
-        if schema.bodies.len() > body_forces::MOST_BODIES {
-            return causes;
-        }
-        let is_stacked = schema.bodies.len() <= MOST_STACKED;
-        let plots = schema.bodies.iter().enumerate().map(|(index, body)| {
-            let title = match is_stacked {
+        let is_ranked = is_ranked(schema);
+        let of_bodies = if schema.bodies.len() > body_forces::MOST_BODIES { &[] } else { schema.bodies.as_slice() };
+        let strongest = is_ranked.then(|| {
+            let title = "Strongest on any body, by cause [unit/s²]";
+            let plot = self.plot(title, "/", &[including(STRONGEST.path)], Corner2D::RightTop);
+            // the ranking names the colours
+            self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
+            plot
+        });
+        let mut plots: Vec<Part> = strongest.into_iter().collect();
+        plots.extend(of_bodies.iter().enumerate().map(|(index, body)| {
+            let title = match !is_ranked {
                 true => format!("Net force on {} by cause, over its mass [unit/s²]", body.name),
                 false => format!("{} [unit/s²]", body.name),
             };
             let contents = format!("+ {}/{}/**", BODY_FORCE.family(), body.name);
             let plot = self.plot(&title, "/", &[contents], Corner2D::RightTop);
-            if is_stacked && index > 0 {
+            if !is_ranked && index > 0 {
                 // the lines have the same colours in all plots; a legend covers half of a small one
                 self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
             }
             plot
-        });
-        let plots: Vec<Part> = plots.collect();
+        }));
         let shares = vec![1.0; plots.len()];
-        let kind = if is_stacked { ContainerKind::Vertical } else { ContainerKind::Tabs };
-        let plots = self.container(kind, "Net forces", plots, &shares);
+        let kind = if is_ranked { ContainerKind::Tabs } else { ContainerKind::Vertical };
+        let mut plots = self.container(kind, "Net forces", plots, &shares);
+        if is_ranked {
+            let ranking =
+                self.ranking("Strongest force on each body now [unit/s²]; dot: its second strongest", &RANKED_FORCES);
+            plots = self.container(ContainerKind::Vertical, "Strongest", vec![ranking, plots], &[1.2, 1.0]);
+        }
         self.container(ContainerKind::Horizontal, "Forces", vec![causes, plots], &[1.6, 1.0])
     }
 
@@ -325,6 +339,7 @@ impl Layout {
         const WHITE: palette::Rgb = [0xFF; 3];
         let bodies = [&BODY, &DEFORMING, &PLANE, &NAMES, &POINTS].map(family);
         let view = self.space((framing, WIDE), name, &[&bodies[..], arrows].concat());
+        self.keep_camera(settings);
         if schema.bodies.len() <= MAX_SHEER || settings.entities == Entities::Batch {
             for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
                 // a batch has a colour per vertex
@@ -336,12 +351,20 @@ impl Layout {
         view
     }
 
+    /// The last view leaves out bodies at rest that have no entity of their own, as the camera does that it has.
+    fn keep_camera(&mut self, settings: &Settings) {
+        if settings.entities == Entities::Batch {
+            self.spaces.pop();
+        }
+    }
+
     /// Surfaces coloured by displacement, with selectable vertices, above the colour scale.
     pub fn displacement_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         let names = if heat::are_bodies_labelled(schema) { &LARGEST } else { &NAMES };
         let contents = [&BODY, &DEFORMING, &PLANE, &LARGEST, names].map(family);
         let title = "Displacement from rest; select a vertex to see its numbers";
         let view = self.space((framing, WIDE), title, &contents);
+        self.keep_camera(settings);
         let white = sdk::Rgba32::WHITE;
         let opaque = Mesh3D::update_fields().with_albedo_factor(white).with_vertex_colors([white]);
         let dots = Points3D::update_fields()
@@ -361,7 +384,13 @@ impl Layout {
             &[family(&LEGEND)],
             &[],
         );
-        self.container(ContainerKind::Vertical, "Displacement", vec![view, scale], &[6.0, 1.0])
+        let left = self.container(ContainerKind::Vertical, "Displacement", vec![view, scale], &[6.0, 1.0]);
+        if !is_ranked(schema) {
+            return left;
+        }
+        let title = "Largest displacement of each body now: its vertex [radii]";
+        let ranking = self.ranking(title, &RANKED_DISPLACEMENTS);
+        self.container(ContainerKind::Horizontal, "Displacement", vec![left, ranking], &[1.8, 1.0])
     }
 
     /// Views of pair distances, phases and events.
@@ -383,6 +412,18 @@ impl Layout {
         vec![distances, phases, events]
     }
 
+    /// Distances, phases and events of pairs; of many, also which of them matter now.
+    fn pairs_tab(&mut self, schema: &Schema) -> Part {
+        let mut parts = self.pair_views(schema);
+        if !is_ranked(schema) {
+            return self.container(ContainerKind::Vertical, "Pairs", parts, &[2.0, 1.0, 0.8]);
+        }
+        let right = vec![self.ranking(NEXT, &RANKED_PAIRS), parts.remove(2)];
+        let left = self.container(ContainerKind::Vertical, "Over time", parts, &[1.0, 1.0]);
+        let right = self.container(ContainerKind::Vertical, "Now", right, &[1.3, 1.0]);
+        self.container(ContainerKind::Horizontal, "Pairs", vec![left, right], &[1.5, 1.0])
+    }
+
     /// The events of pairs and bodies. Steps beyond the tolerance, which may be all of them, are listed beside the error.
     fn events(&mut self) -> Part {
         let contents = [format!("+ {}/**", EVENTS.path), format!("- {}", ACCURACY.path)];
@@ -398,7 +439,13 @@ impl Layout {
         );
         let title = format!("{TIMINGS}; observe reads the state for the recording");
         let parts = vec![self.stacked(&title, schema, false), recording, self.speed()];
-        self.container(ContainerKind::Vertical, "Timings", parts, &[1.6, 1.0, 1.0])
+        for plot in &parts[..2] {
+            // the ranking names the colours
+            self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
+        }
+        let plots = self.container(ContainerKind::Vertical, "Over time", parts, &[1.6, 1.0, 1.0]);
+        let ranking = self.ranking("Where the time went (+: meanwhile), and the peak of each stage", &RANKED_STAGES);
+        self.container(ContainerKind::Horizontal, "Timings", vec![plots, ranking], &[1.8, 1.0])
     }
 
     /// Without a legend, which would hide the lines of a small plot.
@@ -434,7 +481,8 @@ impl Layout {
         let (large, small) = if energies.is_empty() { (others, energies) } else { (energies, others) };
         let [large, small]: [Vec<Part>; 2] =
             [large, small].map(|plots| plots.into_iter().map(|(_, plot)| plot).collect());
-        let shares = vec![1.0; large.len()];
+        // the first has most lines
+        let shares: Vec<f32> = (0..large.len()).map(|plot| if plot == 0 { 1.6 } else { 1.0 }).collect();
         let left = self.container(ContainerKind::Vertical, "Energies", large, &shares);
         let mut right = vec![self.lines("Events, and steps beyond the tolerance", EVENTS.path)];
         if !small.is_empty() {
@@ -478,6 +526,14 @@ impl Layout {
         let lines = self.lines("Stages", STAGES.path);
         self.container(ContainerKind::Horizontal, "Stages", vec![view, lines], &[1.3, 1.0])
     }
+}
+
+/// The title of the ranking of pairs.
+const NEXT: &str = "Pairs that change phase next: q (dot), its thresholds";
+
+/// Whether there is too much for labels and lines of everything.
+fn is_ranked(schema: &Schema) -> bool {
+    schema.bodies.len() > ranking::FEW
 }
 
 /// The title of the view of everything.

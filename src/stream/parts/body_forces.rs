@@ -1,18 +1,22 @@
-//! The resultant force on each body by each cause: arrows at the centre, and plots.
+//! The resultant force on each body by each cause: arrows at the centre, and plots; of more than a few bodies also a ranking
+//! of the strongest, and plots of the strongest on any body.
 
 use glam::DVec3;
 
-use super::FrameView;
+use super::{
+    FrameView,
+    ranking::{self, Mark, Ranking, Row},
+};
 use crate::{
     colors::SILVER,
     observe::{
         BodyFrame, Schema,
         schema::{BodySchema, TermSchema},
     },
-    sdk::{self, Arrows3D},
+    sdk::{self, Arrows3D, Scalars, SeriesLines},
     stream::{
         chunks::{Chunks, TrackId},
-        contract::{BODY_FORCE, RESULTANTS},
+        contract::{BODY_FORCE, RANKED_FORCES, RESULTANTS, STRONGEST},
         extract::Float3,
         palette::color,
         series::{Interpolation, LineId, Series},
@@ -20,19 +24,21 @@ use crate::{
     text::significant,
 };
 
-/// Upper limit on the number of bodies with plots and labels: of more, one would not find a tab.
+/// Upper limit on the number of bodies with plots: of more, one would not find a tab.
 pub const MOST_BODIES: usize = 16;
-
-/// With more bodies, labels leave out the cause.
-const MOST_CAUSES: usize = 4;
 
 /// Length of the longest arrow [largest radius]: it ends outside of its body.
 const LONGEST: f64 = 1.5;
+
+/// A force that is weaker is left out of the ranking [strongest force].
+const WEAK: f64 = 0.04;
 
 /// Arrows, and plots, each from the first frame in which its force acts.
 pub struct BodyForces {
     /// By body and term; none if there are too many bodies.
     lines: Vec<Vec<Option<LineId>>>,
+    /// The bodies with the strongest forces, and the lines of the strongest on any body.
+    ranking: Option<(Ranking, TrackId)>,
     /// Whether a term has acted on any body.
     has_acted: Vec<bool>,
     arrows: TrackId,
@@ -64,7 +70,20 @@ impl BodyForces {
             Arrows3D::descriptor_labels(),
         ];
         let arrows = chunks.track(RESULTANTS.path, components);
-        BodyForces { lines: vec![vec![None; terms]; bodies], has_acted: vec![false; terms], arrows }
+        BodyForces {
+            lines: vec![vec![None; terms]; bodies],
+            ranking: (schema.bodies.len() > ranking::FEW).then(|| {
+                let causes = || schema.terms.iter().filter(|term| !term.is_sum);
+                let lines = SeriesLines::update_fields()
+                    .with_names(causes().map(|term| term.label))
+                    .with_colors(causes().map(|term| color(term.color)));
+                chunks.log_static(STRONGEST.path, &lines);
+                let track = chunks.track(STRONGEST.path, [Scalars::descriptor_scalars()]);
+                (Ranking::new(RANKED_FORCES.path, chunks), track)
+            }),
+            has_acted: vec![false; terms],
+            arrows,
+        }
     }
 
     /// Whether each term of the schema has acted on any body so far.
@@ -95,40 +114,74 @@ impl BodyForces {
                 }
             }
         }
-        let now = ResultantRows::of(view, &resultants, !self.lines.is_empty());
+        let ranked = ranked(view.schema, &resultants);
+        let now = ResultantRows::of(view, &resultants, &ranked[..ranked.len().min(ranking::LABELLED)]);
         chunks.push_changed(self.arrows, view.at, &[&now.origins, &now.vectors, &now.colors, &now.labels]);
+        let Some((ranking, track)) = &self.ranking else { return };
+        ranking.log(rows(view.schema, &resultants, &ranked), view.at, chunks);
+        let strongest = |number: usize| {
+            let of_term = resultants.iter().filter(|(_, term, _)| *term == number);
+            of_term.map(|(.., acceleration)| acceleration.length()).fold(0.0, f64::max)
+        };
+        let causes = (0..view.schema.terms.len()).filter(|&number| !view.schema.terms[number].is_sum);
+        chunks.push_changed(*track, view.at, &[&causes.map(strongest).collect::<Vec<f64>>()]);
     }
 }
 
+/// The strongest cause on each body, the strongest first.
+fn ranked(schema: &Schema, resultants: &[Resultant]) -> Vec<Resultant> {
+    let strength = |(.., acceleration): &Resultant| acceleration.length_squared();
+    let strongest = |of_body: &[Resultant]| {
+        let causes = of_body.iter().filter(|(_, term, _)| !schema.terms[*term].is_sum);
+        causes.copied().max_by(|one, other| strength(one).total_cmp(&strength(other)))
+    };
+    let mut ranked: Vec<Resultant> = resultants.chunk_by(|one, other| one.0 == other.0).filter_map(strongest).collect();
+    ranked.sort_by(|one, other| strength(other).total_cmp(&strength(one)));
+    ranked
+}
+
+/// A row for the strongest cause on each body, with a dot at the second strongest.
+fn rows<'a>(
+    schema: &'a Schema,
+    resultants: &'a [Resultant],
+    ranked: &'a [Resultant],
+) -> impl Iterator<Item = Row> + 'a {
+    let longest = ranked.first().map_or(0.0, |(.., acceleration)| acceleration.length());
+    let strong = ranked.iter().take_while(move |(.., acceleration)| acceleration.length() > WEAK * longest);
+    strong.map(move |&(body, strongest, acceleration)| {
+        let others = resultants.iter().filter(|(of, term, _)| *of == body && *term != strongest);
+        let others = others.filter(|(_, term, _)| !schema.terms[*term].is_sum);
+        let second = others.max_by(|one, other| one.2.length_squared().total_cmp(&other.2.length_squared()));
+        let color = schema.terms[strongest].color;
+        let mut marks = vec![(Mark::Bar(acceleration.length() / longest), color)];
+        marks.extend(second.map(|(_, term, of)| (Mark::Dot(of.length() / longest), schema.terms[*term].color)));
+        Row { label: label(schema, body, strongest, acceleration), color, marks }
+    })
+}
+
+fn label(schema: &Schema, body: usize, term: usize, acceleration: DVec3) -> String {
+    format!("{}: {} {}", schema.bodies[body].name, schema.terms[term].name, significant(acceleration.length()))
+}
+
 impl ResultantRows {
-    /// Arrows from the centres, all on one scale, on which the longest is [`LONGEST`]. With `are_named`, that of the strongest cause on
-    /// each body is labelled with the body, the cause and its value.
-    fn of(view: FrameView<'_>, resultants: &[Resultant], are_named: bool) -> ResultantRows {
+    /// Arrows from the centres, all on one scale, on which the longest is [`LONGEST`]. Those of `labelled` have the body, the
+    /// cause and its value as their labels.
+    fn of(view: FrameView<'_>, resultants: &[Resultant], labelled: &[Resultant]) -> ResultantRows {
         let FrameView { schema, frame, .. } = view;
         let longest = resultants.iter().map(|(.., acceleration)| acceleration.length()).fold(0.0, f64::max);
         let scale = LONGEST * schema.largest_radius() / longest;
         let mut arrows = ResultantRows::default();
-        for of_body in resultants.chunk_by(|one, other| one.0 == other.0) {
-            let causes = of_body.iter().filter(|(_, term, _)| !schema.terms[*term].is_sum);
-            let strongest = causes.max_by(|one, other| one.2.length_squared().total_cmp(&other.2.length_squared()));
-            for resultant @ &(body, number, acceleration) in of_body {
-                let term = &schema.terms[number];
-                arrows.origins.push(frame.bodies[body].centre.as_vec3().to_array());
-                arrows.vectors.push((scale * acceleration).as_vec3().to_array());
-                arrows.colors.push(color(term.color).to_u32());
-                let name = &schema.bodies[body].name;
-                let value = || significant(acceleration.length());
-                arrows.labels.push(match strongest == Some(resultant) && are_named {
-                    // the colour says the cause, too, and long labels would cover each other
-                    true if schema.bodies.len() > MOST_CAUSES => format!("{name} {}", value()),
-                    true => format!("{name}: {} {}", term.name, value()),
-                    false => String::new(),
-                });
-            }
+        for resultant @ &(body, number, acceleration) in resultants {
+            arrows.origins.push(frame.bodies[body].centre.as_vec3().to_array());
+            arrows.vectors.push((scale * acceleration).as_vec3().to_array());
+            arrows.colors.push(color(schema.terms[number].color).to_u32());
+            let is_labelled = labelled.contains(resultant);
+            arrows.labels.push(if is_labelled { label(schema, body, number, acceleration) } else { String::new() });
         }
         // the others have their names alone, on arrows of no length
         let is_idle = |index: usize| !resultants.iter().any(|(body, ..)| *body == index);
-        let idle = view.bodies().enumerate().filter(|(index, (_, now))| are_named && !now.is_absent && is_idle(*index));
+        let are_few = schema.bodies.len() <= ranking::LABELLED;
+        let idle = view.bodies().enumerate().filter(|(index, (_, now))| are_few && !now.is_absent && is_idle(*index));
         for (_, (body, now)) in idle {
             arrows.origins.push(now.centre.as_vec3().to_array());
             arrows.vectors.push([0.0; 3]);

@@ -5,7 +5,11 @@
 
 use glam::DVec3;
 
-use super::{FrameView, body_forces, callout, lines};
+use super::{
+    FrameView, callout, lines,
+    ranking::{self, Mark, Ranking, Row},
+    recent,
+};
 use crate::colors;
 use crate::observe::Schema;
 use crate::sdk::{
@@ -15,7 +19,7 @@ use crate::sdk::{
 use crate::stream::{
     blueprint::Mapping,
     chunks::{Chunks, TrackId},
-    contract::{HEAT_FORMAT, HEAT_PLACES, HEAT_TEXTURE, LARGEST, LARGEST_OF_BODIES, LEGEND},
+    contract::{HEAT_FORMAT, HEAT_PLACES, HEAT_TEXTURE, LARGEST, LARGEST_OF_BODIES, LEGEND, RANKED_DISPLACEMENTS},
     extract::Float3,
     light,
     palette::{self, color},
@@ -40,8 +44,9 @@ const SHARE: f64 = 0.9;
 const OF_LARGEST: f64 = 0.3;
 /// A vertex this close to the centre of another body is hidden by it [radii of that body].
 const INSIDE: f64 = 0.95;
-/// How far above all bodies the label of the largest displacement is [diagonals of the box around them].
-const ABOVE: f64 = 0.06;
+
+/// How far above all bodies the label of the largest displacement is at most [largest radius].
+const ABOVE: f64 = 3.0;
 
 /// Colour of the mark and its label: it is none of the scale, and legible on dark and light.
 const MARK: palette::Rgb = colors::VERMILION;
@@ -52,11 +57,9 @@ pub fn place(displacement: f32, end: f64) -> [f32; 2] {
     [0.5 * (displacement / end as f32).min(1.0), 0.5]
 }
 
-/// Whether each body is labelled with its largest displacement: more labels would cover each other.
+/// Whether the bodies with the largest displacements are labelled with them.
 pub fn are_bodies_labelled(schema: &Schema) -> bool {
-    schema.variants.is_empty()
-        && schema.bodies.len() <= body_forces::MOST_BODIES
-        && !schema.bodies.iter().any(|body| body.can_be_absent)
+    schema.variants.is_empty() && !schema.bodies.iter().any(|body| body.can_be_absent)
 }
 
 /// The numbers of the colour scale, and the mark at the largest displacement.
@@ -67,6 +70,7 @@ pub struct Heat {
     last: Option<([DVec3; 2], String)>,
     /// The labels of bodies, if they have any.
     bodies: Option<TrackId>,
+    ranking: Option<Ranking>,
 }
 
 impl Heat {
@@ -93,7 +97,8 @@ impl Heat {
             ticks: chunks.track(&LEGEND.of(&["ticks"]), [Points2D::descriptor_labels()]),
             mark: chunks.track(LARGEST.path, mark),
             last: None,
-            bodies: are_bodies_labelled(schema).then(|| lines::track_labels(LARGEST_OF_BODIES.path, schema, chunks)),
+            bodies: are_bodies_labelled(schema).then(|| lines::track_labels(LARGEST_OF_BODIES.path, chunks)),
+            ranking: (schema.bodies.len() > ranking::FEW).then(|| Ranking::new(RANKED_DISPLACEMENTS.path, chunks)),
         }
     }
 
@@ -110,8 +115,9 @@ impl Heat {
         let mark = outside.filter(|largest| largest.displacement > 0.0).map(|outside| {
             let hidden = of_all.filter(|of_all| of_all.displacement > outside.displacement);
             let hidden = hidden.map(|hidden| format!("; inside another body: {}", hidden.text(view)));
-            let [low, high] = view.bounds();
-            let end = outside.position.with_z(f64::max(high.z, outside.position.z) + ABOVE * low.distance(high));
+            let height =
+                f64::min(recent::label_height(view), view.bounds()[1].z + ABOVE * view.schema.largest_radius());
+            let end = outside.position.with_z(f64::max(height, outside.position.z));
             let label = format!("largest on the surface: {}{}", outside.text(view), hidden.unwrap_or_default());
             ([outside.position, end], label)
         });
@@ -122,13 +128,29 @@ impl Heat {
             chunks.push(self.mark, view.at, &[&ends, &labels, &leader]);
             self.last = mark;
         }
-        let Some(bodies) = self.bodies else { return };
-        let places: Vec<_> = (0..view.schema.bodies.len()).map(|body| lines::name_place(view, body)).collect();
-        let labels = view.bodies().map(|(body, now)| match now.max_displacement {
-            0.0 => body.name.clone(),
-            largest => format!("{} {:.3} R", body.name, largest / body.radius),
-        });
-        chunks.push_changed(bodies, view.at, &[&places, &labels.collect::<Vec<_>>()]);
+        let largest = |body: usize| view.frame.bodies[body].max_displacement / view.schema.bodies[body].radius;
+        let mut ranked: Vec<usize> = (0..view.schema.bodies.len()).collect();
+        ranked.sort_by(|&one, &other| largest(other).total_cmp(&largest(one)));
+        if let Some(bodies) = self.bodies {
+            let labelled = &ranked[..ranked.len().min(ranking::LABELLED)];
+            let places: Vec<Float3> = labelled.iter().map(|&body| lines::name_place(view, body)).collect();
+            let label = |&body: &usize| match largest(body) {
+                0.0 => view.schema.bodies[body].name.clone(),
+                largest => format!("{} {largest:.3} R", view.schema.bodies[body].name),
+            };
+            chunks.push_changed(bodies, view.at, &[&places, &labelled.iter().map(label).collect::<Vec<_>>()]);
+        }
+        if let Some(ranking) = &self.ranking {
+            let longest = ranked.first().map_or(0.0, |&body| largest(body));
+            let rows = ranked.into_iter().filter(|&body| largest(body) > 0.0).map(|body| {
+                let lengths = view.frame.bodies[body].lengths.iter().enumerate();
+                let vertex = lengths.max_by(|one, other| one.1.total_cmp(other.1)).map_or(0, |(vertex, _)| vertex);
+                let label = format!("{}:{vertex} {:.3} R", view.schema.bodies[body].name, largest(body));
+                let [r, g, b] = palette::heat(largest(body) / end);
+                Row { label, color: palette::DOT, marks: vec![(Mark::Bar(largest(body) / longest), [r, g, b])] }
+            });
+            ranking.log(rows, view.at, chunks);
+        }
     }
 }
 

@@ -168,11 +168,10 @@ impl Names {
     }
 }
 
-/// A track of the positions and texts of labels of all bodies, in their colours.
-pub fn track_labels(entity: &str, schema: &Schema, chunks: &mut Chunks) -> TrackId {
-    let colors = (0..schema.bodies.len()).map(|body| color(palette::of_body(schema, body)));
+/// A track of the positions and texts of labels of bodies.
+pub fn track_labels(entity: &str, chunks: &mut Chunks) -> TrackId {
     let style = Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.5)]).with_show_labels(true);
-    chunks.log_static(entity, &style.with_colors(colors));
+    chunks.log_static(entity, &style.with_colors([color(palette::SEAM)]));
     chunks.track(entity, [Points3D::descriptor_positions(), Points3D::descriptor_labels()])
 }
 

@@ -7,7 +7,9 @@
 //! | `/world/resting/SHAPE`, `/world/deforming/surface` | [`batch`] |
 //! | `/world/influence` | [`spheres`] |
 //! | `/world/forces/TERM`, `…/net_force`, `…/torque` | [`forces`] |
-//! | `/forces/NAME/CAUSE`, `/world/resultants` | [`body_forces`] |
+//! | `/forces/NAME/CAUSE`, `/strongest`, `/world/resultants` | [`body_forces`] |
+//! | `/ranking/pairs` | [`changes`] |
+//! | style of `/ranking/…` and `/timings/ranking` | [`ranking`] |
 //! | `/world/merged/surface`, `/world/merged/seams` | [`merged`] |
 //! | `/groups/A/…`, `/volume/…` | [`groups`] |
 //! | `/world/trails` | [`trails`] |
@@ -28,6 +30,7 @@ pub mod batch;
 pub mod bodies;
 pub mod body_forces;
 pub mod callout;
+pub mod changes;
 pub mod forces;
 pub mod groups;
 pub mod heat;
@@ -38,6 +41,7 @@ pub mod numbers;
 pub mod pairs;
 pub mod planes;
 pub mod points;
+pub mod ranking;
 pub mod recent;
 pub mod spheres;
 pub mod springs;

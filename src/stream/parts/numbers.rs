@@ -2,15 +2,18 @@
 
 use std::time::{Duration, Instant as Clock};
 
-use super::FrameView;
+use super::{
+    FrameView,
+    ranking::{self, Mark, Row},
+};
 use crate::{
     observe::{Schema, schema::ScalarOf},
-    sdk::{Scalars, SeriesLines},
+    sdk::Scalars,
     stream::{
         chunks::{Chunks, TrackId},
-        contract::{BODY_SCALAR, DIAGNOSTIC, LAG, SPEED, STACKED, TIMING},
+        contract::{BODY_SCALAR, DIAGNOSTIC, LAG, RANKED_STAGES, SPEED, STACKED, TIMING},
         instant::Instant,
-        palette,
+        palette::{self, Rgb},
         series::{Interpolation, LineId, Series},
         settings::MAX_BODY_ENTITIES,
         step::StepRecord,
@@ -65,6 +68,9 @@ pub struct FrameNumbers {
     totals: [Spread; 2],
 }
 
+/// A stage that takes less is not listed [time of the run].
+const LEAST_SHARE: f64 = 0.005;
+
 /// A scalar of the schema, aggregated since the last frame.
 struct ScalarLine {
     id: LineId,
@@ -82,6 +88,8 @@ struct Timing {
     is_first: bool,
     spent: Duration,
     spread: Spread,
+    /// The time spent on it in all frames.
+    total: Duration,
 }
 
 impl FrameNumbers {
@@ -98,7 +106,15 @@ impl FrameNumbers {
                 chunks.track(&entity, [Scalars::descriptor_scalars()])
             });
             let is_first = schema.stages.first() == Some(&name) || name == RECORDING[0];
-            Timing { name, track, stacked, is_first, spent: Duration::ZERO, spread: Spread::default() }
+            Timing {
+                name,
+                track,
+                stacked,
+                is_first,
+                spent: Duration::ZERO,
+                spread: Spread::default(),
+                total: Duration::ZERO,
+            }
         });
         let timings = timings.collect();
         let scalars = schema.scalars.iter().enumerate().map(|(i, scalar)| {
@@ -176,15 +192,27 @@ impl FrameNumbers {
         }
     }
 
-    /// Names the lines of stages after the medians of their durations over all frames, if there were any.
-    pub fn log_medians(&self, schema: &Schema, chunks: &mut Chunks) {
-        for Timing { name, spread, .. } in self.timings.iter().filter(|timing| timing.stacked.is_some()) {
-            let Some(median) = spread.quantile(0.5) else { continue };
-            let median = if median < 1e-3 { "below 0.001".to_owned() } else { significant(median) };
-            let name_with_median = format!("{name}, median {median} ms");
-            let style = SeriesLines::update_fields().with_names([name_with_median]);
-            chunks.log_static(&stacked(schema, name), &style);
-        }
+    /// Ranks the stages on the simulation thread by their shares of its time, then those of recording, which run meanwhile;
+    /// each with its peak.
+    pub fn log_ranking(&self, chunks: &mut Chunks) {
+        let is_recording = |timing: &Timing| RECORDING.contains(&timing.name);
+        let of_run = self.timings.iter().filter(|timing| !is_recording(timing));
+        let whole = of_run.map(|timing| timing.total.as_secs_f64()).sum::<f64>();
+        let mut stages: Vec<(&Timing, Rgb)> =
+            self.timings.iter().enumerate().map(|(number, timing)| (timing, palette::line(number))).collect();
+        stages.sort_by_key(|(timing, _)| (is_recording(timing), std::cmp::Reverse(timing.total)));
+        let share = |timing: &Timing| timing.total.as_secs_f64() / whole;
+        let stages = stages.into_iter().filter(|(timing, _)| share(timing) >= LEAST_SHARE).map(|(timing, color)| {
+            let name = match timing.name {
+                name if !is_work(name) => "wait for recording".to_owned(),
+                name if is_recording(timing) => format!("+ {name}"),
+                name => name.to_owned(),
+            };
+            let (peak, step) = timing.spread.largest();
+            let label = format!("{name} {:.0} %, {} ms in step {step}", 100.0 * share(timing), significant(peak));
+            Row { label, color, marks: vec![(Mark::Bar(share(timing)), color)] }
+        });
+        ranking::log_static(RANKED_STAGES.path, stages, chunks);
     }
 
     /// The largest speed of the run [steps per second]; 0 if there were no two frames.
@@ -204,7 +232,8 @@ impl FrameNumbers {
             log.spent += self.sending * steps;
         }
         let (mut stack, mut totals) = (0.0, [0.0; 2]);
-        for Timing { name, track, stacked, is_first, spent, spread } in &mut self.timings {
+        for Timing { name, track, stacked, is_first, spent, spread, total } in &mut self.timings {
+            *total += *spent;
             let milliseconds = 1e3 * std::mem::take(spent).as_secs_f64() / f64::from(steps);
             if steps > 0 {
                 spread.add(milliseconds, at.step);

@@ -36,8 +36,6 @@ use crate::{
 
 /// A q that changes less is not worth a line in a plot [–].
 const STILL: f64 = 1e-4;
-/// Lines that differ less coincide in a plot [–].
-const COINCIDING: f64 = 1e-6;
 /// Colour of the lines about steps beyond the tolerance.
 const SHORTFALL: palette::Rgb = colors::VERMILION;
 /// Maximum interval between points of threshold lines [frames], so that they keep up with a live plot.
@@ -78,7 +76,8 @@ fn extended(range: Option<[f64; 2]>, number: f64) -> [f64; 2] {
 
 struct PairPlot {
     phase: String,
-    has_events: bool,
+    /// When its phase changed [s].
+    changes: Vec<f64>,
     /// Whether its surfaces touched or its phase joined them.
     has_met: bool,
     /// Smallest and largest q.
@@ -94,11 +93,18 @@ struct PairPlot {
     last_contact: Option<usize>,
 }
 
-/// The pairs that have plots worth a look, as `A~B`; where none has, all of them.
+/// Upper limits on the numbers of lines and of lanes in one view: of more, one would find none.
+const MOST_LINES: usize = 8;
+const MOST_LANES: usize = 12;
+
+/// The pairs that have plots worth a look, as `A~B`; where none has, all of them. Of many, those whose phases change nearest
+/// in time to the instant at which the viewer opens.
 #[derive(Clone, Debug, Default)]
 pub struct Told {
-    /// Those whose q changed: in each list those whose lines of q and of thresholds coincide.
-    pub alike: Vec<Vec<String>>,
+    /// Those whose q changed.
+    pub moving: Vec<String>,
+    /// Number of others whose q changed.
+    pub left_out: usize,
     /// Those whose phase changed.
     pub changed: Vec<String>,
     /// Those that touched, or were joined.
@@ -111,16 +117,6 @@ impl PairPlot {
     /// Whether q stays the same, but for what resting bodies tremble.
     fn is_still(&self) -> bool {
         self.range.is_none_or(|[low, high]| high - low < STILL)
-    }
-
-    /// Whether its lines of q and of thresholds coincide with those of another pair.
-    fn coincides(&self, other: &PairPlot, series: &Series) -> bool {
-        let lines = |plot: &PairPlot| -> Vec<LineId> {
-            std::iter::once(plot.distance).chain(plot.thresholds.iter().map(|(line, _)| *line)).collect()
-        };
-        let (lines, others) = (lines(self), lines(other));
-        let is_same = |(x, y): (&LineId, &LineId)| series.outline(*x).is_within(series.outline(*y), COINCIDING);
-        lines.len() == others.len() && lines.iter().zip(&others).all(is_same)
     }
 }
 
@@ -173,30 +169,23 @@ impl PairPlots {
         }
     }
 
-    /// The pairs that have plots worth a look.
-    pub fn told(&self, schema: &Schema, series: &Series) -> Told {
-        let name = |&(a, b): &(usize, usize)| schema.pair_name(a, b);
-        let of = |is_told: fn(&PairPlot) -> bool| {
-            let told = self.known.iter().filter(|(_, plot)| is_told(plot)).map(|(pair, _)| name(pair));
-            let told: Vec<String> = told.collect();
+    /// The pairs that have plots worth a look, with this instant in view [s].
+    pub fn told(&self, schema: &Schema, instant: f64) -> Told {
+        let away =
+            |plot: &PairPlot| plot.changes.iter().map(|time| (time - instant).abs()).fold(f64::INFINITY, f64::min);
+        let mut nearest: Vec<(&(usize, usize), &PairPlot)> = self.known.iter().collect();
+        nearest.sort_by(|(_, one), (_, other)| away(one).total_cmp(&away(other)));
+        let of = |is_told: fn(&PairPlot) -> bool, most: usize| {
             // where nothing happens, the plots say so
-            if told.is_empty() { self.known.keys().map(name).collect() } else { told }
+            let is_any = nearest.iter().any(|(_, plot)| is_told(plot));
+            let told = nearest.iter().filter(|(_, plot)| is_told(plot) || !is_any);
+            let told: Vec<String> = told.map(|((a, b), _)| schema.pair_name(*a, *b)).collect();
+            (told.iter().take(most).cloned().collect(), told.len())
         };
-        let moving = of(|plot| plot.has_events || !plot.is_still());
-        let mut alike: Vec<(&PairPlot, Vec<String>)> = Vec::new();
-        for (plot, name) in self.known.iter().map(|(pair, plot)| (plot, name(pair))).filter(|of| moving.contains(&of.1))
-        {
-            match alike.iter_mut().find(|(known, _)| known.coincides(plot, series)) {
-                Some((_, alike)) => alike.push(name),
-                None => alike.push((plot, vec![name])),
-            }
-        }
-        Told {
-            alike: alike.into_iter().map(|(_, alike)| alike).collect(),
-            changed: of(|plot| plot.has_events),
-            met: of(|plot| plot.has_met),
-            all: self.known.len(),
-        }
+        let (moving, count) = of(|plot| !plot.changes.is_empty() || !plot.is_still(), MOST_LINES);
+        let (changed, _) = of(|plot| !plot.changes.is_empty(), MOST_LANES);
+        let (met, _) = of(|plot| plot.has_met, MOST_LANES);
+        Told { moving, left_out: count.saturating_sub(MOST_LINES), changed, met, all: self.known.len() }
     }
 
     /// Marks the closest approaches of pairs that have plots.
@@ -374,7 +363,7 @@ impl PairPlots {
             chunks.log(entity, at, &StateChange::single(schema.phases[event.to].name));
         }
         if let Some(plot) = self.known.get_mut(&(event.a, event.b)) {
-            plot.has_events = true;
+            plot.changes.push(event.time);
         }
         self.marks.log(schema, event, is_plotted, chunks);
     }
@@ -455,7 +444,7 @@ impl PairPlot {
         chunks.log_static(&entity(&PAIR_CONTACT), &lane);
         let (phase, contact) = (entity(&PAIR_PHASE), entity(&PAIR_CONTACT));
         PairPlot {
-            has_events: false,
+            changes: Vec::new(),
             has_met: false,
             range: None,
             phase,

@@ -22,7 +22,7 @@ const FRAMES: u64 = 24;
 /// Interval between drawings of the pair alone, once its event is no longer recent [frames].
 const SELDOM: u64 = 8;
 /// How far above all bodies the label is [diagonals of the box around them].
-const ABOVE: f64 = 0.12;
+const ABOVE: f64 = 0.14;
 
 /// The height at which the label of an event stands [scene unit].
 pub fn label_height(view: FrameView<'_>) -> f64 {
