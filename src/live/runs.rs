@@ -303,6 +303,7 @@ impl Runs {
         let mut writer = self.open(number, &recorder.layout_beside_controls(&*simulation))?;
         self.feed.send("open", recorded(number, 0, 0.0, 1));
         writer.write(&recorder.preview(&at_cursor))?;
+        let mut lookahead = recorder.lookahead();
         let mut watch = StepWatch::new(&*simulation, &settings);
         let (mut records, mut frames, mut contacts) = (Vec::new(), Vec::new(), Vec::new());
         let (last, mut every) = (outline.steps, 1);
@@ -319,7 +320,8 @@ impl Runs {
             records.push(step);
             frames.extend(frame);
             if frames.len() == BATCH || records.len() == MAX_RECORDS || taken == last {
-                recorder.compute_ahead(&frames);
+                let foreseen = recorder.foresee([&[], &frames]);
+                recorder.expect(lookahead.compute(&frames, &foreseen, || {}));
                 let mut frames = frames.drain(..).peekable();
                 for step in records.drain(..) {
                     let frame = frames.next_if(|frame| frame.at.step == step.summary.at.step);

@@ -18,6 +18,7 @@ use super::{
     Recorder, Settings,
     blueprint::Tab,
     chunks::Audience,
+    parts::merged::Ahead,
     sinks::{SinkError, Sinks},
     step::{StepRecord, StepWatch},
 };
@@ -123,6 +124,12 @@ struct Packet {
     frames: Vec<Frame>,
     used: usize,
     bytes: usize,
+}
+
+impl Packet {
+    fn frames(&self) -> &[Frame] {
+        &self.frames[..self.used]
+    }
 }
 
 impl Pipeline {
@@ -290,11 +297,25 @@ impl Recording {
 
     fn run(mut self, filled: &Receiver<Packet>, emptied: &Sender<Packet>) -> Recording {
         let interval = if self.is_live { LIVE_INTERVAL } else { FILE_INTERVAL };
+        let mut lookahead = self.recorder.lookahead();
+        let mut next: Option<(Packet, Ahead)> = None;
         loop {
-            let packet = filled.recv_timeout(interval);
+            let packet = match next.take() {
+                Some(next) => Ok(next),
+                None => filled.recv_timeout(interval).map(|packet| {
+                    let foreseen = self.recorder.foresee([&[], packet.frames()]);
+                    let ahead = lookahead.compute(packet.frames(), &foreseen, || {});
+                    (packet, ahead)
+                }),
+            };
             let is_last = matches!(packet, Err(RecvTimeoutError::Disconnected));
-            if let Ok(mut packet) = packet {
-                self.record(&mut packet);
+            if let Ok((mut packet, ahead)) = packet {
+                self.recorder.expect(ahead);
+                // the surfaces of the next packet are computed while this one is recorded
+                let following = filled.try_recv().unwrap_or_default();
+                let foreseen = self.recorder.foresee([packet.frames(), following.frames()]);
+                let ahead = lookahead.compute(following.frames(), &foreseen, || self.record(&mut packet));
+                next = (following.steps_used > 0).then_some((following, ahead));
                 emptied.send(packet).ok(); // the receiver is gone after the last step
             }
             let start = Clock::now();
@@ -335,7 +356,6 @@ impl Recording {
     }
 
     fn record(&mut self, packet: &mut Packet) {
-        self.recorder.compute_ahead(&packet.frames[..packet.used]);
         let mut frames = packet.frames[..packet.used].iter();
         for step in &mut packet.steps[..packet.steps_used] {
             let has_frame = self.recorder.settings().has_frame(step.summary.at.step);

@@ -26,7 +26,7 @@ use super::{
     machine, palette,
     parts::{
         FrameView, batch::BatchedBodies, bodies::SeparateBodies, body_forces::BodyForces, changes::Changes,
-        forces::Forces, groups::GroupPlots, heat::Heat, lines::Lines, marks, merged::MergedEntities,
+        forces::Forces, groups::GroupPlots, heat::Heat, lines::Lines, marks, merged, merged::MergedEntities,
         numbers::FrameNumbers, pairs, pairs::PairPlots, planes, points::Points, spheres::SphereEntities,
         springs::Springs, touching::Touching, trails::Trails,
     },
@@ -320,10 +320,20 @@ impl Recorder {
         chunks.take()
     }
 
-    /// Computes the merged surfaces of the next frames to be recorded, on several threads.
-    pub fn compute_ahead(&mut self, frames: &[Frame]) {
-        if let Some(FrameParts { state, pairs, .. }) = &mut self.parts {
-            state.merged.compute_ahead(&self.schema, frames, &pairs.foresee(&self.schema, frames));
+    /// Computes the merged surfaces of frames before they are recorded.
+    pub fn lookahead(&self) -> merged::Lookahead {
+        self.parts.as_ref().map(|parts| parts.state.merged.lookahead(&self.schema)).unwrap_or_default()
+    }
+
+    /// The pairs to be measured in the second frames, which are recorded after the first ones.
+    pub fn foresee(&self, frames: [&[Frame]; 2]) -> Vec<Vec<[usize; 2]>> {
+        self.parts.as_ref().map_or_else(Vec::new, |parts| parts.pairs.foresee(&self.schema, frames))
+    }
+
+    /// Takes the merged surfaces of the frames that are recorded next.
+    pub fn expect(&mut self, ahead: merged::Ahead) {
+        if let Some(parts) = &mut self.parts {
+            parts.state.merged.expect(ahead);
         }
     }
 

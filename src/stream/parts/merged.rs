@@ -7,7 +7,7 @@ use std::{
 };
 
 use glam::DVec3;
-use rayon::prelude::*;
+use rayon::{ThreadPool, ThreadPoolBuilder, prelude::*};
 
 use super::FrameView;
 use crate::{
@@ -40,9 +40,9 @@ pub fn drawn(triangles: &[[u32; 3]]) -> AnyValues {
 
 /// Merged surfaces, with the last logged values.
 pub struct MergedEntities {
-    /// One per thread; the first one also computes frames that were not computed ahead.
-    mergers: Vec<Merger>,
-    ahead: VecDeque<Ahead>,
+    /// Computes frames that were not computed ahead.
+    merger: Merger,
+    ahead: Ahead,
     /// The surfaces and measures of the last frame.
     merged: Merged,
     interrupt: Option<&'static AtomicBool>,
@@ -53,13 +53,65 @@ pub struct MergedEntities {
     mesh: Mesh,
 }
 
+/// The surfaces of frames that are still to be logged.
+pub type Ahead = VecDeque<Computed>;
+
 /// The surfaces of a frame, computed before it is logged.
-struct Ahead {
+pub struct Computed {
     frame: observe::Instant,
     pairs: Vec<[usize; 2]>,
     merged: Merged,
     /// Computing time on its thread.
     time: Duration,
+}
+
+/// Computes the surfaces of frames before they are logged, on threads of its own: the simulation would otherwise wait
+/// for one at each of its parallel loops. By default, computes nothing.
+#[derive(Default)]
+pub struct Lookahead {
+    schema: Schema,
+    pool: Option<ThreadPool>,
+    /// One per thread.
+    mergers: Vec<Merger>,
+}
+
+impl Lookahead {
+    /// With as many threads as everything else; computes nothing if that is one, or if they cannot be started.
+    fn new(schema: &Schema, interrupt: Option<&'static AtomicBool>) -> Lookahead {
+        let threads = rayon::current_num_threads();
+        let pool = (threads > 1).then(|| ThreadPoolBuilder::new().num_threads(threads).build().ok()).flatten();
+        let mergers = (0..threads).map(|_| Merger::new(schema, interrupt)).collect();
+        Lookahead { schema: schema.clone(), pool, mergers }
+    }
+
+    /// Computes the surfaces of frames that will be logged next, while this thread does `other` work. `pairs` are those to
+    /// be measured in each frame. The surfaces of a frame do not depend on other frames, nor on the number of threads.
+    pub fn compute(&mut self, frames: &[Frame], pairs: &[Vec<[usize; 2]>], other: impl FnOnce()) -> Ahead {
+        let Lookahead { schema, pool, mergers } = self;
+        let mut ahead = Vec::new();
+        let compute = |ahead: &mut Vec<Vec<Computed>>| {
+            // consecutive frames per thread, so that groups at rest are computed once
+            let count = frames.len().div_ceil(mergers.len());
+            let runs = frames.par_chunks(count).zip(pairs.par_chunks(count)).zip(mergers);
+            let runs = runs.map(|((frames, pairs), merger)| {
+                let of_frame = |(frame, pairs): (&Frame, &Vec<[usize; 2]>)| {
+                    let start = Clock::now();
+                    let merged = merger.merge(schema, frame, pairs).clone();
+                    Computed { frame: frame.at, pairs: pairs.clone(), merged, time: start.elapsed() }
+                };
+                frames.iter().zip(pairs).map(of_frame).collect()
+            });
+            runs.collect_into_vec(ahead);
+        };
+        match pool {
+            Some(pool) if frames.iter().any(|frame| !frame.pairs.is_empty()) => pool.in_place_scope(|scope| {
+                scope.spawn(|_| compute(&mut ahead));
+                other();
+            }),
+            _ => other(),
+        }
+        ahead.into_iter().flatten().collect()
+    }
 }
 
 /// The mesh of all groups. Reused.
@@ -103,8 +155,8 @@ impl MergedEntities {
             chunks.log_static(MERGED_SURFACE.path, &light::unlit());
         }
         MergedEntities {
-            mergers: vec![Merger::new(schema, interrupt)],
-            ahead: VecDeque::new(),
+            merger: Merger::new(schema, interrupt),
+            ahead: Ahead::new(),
             merged: Merged::default(),
             interrupt,
             surface: chunks.track(MERGED_SURFACE.path, components),
@@ -115,29 +167,14 @@ impl MergedEntities {
         }
     }
 
-    /// Computes the surfaces of frames that will be logged next, several frames at a time. `pairs` are those to be
-    /// measured in each frame. The surfaces of a frame do not depend on other frames, nor on the number of threads.
-    pub fn compute_ahead(&mut self, schema: &Schema, frames: &[Frame], pairs: &[Vec<[usize; 2]>]) {
-        self.ahead.clear();
-        let threads = rayon::current_num_threads().min(frames.len());
-        if threads < 2 || frames.iter().all(|frame| frame.pairs.is_empty()) {
-            return;
-        }
-        self.mergers.resize_with(threads.max(self.mergers.len()), || Merger::new(schema, self.interrupt));
-        // consecutive frames per thread, so that groups at rest are computed once
-        let count = frames.len().div_ceil(threads);
-        let runs = frames.par_chunks(count).zip(pairs.par_chunks(count)).zip(&mut self.mergers);
-        let ahead: Vec<Vec<Ahead>> = runs
-            .map(|((frames, pairs), merger)| {
-                let of_frame = |(frame, pairs): (&Frame, &Vec<[usize; 2]>)| {
-                    let start = Clock::now();
-                    let merged = merger.merge(schema, frame, pairs).clone();
-                    Ahead { frame: frame.at, pairs: pairs.clone(), merged, time: start.elapsed() }
-                };
-                frames.iter().zip(pairs).map(of_frame).collect()
-            })
-            .collect();
-        self.ahead.extend(ahead.into_iter().flatten());
+    /// Computes the surfaces of frames before they are logged.
+    pub fn lookahead(&self, schema: &Schema) -> Lookahead {
+        Lookahead::new(schema, self.interrupt)
+    }
+
+    /// Takes the surfaces of the frames that are logged next.
+    pub fn expect(&mut self, ahead: Ahead) {
+        self.ahead = ahead;
     }
 
     /// Computes the surfaces of a frame, measures `pairs`, and logs changed values. Returns the time spent on computing
@@ -147,7 +184,7 @@ impl MergedEntities {
         let time = ahead.as_ref().map_or(Duration::ZERO, |ahead| ahead.time);
         match ahead {
             Some(ahead) => self.merged = ahead.merged,
-            None => self.merged.clone_from(self.mergers[0].merge(view.schema, view.frame, pairs)),
+            None => self.merged.clone_from(self.merger.merge(view.schema, view.frame, pairs)),
         }
         self.log_merged(view, chunks);
         time
@@ -253,20 +290,20 @@ mod tests {
         let (mut merged, mut pairs) = (MergedEntities::new(&schema, None, &mut chunks), PairPlots::new(&settings));
         let mut series = Series::default();
         let mut world = World::new(scene).unwrap();
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let mut lookahead = pool.install(|| merged.lookahead(&schema));
         let mut frames = vec![Frame::default(); in_packet];
         for _ in 0..steps / in_packet {
             for frame in &mut frames {
                 let _ = world.step();
                 world.observe(Want::default(), frame);
             }
-            let foreseen = pairs.foresee(&schema, &frames);
-            pool.install(|| merged.compute_ahead(&schema, &frames, &foreseen));
+            merged.expect(lookahead.compute(&frames, &pairs.foresee(&schema, [&[], &frames]), || {}));
             for frame in &frames {
                 let view = FrameView { schema: &schema, frame, at: frame.at };
                 let shown = pairs.choose(view, &mut series, &mut chunks);
                 let ahead = merged.log(view, shown, &mut chunks);
-                let is_foreseen = frame.pairs.is_empty() || threads < 2 || in_packet < 2 || ahead > Duration::ZERO;
+                let is_foreseen = frame.pairs.is_empty() || threads < 2 || ahead > Duration::ZERO;
                 assert!(is_foreseen, "{name}, step {}: pairs differ from the foreseen ones", frame.at.step);
             }
         }

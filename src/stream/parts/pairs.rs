@@ -205,9 +205,9 @@ impl PairPlots {
         self.plotted
     }
 
-    /// The pairs that [`PairPlots::choose`] will choose in each of these frames. Pairs that get their plots because of
-    /// an event are not foreseen.
-    pub fn foresee(&self, schema: &Schema, frames: &[Frame]) -> Vec<Vec<[usize; 2]>> {
+    /// The pairs that [`PairPlots::choose`] will choose in each frame of the second list, after those of the first. Pairs
+    /// that get their plots because of an event are not foreseen.
+    pub fn foresee(&self, schema: &Schema, [first, then]: [&[Frame]; 2]) -> Vec<Vec<[usize; 2]>> {
         let mut known: BTreeSet<(usize, usize)> = self.known.keys().copied().collect();
         let of_frame = |frame: &Frame| {
             if known.len() < self.max_in_reach {
@@ -220,7 +220,8 @@ impl PairPlots {
             let is_known = |pair: &&PairFrame| known.contains(&(pair.a, pair.b));
             frame.pairs.iter().filter(is_known).map(|pair| [pair.a, pair.b]).collect()
         };
-        frames.iter().map(of_frame).collect()
+        let mut all: Vec<_> = first.iter().chain(then).map(of_frame).collect();
+        all.split_off(first.len())
     }
 
     /// Whether a pair may have its own entities.
