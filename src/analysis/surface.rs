@@ -132,8 +132,8 @@ pub struct Merger {
     bodies: Vec<Placed>,
     /// The groups of the last frame; `None` for a group without a surface.
     groups: BTreeMap<Vec<usize>, Option<Arc<Group>>>,
-    /// The measures of the last frame, and the nearest triangles.
-    pairs: BTreeMap<[usize; 2], (Option<PairMeasures>, Hint)>,
+    /// The measures of the last frame.
+    pairs: BTreeMap<[usize; 2], Measured>,
     merged: Merged,
     /// Number of the current frame, from 1.
     frame: u64,
@@ -141,6 +141,16 @@ pub struct Merger {
     work: u64,
     /// Scratch storage, reused.
     local: Vectors,
+}
+
+/// The measures of a pair.
+#[derive(Clone, Copy, Default)]
+struct Measured {
+    measures: Option<PairMeasures>,
+    /// The nearest triangles.
+    hint: Hint,
+    /// Whether they follow from the union of more bodies: rounding depends on all of these.
+    is_of_group: bool,
 }
 
 /// A body in the world.
@@ -200,36 +210,34 @@ impl Merger {
 
         let interrupt = closed.interrupt;
         let budget = Budget { work: *work / groups.len().max(1) as u64, interrupt };
-        let united: Vec<(Option<Arc<Group>>, Option<PairMeasures>)> = for_all(groups, |group| {
-            let is_asked_for = || pairs.iter().any(|pair| pair[..] == group[..]);
-            match last_groups.get(group) {
-                Some(known) if !group.iter().any(|&body| bodies[body].has_moved) => (
-                    known.clone(),
-                    if is_asked_for() { last_pairs.get(&group[..]).and_then(|known| known.0) } else { None },
-                ),
+        let hint_of = |pair: &[usize; 2]| last_pairs.get(pair).map_or(Hint::default(), |known| known.hint);
+        let has_moved = |of: &[usize]| of.iter().any(|&body| bodies[body].has_moved);
+        let united: Vec<(_, Vec<_>)> = for_all(groups, |group| {
+            let asked = pairs.iter().copied().filter(|pair| pair.iter().all(|body| group.binary_search(body).is_ok()));
+            let known = asked.clone().map(|pair| Some((pair, *last_pairs.get(&pair)?))).collect();
+            match (last_groups.get(group), known) {
+                (Some(last), Some(known)) if !has_moved(group) => (last.clone(), known),
                 _ => {
-                    let (group, measures) = scene.unite(group, &budget, is_asked_for());
-                    (group.map(Arc::new), measures)
+                    let (group, measured) = scene.unite(group, &budget, asked, hint_of);
+                    (group.map(Arc::new), measured)
                 }
             }
         });
-        let of_groups: BTreeMap<&[usize], PairMeasures> = (groups.iter().zip(&united))
-            .filter_map(|(group, (_, measures))| Some((group.as_slice(), (*measures)?)))
-            .collect();
+        let of_groups: BTreeMap<[usize; 2], Measured> =
+            united.iter().flat_map(|(_, measured)| measured).copied().collect();
         let budget = Budget { work: *work / pairs.len().max(1) as u64, interrupt };
         let measured = for_all(pairs, |pair| {
-            if let Some(measures) = of_groups.get(&pair[..]) {
-                return (Some(*measures), Hint::default());
+            if let Some(measured) = of_groups.get(pair) {
+                return *measured;
             }
             match last_pairs.get(pair) {
-                Some(known) if !pair.iter().any(|&body| bodies[body].has_moved) => *known,
-                known => scene.measure(*pair, &budget, known.map_or(Hint::default(), |known| known.1)),
+                Some(known) if !known.is_of_group && !has_moved(pair) => *known,
+                _ => scene.measure(*pair, &budget, hint_of(pair)),
             }
         });
         merged.pairs.clear();
-        merged.pairs.extend(measured.iter().map(|(measures, _)| *measures));
+        merged.pairs.extend(measured.iter().map(|measured| measured.measures));
         *last_pairs = pairs.iter().copied().zip(measured).collect();
-        drop(of_groups);
 
         merged.groups.clear();
         merged.overlapping = 0;
@@ -311,21 +319,39 @@ impl<'s, 'a> Scene<'s, 'a> {
         indices.iter().map(|&index| self.body(index).cloned()).collect()
     }
 
-    /// The surface of a group, and the measures of a group of two if requested.
-    fn unite(self, group: &[usize], budget: &Budget, has_measures: bool) -> (Option<Group>, Option<PairMeasures>) {
-        let Some(bodies) = self.bodies(group) else { return (None, None) };
-        let Ok(united) = union::union(&bodies, budget) else { return (None, None) };
-        let measures = match *group {
-            [a, b] if has_measures => measures_of(self.schema, [a, b], &united, budget, &mut Hint::default()),
-            _ => None,
+    /// The surface of a group, and the measures of those of the `asked` pairs in it that follow from its union.
+    fn unite(
+        self,
+        group: &[usize],
+        budget: &Budget,
+        asked: impl Iterator<Item = [usize; 2]>,
+        hint_of: impl Fn(&[usize; 2]) -> Hint,
+    ) -> (Option<Group>, Vec<([usize; 2], Measured)>) {
+        let Some(bodies) = self.bodies(group) else { return (None, Vec::new()) };
+        let of_pair = |pair: [usize; 2]| pair.map(|body| group.partition_point(|&other| other < body));
+        let is_meeting = |&[a, b]: &[usize; 2]| !union::are_apart(&bodies[a], &bodies[b]);
+        let pairs: Vec<[usize; 2]> = asked.map(of_pair).filter(|pair| group.len() == 2 || is_meeting(pair)).collect();
+        let Ok((united, of_pairs)) = union::union_and_pairs(&bodies, &pairs, budget) else {
+            return (None, Vec::new());
         };
-        (Group::new(self.schema, group, &united, budget.interrupt), measures)
+        let measure = |pair: [usize; 2], united: &Union| {
+            let named = pair.map(|body| group[body]);
+            let mut hint = hint_of(&named);
+            let measures = measures_of(self.schema, named, united, pair, budget, &mut hint);
+            (named, Measured { measures, hint, is_of_group: group.len() > 2 })
+        };
+        let measured = match group.len() {
+            2 => pairs.iter().map(|&pair| measure(pair, &united)).collect(),
+            _ => of_pairs.iter().map(|(pair, united)| measure(*pair, united)).collect(),
+        };
+        (Group::new(self.schema, group, &united, budget.interrupt), measured)
     }
 
-    /// The measures of a pair, and its nearest triangles.
-    fn measure(self, pair: [usize; 2], budget: &Budget, mut hint: Hint) -> (Option<PairMeasures>, Hint) {
+    /// The measures of a pair by itself.
+    fn measure(self, pair: [usize; 2], budget: &Budget, mut hint: Hint) -> Measured {
         let bodies = self.body(pair[0]).zip(self.body(pair[1]));
-        (bodies.and_then(|(a, b)| measures(self.schema, pair, [a, b], budget, &mut hint)), hint)
+        let measures = bodies.and_then(|(a, b)| measures(self.schema, pair, [a, b], budget, &mut hint));
+        Measured { measures, hint, is_of_group: false }
     }
 }
 
@@ -338,24 +364,28 @@ fn measures(
     hint: &mut Hint,
 ) -> Option<PairMeasures> {
     match union::measures_apart(a, b, budget, hint).ok()? {
-        Some(apart) => Some(in_radii(schema, pair, &apart, &[a, b])),
-        None => measures_of(schema, pair, &union::union(&[a.clone(), b.clone()], budget).ok()?, budget, hint),
+        Some(apart) => Some(in_radii(schema, pair, &apart, [a, b])),
+        None => {
+            let bodies = [a.clone(), b.clone()];
+            measures_of(schema, pair, &union::union(&bodies, budget).ok()?, [0, 1], budget, hint)
+        }
     }
 }
 
-/// The measures of a pair of which this is the union.
+/// The measures of a pair of which this is the union, with the indices `of` its bodies there.
 fn measures_of(
     schema: &Schema,
     pair: [usize; 2],
     united: &Union,
+    of: [usize; 2],
     budget: &Budget,
     hint: &mut Hint,
 ) -> Option<PairMeasures> {
-    let measures = union::measures_of(united, budget, hint).ok()?;
-    Some(in_radii(schema, pair, &measures, &united.bodies().iter().collect::<Vec<_>>()))
+    let measures = union::measures_of(united, of, budget, hint).ok()?;
+    Some(in_radii(schema, pair, &measures, of.map(|body| &united.bodies()[body])))
 }
 
-fn in_radii(schema: &Schema, pair: [usize; 2], measures: &union::PairMeasures, bodies: &[&Body]) -> PairMeasures {
+fn in_radii(schema: &Schema, pair: [usize; 2], measures: &union::PairMeasures, bodies: [&Body; 2]) -> PairMeasures {
     let radius = pair.map(|body| schema.bodies[body].radius).into_iter().fold(f64::INFINITY, f64::min);
     let is_overlap = measures.overlap > 0.0; // skips the volumes, which are sums over all triangles
     let volume = if is_overlap { bodies.iter().map(|body| body.volume()).fold(f64::INFINITY, f64::min) } else { 0.0 };

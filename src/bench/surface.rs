@@ -81,7 +81,7 @@ fn row(name: &'static str, mesh: &Arc<Mesh>, centres: &[DVec3]) -> Row {
         Ok(united) => united,
         Err(error) => return failed(error),
     };
-    let measures = (bodies == 2).then(|| best(|| drop(measures_of(&united, &budget, &mut Hint::default()))));
+    let measures = (bodies == 2).then(|| best(|| drop(measures_of(&united, [0, 1], &budget, &mut Hint::default()))));
 
     // one group regardless of phases
     let schema = Schema {

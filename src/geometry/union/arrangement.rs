@@ -70,6 +70,7 @@ pub struct Segment {
 }
 
 /// The intersections of the bodies, as determined by the predicates.
+#[derive(Default)]
 pub struct Arrangement {
     /// Nodes, sorted by edge and by position along it.
     pub nodes: Vec<Node>,
@@ -272,20 +273,21 @@ impl Arrangement {
         meter: &Meter,
         threads: bool,
     ) -> Result<Arrangement, Failure> {
-        let mut arrangement = Arrangement {
-            nodes: Vec::new(),
-            positions_on_edge: Vec::new(),
-            edges: Ranks::default(),
-            first_node: Vec::new(),
-            segments: Vec::new(),
-            segments_of_triangles: Vec::new(),
-            triple_points: Vec::new(),
-            triple_point_triangles: Vec::new(),
-        };
+        let mut arrangement = Arrangement::default();
         arrangement.find_nodes(placement, candidates, meter, threads)?;
         arrangement.order_nodes(placement)?;
         arrangement.positions_on_edge =
             arrangement.nodes.iter().map(|node| Self::position_on_edge(placement, node)).collect();
+        arrangement.connect(placement)?;
+        Ok(arrangement)
+    }
+
+    /// The nodes and segments of some of the bodies, without triple points.
+    pub fn of_some(&self, placement: &Placement, is_one: impl Fn(u32) -> bool) -> Result<Arrangement, Failure> {
+        let is_kept = |node: &Node| is_one(node.edge_body) && is_one(node.passage.body);
+        let kept = self.nodes.iter().zip(&self.positions_on_edge).filter(|(node, _)| is_kept(node));
+        let (nodes, positions_on_edge) = kept.unzip();
+        let mut arrangement = Arrangement { nodes, positions_on_edge, ..Arrangement::default() };
         arrangement.connect(placement)?;
         Ok(arrangement)
     }
@@ -334,24 +336,22 @@ impl Arrangement {
 
     fn order_nodes(&mut self, placement: &Placement) -> Result<(), Failure> {
         let heights = Height { placement, nodes: &[] };
-        let mut edges = Vec::with_capacity(self.nodes.len());
-        let mut from = 0;
-        while from < self.nodes.len() {
-            let Node { edge, edge_body, .. } = self.nodes[from];
-            let count = self.nodes[from..].iter().take_while(|n| n.edge == edge).count();
-            let ends = placement.ends(edge, edge_body).map(End::Vertex);
-            heights.sort_along(ends, &mut self.nodes[from..from + count], |n| &n.passage)?;
-            edges.push(edge);
-            self.first_node.push(from as u32);
-            from += count;
+        for nodes in self.nodes.chunk_by_mut(|a, b| a.edge == b.edge) {
+            let ends = placement.ends(nodes[0].edge, nodes[0].edge_body).map(End::Vertex);
+            heights.sort_along(ends, nodes, |n| &n.passage)?;
         }
-        self.first_node.push(from as u32);
-        self.edges = Ranks::new(placement.first_edge[placement.bodies.len()], &edges);
         Ok(())
     }
 
     /// Joins the nodes of each pair of triangles to a segment.
     fn connect(&mut self, placement: &Placement) -> Result<(), Failure> {
+        let mut edges = Vec::with_capacity(self.nodes.len());
+        self.first_node.push(0);
+        for nodes in self.nodes.chunk_by(|a, b| a.edge == b.edge) {
+            edges.push(nodes[0].edge);
+            self.first_node.push(self.first_node[self.first_node.len() - 1] + nodes.len() as u32);
+        }
+        self.edges = Ranks::new(placement.first_edge[placement.bodies.len()], &edges);
         // the two triangles in one number, the lower in its upper half
         let mut ends: Vec<(u64, u32)> = Vec::with_capacity(2 * self.nodes.len());
         for (i, node) in self.nodes.iter().enumerate() {

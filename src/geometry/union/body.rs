@@ -114,6 +114,7 @@ pub struct Body<'a> {
     pub(super) radius: f64,
     star: OnceLock<Star>,
     extent: OnceLock<Extent>,
+    enclosed: OnceLock<f64>,
 }
 
 /// Properties of a body whose whole surface is visible from the centre, from its inner side.
@@ -181,6 +182,7 @@ impl<'a> Body<'a> {
             radius: 0.0,
             star: OnceLock::new(),
             extent: OnceLock::new(),
+            enclosed: OnceLock::new(),
         };
         body.bound();
         Ok(body)
@@ -290,6 +292,15 @@ impl<'a> Body<'a> {
     /// Area [scene unit²].
     pub fn area(&self) -> f64 {
         self.extent().area
+    }
+
+    /// Volume of what the body encloses [scene unit³], where what it encloses twice counts once: on the first call, that of
+    /// the union of `only` this body.
+    pub(super) fn enclosed<E>(&self, volume: impl FnOnce(&[Body<'a>]) -> Result<f64, E>) -> Result<f64, E> {
+        match self.enclosed.get() {
+            Some(&known) => Ok(known),
+            None => volume(std::slice::from_ref(self)).map(|volume| *self.enclosed.get_or_init(|| volume)),
+        }
     }
 
     /// Contains the body after a displacement of its vertices by less than `margin` [scene unit].

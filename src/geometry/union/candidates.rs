@@ -13,6 +13,7 @@ use super::{
 use crate::parallel;
 
 /// Two bodies with overlapping boxes, and the blocks of each that overlap the hull of the other.
+#[derive(Clone)]
 pub struct Meeting {
     pub bodies: [u32; 2],
     pub blocks: [Vec<u32>; 2],

@@ -39,7 +39,7 @@ pub struct PairMeasures {
     pub seams: Vec<Seam>,
 }
 
-/// Measures two bodies from their union. If it is not the union of two bodies, the gap is infinite.
+/// Measures two bodies, given by their indices, from their union.
 ///
 /// The depth is the greatest distance of a sample point on either surface, inside the other body, to that body's
 /// surface. Sample points are the vertices, the midpoints of edges and of the parts of cut edges, and the centres of
@@ -48,22 +48,26 @@ pub struct PairMeasures {
 /// # Errors
 ///
 /// Those of [`union`], which measures each body that intersects itself.
-pub fn measures_of(united: &Union, budget: &Budget, hint: &mut Hint) -> Result<PairMeasures, UnionError> {
+pub fn measures_of(
+    united: &Union,
+    pair: [usize; 2],
+    budget: &Budget,
+    hint: &mut Hint,
+) -> Result<PairMeasures, UnionError> {
     let bodies = united.bodies;
     let volume = |body: usize| -> Result<f64, UnionError> {
         if united.is_simple(body) {
             return Ok(bodies[body].volume());
         }
-        // doubly enclosed volume counts once
-        Ok(union(&bodies[body..=body], budget)?.volume())
+        bodies[body].enclosed(|only| Ok(union(only, budget)?.volume()))
     };
-    let gap = gap_of(united, budget, hint)?;
+    let gap = gap_of(united, pair, budget, hint)?;
     let overlap = if gap > 0.0 {
         0.0
-    } else if bodies.iter().all(|body| body.slack() > 0.0) {
-        united.taken()
+    } else if pair.iter().all(|&body| bodies[body].slack() > 0.0) {
+        united.taken(pair)
     } else {
-        volume(0)? + volume(1)? - united.volume()
+        volume(pair[0])? + volume(pair[1])? - united.volume()
     };
     Ok(PairMeasures::new(gap, overlap.max(0.0), united.seams.clone()))
 }
@@ -76,8 +80,16 @@ impl PairMeasures {
     }
 }
 
-/// Measures two bodies that a plane separates as [`measures_of`] does, without their union. `None` if none is found, and
-/// for bodies that may intersect themselves, whose measures follow from what their union removes.
+/// Whether a plane is found that separates two bodies, neither of which may intersect itself: their measures do not need
+/// their union.
+pub fn are_apart(a: &Body, b: &Body) -> bool {
+    // farther than a union displaces vertices
+    let magnitude = a.bounds.max.abs().max(a.bounds.min.abs()).max_element();
+    let is_apart = separation(a, b, b.centre - a.centre) > APART * (a.radius + b.radius + SCENE * magnitude);
+    is_apart && a.slack() > 0.0 && b.slack() > 0.0
+}
+
+/// Measures two bodies that [are apart](are_apart) as [`measures_of`] does, without their union; `None` if they are not.
 ///
 /// # Errors
 ///
@@ -88,10 +100,7 @@ pub fn measures_apart(
     budget: &Budget,
     hint: &mut Hint,
 ) -> Result<Option<PairMeasures>, UnionError> {
-    // farther than a union displaces vertices
-    let magnitude = a.bounds.max.abs().max(a.bounds.min.abs()).max_element();
-    let is_apart = separation(a, b, b.centre - a.centre) > APART * (a.radius + b.radius + SCENE * magnitude);
-    if !is_apart || a.slack() <= 0.0 || b.slack() <= 0.0 {
+    if !are_apart(a, b) {
         return Ok(None);
     }
     let meter = Meter::new(Budget { work: u64::MAX, ..*budget });
@@ -99,12 +108,11 @@ pub fn measures_apart(
     Ok(Some(PairMeasures::new(gap, 0.0, Vec::new())))
 }
 
-fn gap_of(united: &Union, budget: &Budget, hint: &mut Hint) -> Result<f64, UnionError> {
-    let [a, b] = united.bodies else { return Ok(f64::INFINITY) };
+fn gap_of(united: &Union, [a, b]: [usize; 2], budget: &Budget, hint: &mut Hint) -> Result<f64, UnionError> {
     let meter = Meter::new(Budget { work: u64::MAX, ..*budget });
-    let trees = [Tree::new(a), Tree::new(b)];
+    let trees = [a, b].map(|body| Tree::new(&united.bodies[body]));
     let mut deepest = 0.0f64;
-    for (body, tree) in [(0, &trees[1]), (1, &trees[0])].into_iter().filter(|&(body, _)| united.is_inside(body)) {
+    for (body, tree) in [(a, &trees[1]), (b, &trees[0])].into_iter().filter(|&(body, _)| united.is_inside(body)) {
         deepen(united, body, tree, &mut deepest, &meter).map_err(|_| meter.gave_up())?;
     }
     // without a seam, what is not on the union may be inside its own body only

@@ -75,7 +75,7 @@ mod winding;
 
 pub use body::{Aabb, Body, BodyError};
 pub use contact::{Contact, Crossing, contact};
-pub use measures::{Hint, PairMeasures, measures_apart, measures_of};
+pub use measures::{Hint, PairMeasures, are_apart, measures_apart, measures_of};
 pub use report::{Budget, UnionError};
 pub use seams::Seam;
 pub use self_contact::{SelfContactError, self_contact};
@@ -86,7 +86,7 @@ use rayon::prelude::*;
 
 use crate::parallel;
 use arrangement::Arrangement;
-use candidates::{EdgeAndTriangle, Near};
+use candidates::{EdgeAndTriangle, Meeting, Near};
 use faces::Faces;
 use placement::Placement;
 use report::{Failure, Meter};
@@ -94,6 +94,8 @@ use winding::Classified;
 
 /// Number of displacements to try. One has always sufficed, except for bodies without any extent.
 const ATTEMPTS: u32 = 6;
+/// The unions of two of more bodies than this cost no less together than one by one.
+const FEW: usize = 8;
 
 /// The boundary of the union of `bodies`.
 ///
@@ -102,6 +104,23 @@ const ATTEMPTS: u32 = 6;
 /// If the budget is exhausted, there are too many vertices to index, or no attempt brings the bodies into general
 /// position. The only remedy is to show the bodies individually.
 pub fn union<'a, 'b>(bodies: &'b [Body<'a>], budget: &Budget) -> Result<Union<'a, 'b>, UnionError> {
+    Ok(union_and_pairs(bodies, &[], budget)?.0)
+}
+
+/// A union of two of several bodies, with their indices: of a union in which the others are left out.
+pub type PairUnion<'a, 'b> = ([usize; 2], Union<'a, 'b>);
+
+/// Like [`union`], with the unions of some pairs of more bodies, where these follow from the same intersections at less
+/// cost than anew.
+///
+/// # Errors
+///
+/// Those of [`union`].
+pub fn union_and_pairs<'a, 'b>(
+    bodies: &'b [Body<'a>],
+    pairs: &[[usize; 2]],
+    budget: &Budget,
+) -> Result<(Union<'a, 'b>, Vec<PairUnion<'a, 'b>>), UnionError> {
     let total = |count: &dyn Fn(&Topology) -> usize| bodies.iter().map(|b| count(b.topology())).sum::<usize>();
     let largest = total(&|t| t.edges.len()).max(total(&Topology::fan_count));
     if largest >= 1 << 30 {
@@ -111,11 +130,11 @@ pub fn union<'a, 'b>(bodies: &'b [Body<'a>], budget: &Budget) -> Result<Union<'a
     let order = canonical_order(bodies);
     let mut reason = "";
     for attempt in 0..ATTEMPTS {
-        match attempt_union(bodies, &order, attempt, &meter) {
-            Ok(mut union) => {
+        match attempt_union(bodies, pairs, &order, attempt, &meter) {
+            Ok((mut union, of_pairs)) => {
                 union.statistics.retries = attempt;
                 union.statistics.work = meter.spent();
-                return Ok(union);
+                return Ok((union, of_pairs));
             }
             Err(Failure::GaveUp) => return Err(meter.gave_up()),
             Err(Failure::Tie) => reason = "a tie",
@@ -127,10 +146,11 @@ pub fn union<'a, 'b>(bodies: &'b [Body<'a>], budget: &Budget) -> Result<Union<'a
 
 fn attempt_union<'a, 'b>(
     bodies: &'b [Body<'a>],
+    pairs: &[[usize; 2]],
     order: &[u32],
     attempt: u32,
     meter: &Meter,
-) -> Result<Union<'a, 'b>, Failure> {
+) -> Result<(Union<'a, 'b>, Vec<PairUnion<'a, 'b>>), Failure> {
     let chosen: Vec<&Body> = order.iter().map(|&b| &bodies[b as usize]).collect();
     let mut placement = Placement::new(chosen, attempt);
     meter.check()?;
@@ -144,7 +164,7 @@ fn attempt_union<'a, 'b>(
     union.statistics.dropped = placement.dropped;
     let is_done = |placement: &Placement| placement.pairs.is_empty() && !placement.folds.contains(&true);
     if is_done(&placement) {
-        return Ok(union);
+        return Ok((union, Vec::new()));
     }
 
     let meetings = candidates::meetings(&placement);
@@ -160,9 +180,13 @@ fn attempt_union<'a, 'b>(
         }
     }
     if is_done(&placement) {
-        return Ok(union);
+        return Ok((union, Vec::new()));
     }
-    placement.bury(&meetings);
+    // whether or not pairs are asked for: the union does not depend on it
+    let is_shared = (3..=FEW).contains(&bodies.len());
+    if !is_shared {
+        placement.bury(&meetings); // a third body hides nothing of a pair
+    }
     let near = candidates::near(&placement, &meetings, meter, threads)?;
     for (body, triangles) in near.iter().flat_map(Near::triangles) {
         placement.place(body, triangles);
@@ -170,15 +194,49 @@ fn attempt_union<'a, 'b>(
     let candidates = candidates::edges_and_triangles(&placement, &near, folded, meter, threads)?;
     drop(near);
     union.statistics.tests = candidates.len();
-    let mut arrangement = Arrangement::new(&placement, &candidates, meter, threads)?;
+    let arrangement = Arrangement::new(&placement, &candidates, meter, threads)?;
+    let mut of_pairs = Vec::new();
+    // without copies of bodies, which would be left out of a pair, too
+    if is_shared && order.len() == bodies.len() {
+        let folds = placement.folds.clone();
+        for &pair in pairs {
+            let is_one = |body: u32| pair.contains(&(order[body as usize] as usize));
+            for (body, is_folded) in (0..).zip(&mut placement.folds) {
+                *is_folded = folds[body as usize] && is_one(body);
+            }
+            let is_in_pair: Vec<bool> = (0..bodies.len()).map(|body| pair.contains(&body)).collect();
+            let mut of_pair = Union::untouched(bodies, &is_in_pair);
+            of_pair.may_cross_itself.clone_from(&union.may_cross_itself);
+            let meetings = meetings.iter().filter(|meeting| meeting.bodies.into_iter().all(is_one));
+            let meetings: Vec<Meeting> = meetings.cloned().collect();
+            let of_pair = arrangement
+                .of_some(&placement, is_one)
+                .and_then(|arrangement| complete(of_pair, &placement, &meetings, arrangement, &order, meter, false));
+            of_pairs.extend(of_pair.ok().map(|of_pair| (pair, of_pair)));
+        }
+        placement.folds = folds;
+    }
+    Ok((complete(union, &placement, &meetings, arrangement, &order, meter, threads)?, of_pairs))
+}
+
+/// Cuts the bodies of an arrangement, in which they meet in `meetings`, and removes what is inside.
+fn complete<'a, 'b>(
+    union: Union<'a, 'b>,
+    placement: &Placement<'a, 'b>,
+    meetings: &[Meeting],
+    mut arrangement: Arrangement,
+    order: &[u32],
+    meter: &Meter,
+    threads: bool,
+) -> Result<Union<'a, 'b>, Failure> {
     meter.check()?;
-    let mut classified = Classified::new(&placement, &meetings, &mut arrangement, meter, threads)?;
-    arrangement.find_triple_points(&placement, meter, threads)?;
+    let mut classified = Classified::new(placement, meetings, &mut arrangement, meter, threads)?;
+    arrangement.find_triple_points(placement, meter, threads)?;
     classified.walk_segments(&arrangement, meter)?;
-    let faces = Faces::new(&placement, &arrangement, &classified, meter, threads)?;
+    let faces = Faces::new(placement, &arrangement, &classified, meter, threads)?;
 
     meter.check()?;
-    union.assemble(&placement, &arrangement, &classified, faces, &order)
+    union.assemble(placement, &arrangement, &classified, faces, order)
 }
 
 /// A body that was tested against itself.

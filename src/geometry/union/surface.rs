@@ -414,10 +414,11 @@ impl<'a, 'b> Union<'a, 'b> {
         of.slack() > 0.0 || !self.may_cross_itself[body] && of.topology.components == 1 && of.volume() > 0.0
     }
 
-    /// Sum of the bodies' volumes minus that of the union [scene unit³]; 0 at no cost where the bodies are apart.
-    pub(super) fn taken(&self) -> f64 {
-        let absent = self.bodies.iter().zip(&self.absent).filter(|(_, absent)| **absent);
-        absent.fold(0.0, |sum, (body, _)| sum + body.volume()) - self.change().volume
+    /// Sum of the volumes of two bodies minus that of their union, which this is [scene unit³]; 0 at no cost where they are
+    /// apart.
+    pub(super) fn taken(&self, pair: [usize; 2]) -> f64 {
+        let absent = pair.iter().filter(|body| self.absent[**body]);
+        absent.fold(0.0, |sum, body| sum + self.bodies[*body].volume()) - self.change().volume
     }
 
     /// Euler characteristic: vertices − edges + triangles.

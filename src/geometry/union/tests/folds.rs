@@ -100,6 +100,35 @@ fn measures_of_separated_bodies_are_those_of_their_union() {
     assert!(separated >= 20, "{separated} separated");
 }
 
+/// Pairs measure the same by the union of more bodies, within the displacements of both unions, and do not change that.
+#[test]
+fn pairs_of_a_union_measure_as_by_themselves() {
+    let mut random = shapes::Random::new(23);
+    let (budget, pairs) = (Budget::default(), [[0, 1], [0, 2], [1, 2]]);
+    let (mut folded, mut overlapping) = (0, 0);
+    for round in 0..26 {
+        let places = [DVec3::ZERO, DVec3::new(1.7, 0.1, 0.2), DVec3::new(0.8, 1.5, -0.1)];
+        let shapes = places.map(|at| deformed(&mut random, 0.05 * f64::from(round)).at(at));
+        let topologies = shapes.each_ref().map(|s| Topology::new(s.positions.len(), &s.triangles).unwrap());
+        let bodies = [0, 1, 2].map(|k| Body::new(&topologies[k], &shapes[k].positions).unwrap());
+        let (united, of_pairs) = union_and_pairs(&bodies, &pairs, &budget).unwrap();
+        assert_eq!(united.mesh(), union(&bodies, &budget).unwrap().mesh(), "round {round}");
+        assert_eq!(of_pairs.iter().map(|(pair, _)| *pair).collect::<Vec<_>>(), pairs, "round {round}");
+        for (pair, of_pair) in &of_pairs {
+            let [a, b] = pair.map(|body| &bodies[body]);
+            let (alone, together) =
+                (pair_measures(a, b), measures_of(of_pair, *pair, &budget, &mut Hint::default()).unwrap());
+            let numbers = |of: &PairMeasures| [of.gap, of.overlap, of.neck, of.perimeter];
+            for (alone, together) in numbers(&alone).into_iter().zip(numbers(&together)) {
+                assert!((alone - together).abs() < 1e-6, "round {round}, {pair:?}: {alone} and {together}");
+            }
+            folded += u32::from(a.slack() <= 0.0 || b.slack() <= 0.0);
+            overlapping += u32::from(alone.overlap > 0.0);
+        }
+    }
+    assert!(folded > 5 && overlapping > 10, "{folded} folded, {overlapping} overlapping");
+}
+
 /// A body that is folded into itself does not touch another by that, even if a sheet of the other is turned over.
 #[test]
 fn the_gap_of_a_folded_body_is_its_distance() {

@@ -121,7 +121,7 @@ impl UnionMesh {
 /// Measures two bodies by their union.
 fn pair_measures(a: &Body, b: &Body) -> PairMeasures {
     let (bodies, budget) = ([a.clone(), b.clone()], Budget::default());
-    measures_of(&union(&bodies, &budget).unwrap(), &budget, &mut Hint::default()).unwrap()
+    measures_of(&union(&bodies, &budget).unwrap(), [0, 1], &budget, &mut Hint::default()).unwrap()
 }
 
 /// Asserts that every edge has one triangle on either side and every vertex one fan.
@@ -218,7 +218,7 @@ fn the_volume_of_a_body_counts_once() {
         assert!(bodies[0].slack() <= 0.0 && bodies[1].slack() > 0.0);
         assert_eq!((united.is_simple(0), united.is_simple(1)), (is_simple, true));
         assert_eq!(bodies[0].volume() == alone[0], is_simple);
-        let measures = measures_of(&united, &Budget::default(), &mut Hint::default()).unwrap();
+        let measures = measures_of(&united, [0, 1], &Budget::default(), &mut Hint::default()).unwrap();
         assert_eq!(measures.overlap, (alone[0] + alone[1] - united.volume()).max(0.0));
     }
 }
