@@ -475,7 +475,8 @@ fn free_bodies_lie_on_planes() {
         let mut simulation = start(&free(model, lines, "velocity = [1, 0, 0]"));
         run(&mut simulation, 60);
         let free = simulation.bodies[0].free.as_ref().unwrap();
-        assert!((0.9..1.02).contains(&free.centre.z), "{model}: {}", free.centre);
+        // in steps of 0.2 ms: 0.891 and 0.936
+        assert!((0.87..1.02).contains(&free.centre.z), "{model}: {}", free.centre);
         assert!(
             (0.1..0.95).contains(&free.velocity.x) && free.spin.y > 0.3,
             "{model}: {} {}",

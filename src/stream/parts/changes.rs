@@ -84,15 +84,11 @@ impl Changes {
     }
 }
 
-/// The threshold at which a pair changes phase next, and its level: the nearest that it can cross. Pairs merge by falling
-/// below the first and split by rising above the second, unless they are in the phase to which it leads; they cross others
-/// both ways.
+/// The threshold at which a pair changes phase next, and its level: of bodies that are apart the first, of joined ones the
+/// nearest of the others.
 fn next(schema: &Schema, pair: &PairFrame, time: f64) -> Option<(usize, f64)> {
-    let can_cross = |&(index, level): &(usize, f64)| match index {
-        0 | 1 => schema.thresholds[index].color != schema.phases[pair.phase].color && (index == 1) == (level > pair.q),
-        _ => true,
-    };
-    let levels =
-        (0..schema.thresholds.len()).filter_map(|index| Some((index, schema.level(index, [pair.a, pair.b], time)?)));
-    levels.filter(can_cross).min_by(|one, other| (one.1 - pair.q).abs().total_cmp(&(other.1 - pair.q).abs()))
+    let is_joined = schema.phases[pair.phase].is_joined;
+    let thresholds = if is_joined { 1..schema.thresholds.len() } else { 0..1 };
+    let levels = thresholds.filter_map(|index| Some((index, schema.level(index, [pair.a, pair.b], time)?)));
+    levels.min_by(|one, other| (one.1 - pair.q).abs().total_cmp(&(other.1 - pair.q).abs()))
 }
