@@ -192,7 +192,7 @@ entities! {
     DIAGNOSTIC = "/diagnostics/SCALAR" ["Scalars"]
         "Energy, error, counts.";
     VOLUME = "/volume/OF" ["Scalars"]
-        "The volume that all surfaces enclose, of each group that of its sharp union, and the sum of the volumes of the bodies one by one [scene unit³]; with at most 16 bodies. With several models side by side, the volume of the surfaces of each.";
+        "The volume that all surfaces enclose, of each group that of its sharp union, and the sum of the volumes of the bodies one by one [scene unit³]; with at most 64 bodies. With several models side by side, the volume of the surfaces of each.";
     OVERLAPPING = "/diagnostics/overlapping_groups" ["Scalars"]
         "Groups that could not be united in time and are drawn as overlapping meshes.";
     LEGEND = "/legend/PART" ["Image; Points2D"]

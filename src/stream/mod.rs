@@ -84,7 +84,7 @@
 //! | `/timings/speed` | Scalars | Steps per second. |
 //! | `/timings/lag` | Scalars | How far a run in real time is behind [ms]. |
 //! | `/diagnostics/SCALAR` | Scalars | Energy, error, counts. |
-//! | `/volume/OF` | Scalars | The volume that all surfaces enclose, of each group that of its sharp union, and the sum of the volumes of the bodies one by one [scene unit³]; with at most 16 bodies. With several models side by side, the volume of the surfaces of each. |
+//! | `/volume/OF` | Scalars | The volume that all surfaces enclose, of each group that of its sharp union, and the sum of the volumes of the bodies one by one [scene unit³]; with at most 64 bodies. With several models side by side, the volume of the surfaces of each. |
 //! | `/diagnostics/overlapping_groups` | Scalars | Groups that could not be united in time and are drawn as overlapping meshes. |
 //! | `/legend/PART` | Image; Points2D | The colour scale of displacements, and its numbers at the instant. |
 //! | `/largest` | Points3D, LineStrips3D | The vertex with the largest displacement of those that lie in no other body, and above it its label, also with the largest of all. |

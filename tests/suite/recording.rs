@@ -483,7 +483,7 @@ impl Run {
                 || ["/events/surfaces", "/marks/q/near_miss"].contains(&path.as_str())
         };
         entities.extend(self.recording.entities().iter().map(ToString::to_string).filter(depends));
-        if (2..=16).contains(&self.scene.bodies.len()) {
+        if (2..=64).contains(&self.scene.bodies.len()) {
             entities.extend(["/volume/surfaces", "/volume/bodies"].map(str::to_owned));
         }
         entities.extend(TIMINGS.map(|stage| format!("/timings/{stage}")));
@@ -1002,7 +1002,7 @@ impl Run {
 
     /// Verifies the volume of the bodies one by one, which is that of all surfaces while no bodies share one.
     fn verify_volume(&self) {
-        if !(2..=16).contains(&self.scene.bodies.len()) {
+        if !(2..=64).contains(&self.scene.bodies.len()) {
             return;
         }
         let tracks = ["surfaces", "bodies"].map(|of| self.track(&format!("/volume/{of}")));

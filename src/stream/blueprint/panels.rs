@@ -58,7 +58,7 @@ pub fn arrows(schema: &Schema) -> String {
         return "No force can act in this scene.\n".to_owned();
     }
     format!(
-        "**By body**: what each cause does to a body as a whole, all on one scale; the strongest is labelled with its value \
+        "**By body**: what each cause does to a body as a whole, on the scale of the strongest at that instant, 1.5 R; it is labelled with its value \
          [unit/s²]{}.\n\n\
          **Others**: an arrow of **1 R = {} unit** means: {}.\n\nArrows begin at vertices{}. \
          The plots use the same colours and show means over bodies.\n",

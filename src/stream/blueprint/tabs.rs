@@ -28,7 +28,7 @@ use crate::{
         },
         palette,
         parts::{
-            body_forces, forces, heat, numbers,
+            body_forces, forces, groups, heat, numbers,
             pairs::{self, MEASURES},
             ranking, recent, trails,
         },
@@ -229,7 +229,7 @@ impl Layout {
         let contacts = self.lanes(title, PAIR_PHASE.family(), &contents);
         self.contacts.push(contacts.path.clone());
         parts.push(contacts);
-        if pairs::has_named_pairs(schema) {
+        if groups::has_volume(schema) {
             // no marks of events, which are at 0: a change of a hundredth is visible
             let title = "Volume [unit³]: merging loses what is between the lines";
             parts.push(self.time_series(title, "/", &[family(&VOLUME)], Corner2D::LeftBottom));
@@ -305,7 +305,7 @@ impl Layout {
         let mut plots: Vec<Part> = strongest.into_iter().collect();
         plots.extend(of_bodies.iter().enumerate().map(|(index, body)| {
             let title = match !is_ranked {
-                true => format!("Net force on {} by cause, over its mass [unit/s²]", body.name),
+                true => format!("Force on {} by cause, over its mass [unit/s²]", body.name),
                 false => format!("{} [unit/s²]", body.name),
             };
             let contents = format!("+ {}/{}/**", BODY_FORCE.family(), body.name);
@@ -321,7 +321,7 @@ impl Layout {
         let mut plots = self.container(kind, "Net forces", plots, &shares);
         if is_ranked {
             let ranking =
-                self.ranking("Strongest force on each body now [unit/s²]; dot: its second strongest", &RANKED_FORCES);
+                self.ranking("Bodies with the strongest forces now [unit/s²]; dot: the second", &RANKED_FORCES);
             plots = self.container(ContainerKind::Vertical, "Strongest", vec![ranking, plots], &[1.2, 1.0]);
         }
         self.container(ContainerKind::Horizontal, "Forces", vec![causes, plots], &[1.6, 1.0])
@@ -388,7 +388,7 @@ impl Layout {
         if !is_ranked(schema) {
             return left;
         }
-        let title = "Largest displacement of each body now: its vertex [radii]";
+        let title = "Bodies with the largest displacements now: vertex [radii]";
         let ranking = self.ranking(title, &RANKED_DISPLACEMENTS);
         self.container(ContainerKind::Horizontal, "Displacement", vec![left, ranking], &[1.8, 1.0])
     }
@@ -444,7 +444,7 @@ impl Layout {
             self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
         }
         let plots = self.container(ContainerKind::Vertical, "Over time", parts, &[1.6, 1.0, 1.0]);
-        let ranking = self.ranking("Where the time went (+: meanwhile), and the peak of each stage", &RANKED_STAGES);
+        let ranking = self.ranking("Where the time went; +: meanwhile, on other threads", &RANKED_STAGES);
         self.container(ContainerKind::Horizontal, "Timings", vec![plots, ranking], &[1.8, 1.0])
     }
 
@@ -529,7 +529,7 @@ impl Layout {
 }
 
 /// The title of the ranking of pairs.
-const NEXT: &str = "Pairs that change phase next: q (dot), its thresholds";
+const NEXT: &str = "Pairs that change phase next, if q goes on as it does";
 
 /// Whether there is too much for labels and lines of everything.
 fn is_ranked(schema: &Schema) -> bool {

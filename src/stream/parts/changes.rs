@@ -1,4 +1,4 @@
-//! A ranking of pairs by how soon they change phase if q goes on changing as it does, after those that just have.
+//! A ranking of pairs by how soon they change phase if q goes on changing as it does.
 
 use std::collections::BTreeMap;
 
@@ -11,84 +11,118 @@ use crate::{
     stream::{chunks::Chunks, contract::RANKED_PAIRS},
 };
 
-/// For how long a pair counts as just changed [s].
-const JUST: f64 = 0.05;
-/// Rate of q at which pairs are assumed to change, at least [1/s]: those that do not move are ranked by q.
-const LEAST_RATE: f64 = 0.05;
+/// Rate of q below which a pair does not move [1/s].
+const STILL: f64 = 1e-3;
 /// What is in view beyond the highest threshold, as a ratio.
 const BEYOND: f64 = 1.3;
 
 /// The ranking of the pairs within reach.
 pub struct Changes {
     ranking: Ranking,
-    last: BTreeMap<(usize, usize), Seen>,
+    /// q of the pairs in the last frame, and the time of that [s].
+    last: BTreeMap<(usize, usize), f64>,
+    time: f64,
 }
 
-/// A pair in a frame.
+/// A threshold that a pair can cross.
 #[derive(Clone, Copy)]
-struct Seen {
-    time: f64,
-    q: f64,
-    phase: usize,
-    /// When its phase changed last [s].
-    changed: f64,
+struct Next {
+    /// Index into the schema's thresholds.
+    threshold: usize,
+    /// Its level for the pair [–].
+    level: f64,
+    /// Time until q is there if it goes on changing as it does [s]; infinite if it moves away.
+    wait: f64,
 }
 
 impl Changes {
     /// Starts without pairs; of few bodies, there is no ranking.
     pub fn new(schema: &Schema, chunks: &mut Chunks) -> Option<Changes> {
         let is_ranked = schema.bodies.len() > ranking::FEW && !schema.thresholds.is_empty();
-        is_ranked.then(|| Changes { ranking: Ranking::new(RANKED_PAIRS.path, chunks), last: BTreeMap::new() })
+        let ranking = is_ranked.then(|| Ranking::new(RANKED_PAIRS.path, chunks))?;
+        Some(Changes { ranking, last: BTreeMap::new(), time: 0.0 })
     }
 
     /// Logs changed rows.
     pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
         let FrameView { schema, frame, at } = view;
-        let last = std::mem::take(&mut self.last);
-        let mut ranked: Vec<(f64, PairFrame, Option<usize>)> = Vec::new();
-        for pair in &frame.pairs {
-            let before = last.get(&(pair.a, pair.b)).copied();
-            let changed = match before {
-                Some(before) if before.phase == pair.phase => before.changed,
-                Some(_) => at.time,
-                None => f64::NEG_INFINITY,
-            };
-            self.last.insert((pair.a, pair.b), Seen { time: at.time, q: pair.q, phase: pair.phase, changed });
-            let rate =
-                before.map_or(0.0, |before| (pair.q - before.q) / (at.time - before.time).max(f64::MIN_POSITIVE));
-            let next = next(schema, pair, at.time);
-            let soon = next.map_or(f64::INFINITY, |(_, level)| {
-                let towards = rate * (level - pair.q).signum();
-                (level - pair.q).abs() / towards.max(LEAST_RATE)
-            });
-            let just = at.time - changed;
-            ranked.push((if just <= JUST { just - JUST } else { soon }, *pair, next.map(|(threshold, _)| threshold)));
+        let since = (at.time - self.time).max(f64::MIN_POSITIVE);
+        let mut ranked: Vec<(PairFrame, Option<Next>)> = Vec::with_capacity(frame.pairs.len());
+        for &pair in &frame.pairs {
+            let before = self.last.get(&(pair.a, pair.b));
+            let rate = before.map_or(0.0, |before| (pair.q - before) / since);
+            ranked.push((pair, next(schema, &pair, rate, at.time)));
         }
-        ranked.sort_by(|one, other| one.0.total_cmp(&other.0));
+        self.last = frame.pairs.iter().map(|pair| ((pair.a, pair.b), pair.q)).collect();
+        self.time = at.time;
+        // those that do not come nearer to a threshold are last, the nearest first
+        let key = |(pair, next): &(PairFrame, Option<Next>)| {
+            next.map_or([f64::INFINITY; 2], |next| [next.wait, (next.level - pair.q).abs()])
+        };
+        ranked.sort_by(|one, other| {
+            let [[wait, distance], [other_wait, other_distance]] = [key(one), key(other)];
+            wait.total_cmp(&other_wait).then(distance.total_cmp(&other_distance))
+        });
         let highest = schema.thresholds.iter().map(|threshold| threshold.level).fold(0.0, f64::max);
         let place = |q: f64| q / (BEYOND * highest);
-        let rows = ranked.iter().map(|(soon, pair, next)| {
-            let (name, of_phase) = (schema.pair_name(pair.a, pair.b), &schema.phases[pair.phase]);
+        let rows = ranked.iter().map(|(pair, next)| {
+            let phase = &schema.phases[pair.phase];
             let level = |threshold: usize| schema.level(threshold, [pair.a, pair.b], at.time);
             let levels = (0..schema.thresholds.len()).filter_map(|threshold| Some((threshold, level(threshold)?)));
             let ticks = levels.map(|(threshold, level)| (Mark::Tick(place(level)), schema.thresholds[threshold].color));
-            let marks = ticks.chain([(Mark::Dot(place(pair.q)), of_phase.color)]).collect();
-            let next = next.and_then(|threshold| Some((schema.thresholds[threshold].label, level(threshold)?)));
-            let label = match next {
-                Some((label, level)) if *soon >= 0.0 => format!("{name} {:.3} → {label} {level}", pair.q),
-                _ => format!("{name} {:.3}, now {}", pair.q, of_phase.name),
+            let marks = ticks.chain([(Mark::Dot(place(pair.q)), phase.color)]).collect();
+            let what = match next.filter(|next| next.wait.is_finite()) {
+                Some(Next { threshold, wait, .. }) => {
+                    let label = schema.thresholds[threshold].name.trim_end_matches("_at");
+                    let leaves = if label == phase.name { "leave " } else { "" };
+                    format!("{leaves}{label} in {wait:.2} s")
+                }
+                None => format!("stays {}", phase.name),
             };
-            Row { label, color: of_phase.color, marks }
+            let label = format!("{} {:.3}: {what}", schema.pair_name(pair.a, pair.b), pair.q);
+            Row { label, color: phase.color, marks }
         });
         self.ranking.log(rows, at, chunks);
     }
 }
 
-/// The threshold at which a pair changes phase next, and its level: of bodies that are apart the first, of joined ones the
-/// nearest of the others.
-fn next(schema: &Schema, pair: &PairFrame, time: f64) -> Option<(usize, f64)> {
+/// The threshold that a pair crosses next, if q goes on changing at `rate` [1/s]: of bodies that are apart the first, of
+/// joined ones one of the others. If it moves away from all, the nearest.
+fn next(schema: &Schema, pair: &PairFrame, rate: f64, time: f64) -> Option<Next> {
     let is_joined = schema.phases[pair.phase].is_joined;
     let thresholds = if is_joined { 1..schema.thresholds.len() } else { 0..1 };
-    let levels = thresholds.filter_map(|index| Some((index, schema.level(index, [pair.a, pair.b], time)?)));
-    levels.min_by(|one, other| (one.1 - pair.q).abs().total_cmp(&(other.1 - pair.q).abs()))
+    let nexts = thresholds.filter_map(|threshold| {
+        let level = schema.level(threshold, [pair.a, pair.b], time)?;
+        let wait = (level - pair.q) / rate;
+        let wait = if rate.abs() > STILL && wait >= 0.0 { wait } else { f64::INFINITY };
+        Some(Next { threshold, level, wait })
+    });
+    let distance = |next: &Next| (next.level - pair.q).abs();
+    nexts.min_by(|one, other| one.wait.total_cmp(&other.wait).then(distance(one).total_cmp(&distance(other))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Scene, view};
+
+    #[test]
+    fn a_pair_crosses_the_threshold_towards_which_it_moves() {
+        let text = "duration = 1\n[influence]\nmerge_at = 1.05\nsplit_at = 1.15\ncore_at = 0.8\n[[body]]\nname = 'a'\n\
+                    motion = { fixed = [0, 0, 0] }\n[[body]]\nname = 'b'\nmotion = { fixed = [9, 0, 0] }\n";
+        let schema = view::schema(&Scene::parse(text, "next").unwrap());
+        let phase = |name: &str| schema.phases.iter().position(|phase| phase.name == name).unwrap();
+        for (name, q, rate, threshold, wait) in [
+            ("apart", 1.2, -1.0, "merge_at", 0.15),
+            ("apart", 1.2, 1.0, "merge_at", f64::INFINITY),
+            ("merged", 0.85, 1.0, "split_at", 0.3),
+            ("merged", 1.1, -2.0, "core_at", 0.15),
+            ("merged", 1.1, 0.0, "split_at", f64::INFINITY),
+            ("core", 0.7, 0.5, "core_at", 0.2),
+        ] {
+            let next = next(&schema, &PairFrame::new(0, 1, q, phase(name)), rate, 0.0).unwrap();
+            assert_eq!(schema.thresholds[next.threshold].name, threshold, "{name}, q = {q}");
+            assert!(next.wait == wait || (next.wait - wait).abs() < 1e-12, "{name}, q = {q}: {}", next.wait);
+        }
+    }
 }

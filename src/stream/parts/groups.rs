@@ -15,6 +15,7 @@ use crate::{
         contract::{BODIES, GROUP, GROUP_LINE, OVERLAPPING, VOLUME},
         palette,
         series::{Interpolation, LineId, Series},
+        settings::MAX_BODY_ENTITIES,
     },
 };
 
@@ -61,11 +62,16 @@ pub fn values(group: &Group) -> [f64; 6] {
     [*volume, *genus as f64, bodies.len() as f64, *area, *components as f64, *euler as f64]
 }
 
+/// Whether the volumes of all surfaces and of the bodies are plotted.
+pub fn has_volume(schema: &Schema) -> bool {
+    !schema.variants.is_empty() || (2..=MAX_BODY_ENTITIES).contains(&schema.bodies.len())
+}
+
 impl GroupPlots {
     /// Starts without groups; at most `max_groups` get plots.
     pub fn new(schema: &Schema, max_groups: usize, series: &mut Series, chunks: &mut Chunks) -> GroupPlots {
         let has_variants = !schema.variants.is_empty();
-        let has_volume = has_variants || (has_named_pairs(schema) && schema.bodies.len() > 1);
+        let has_volume = has_volume(schema);
         let mut line = |of: &str, label: &str, rgb, width| {
             let entity = VOLUME.of(&[of]);
             Series::style(chunks, &entity, label, rgb, width, Interpolation::Linear);

@@ -146,8 +146,7 @@ impl Heat {
                 let lengths = view.frame.bodies[body].lengths.iter().enumerate();
                 let vertex = lengths.max_by(|one, other| one.1.total_cmp(other.1)).map_or(0, |(vertex, _)| vertex);
                 let label = format!("{}:{vertex} {:.3} R", view.schema.bodies[body].name, largest(body));
-                let [r, g, b] = palette::heat(largest(body) / end);
-                Row { label, color: palette::DOT, marks: vec![(Mark::Bar(largest(body) / longest), [r, g, b])] }
+                Row { label, color: palette::DOT, marks: vec![(Mark::Bar(largest(body) / longest), palette::DOT)] }
             });
             ranking.log(rows, view.at, chunks);
         }

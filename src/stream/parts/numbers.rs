@@ -204,12 +204,12 @@ impl FrameNumbers {
         let share = |timing: &Timing| timing.total.as_secs_f64() / whole;
         let stages = stages.into_iter().filter(|(timing, _)| share(timing) >= LEAST_SHARE).map(|(timing, color)| {
             let name = match timing.name {
-                name if !is_work(name) => "wait for recording".to_owned(),
+                name if !is_work(name) => name.to_owned(),
                 name if is_recording(timing) => format!("+ {name}"),
                 name => name.to_owned(),
             };
             let (peak, step) = timing.spread.largest();
-            let label = format!("{name} {:.0} %, {} ms in step {step}", 100.0 * share(timing), significant(peak));
+            let label = format!("{name} {:.0} %, peak {} ms, step {step}", 100.0 * share(timing), significant(peak));
             Row { label, color, marks: vec![(Mark::Bar(share(timing)), color)] }
         });
         ranking::log_static(RANKED_STAGES.path, stages, chunks);
