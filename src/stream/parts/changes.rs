@@ -108,8 +108,8 @@ mod tests {
 
     #[test]
     fn a_pair_crosses_the_threshold_towards_which_it_moves() {
-        let text = "duration = 1\n[influence]\nmerge_at = 1.05\nsplit_at = 1.15\ncore_at = 0.8\n[[body]]\nname = 'a'\n\
-                    motion = { fixed = [0, 0, 0] }\n[[body]]\nname = 'b'\nmotion = { fixed = [9, 0, 0] }\n";
+        let text = "duration = 1\n[influence]\nmerge_at = 1.05\nsplit_at = 1.15\ncore_at = 0.8\n[[body]]\nname = 'a'\nradius = 1\n\
+                    motion = { fixed = [0, 0, 0] }\n[[body]]\nname = 'b'\nradius = 1\nmotion = { fixed = [9, 0, 0] }\n";
         let schema = view::schema(&Scene::parse(text, "next").unwrap());
         let phase = |name: &str| schema.phases.iter().position(|phase| phase.name == name).unwrap();
         for (name, q, rate, threshold, wait) in [
