@@ -76,7 +76,7 @@ fn extended(range: Option<[f64; 2]>, number: f64) -> [f64; 2] {
 
 struct PairPlot {
     phase: String,
-    /// When its phase changed [s].
+    /// When its phase changed first [s], up to [`MOST_CHANGES`].
     changes: Vec<f64>,
     /// Whether its surfaces touched or its phase joined them.
     has_met: bool,
@@ -96,6 +96,8 @@ struct PairPlot {
 /// Upper limits on the numbers of lines and of lanes in one view: of more, one would find none.
 const MOST_LINES: usize = 8;
 const MOST_LANES: usize = 12;
+/// Upper limit on the known phase changes of a pair: a run need not end.
+const MOST_CHANGES: usize = 1024;
 
 /// The pairs that have plots worth a look, as `A~B`; where none has, all of them. Of many, those whose phases change nearest
 /// in time to the instant at which the viewer opens.
@@ -364,7 +366,9 @@ impl PairPlots {
             chunks.log(entity, at, &StateChange::single(schema.phases[event.to].name));
         }
         if let Some(plot) = self.known.get_mut(&(event.a, event.b)) {
-            plot.changes.push(event.time);
+            if plot.changes.len() < MOST_CHANGES {
+                plot.changes.push(event.time);
+            }
         }
         self.marks.log(schema, event, is_plotted, chunks);
     }
