@@ -365,10 +365,9 @@ impl PairPlots {
         if let Some(entity) = entity {
             chunks.log(entity, at, &StateChange::single(schema.phases[event.to].name));
         }
-        if let Some(plot) = self.known.get_mut(&(event.a, event.b)) {
-            if plot.changes.len() < MOST_CHANGES {
-                plot.changes.push(event.time);
-            }
+        let plot = self.known.get_mut(&(event.a, event.b)).filter(|plot| plot.changes.len() < MOST_CHANGES);
+        if let Some(plot) = plot {
+            plot.changes.push(event.time);
         }
         self.marks.log(schema, event, is_plotted, chunks);
     }
