@@ -604,7 +604,7 @@ mod tests {
         assert_eq!(events.len(), expected.len(), "{events:?}");
         for (k, (event, expected)) in events.iter().zip(expected).enumerate() {
             assert_eq!(event.what, if k % 2 == 0 { Finding::Touch } else { Finding::Part }, "{events:?}");
-            assert!((event.time - expected).abs() < 1e-6, "{events:?}");
+            assert!((event.time - expected).abs() < PRECISION, "{events:?}");
         }
     }
 
@@ -615,7 +615,7 @@ mod tests {
                     motion = { line = { from = [1.8, 0, 0], velocity = [3, 0, 0] } }\n";
         let events: Vec<_> = found(text, 0.5).into_iter().filter(SurfaceEvent::is_contact).collect();
         let [part] = events[..] else { panic!("{events:?}") };
-        assert!(part.what == Finding::Part && (part.time - 0.2 / 3.0).abs() < 1e-6, "{events:?}");
+        assert!(part.what == Finding::Part && (part.time - 0.2 / 3.0).abs() < PRECISION, "{events:?}");
     }
 
     /// Merged where the surfaces begin to touch: the remark does not say that they touch before they do.

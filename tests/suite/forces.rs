@@ -130,12 +130,12 @@ fn compare(scene: &Scene, acted: &mut BTreeSet<&'static str>) -> Option<f64> {
             let largest = net.iter().map(DVec3::length).fold(0.0, f64::max);
             if let Some(whole) = body.net_force {
                 let apart = body.mean_acceleration(of_body, sum).distance(whole.force / whole.mass);
-                assert!(apart < 1e-9 * largest.max(1.0), "{}: net force, {apart}", scene.model);
+                assert!(apart < 1e-12 * largest.max(1.0), "{}: net force, {apart}", scene.model);
                 let internal =
                     terms.iter().zip(&body.terms).filter(|(name, _)| ["restoring", "damping"].contains(name));
                 for (name, term) in internal {
                     let mean = body.mean_acceleration(of_body, term).length();
-                    assert!(mean < 1e-9 * largest.max(1.0), "{}: {name} is internal, {mean}", scene.model);
+                    assert!(mean < 1e-12 * largest.max(1.0), "{}: {name} is internal, {mean}", scene.model);
                 }
             }
             for i in 0..net.len() {

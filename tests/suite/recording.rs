@@ -864,6 +864,7 @@ impl Run {
     /// Verifies the arrows of the mean force on each body by each cause, all on one scale, and the label of the strongest.
     fn verify_resultants(&self) {
         let track = self.track("/world/resultants");
+        let ranking = (self.scene.bodies.len() > 3).then(|| self.track("/ranking/forces"));
         let largest = self.scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
         let mut forces = BodyForces::default();
         self.walk_frames(|frame, world| {
@@ -899,6 +900,20 @@ impl Run {
             };
             let mut ranked: Vec<usize> = (0..bodies.len()).collect();
             ranked.sort_by(|&one, &other| strongest_on(other).total_cmp(&strongest_on(one)));
+            if let Some(ranking) = &ranking {
+                let rows = ranking.held[frame].texts("Points2D:labels");
+                assert_eq!(rows.len(), 8, "{at}");
+                for (row, &index) in rows.iter().zip(&ranked) {
+                    let (strength, strongest) = (strongest_on(index), strongest_on(ranked[0]));
+                    assert_eq!(row.is_empty(), strength <= 0.04 * strongest, "{at}: {row}, {strength}");
+                    let number: f64 = row
+                        .rsplit(' ')
+                        .next()
+                        .filter(|_| !row.is_empty())
+                        .map_or(strength, |number| number.parse().expect("a number"));
+                    assert!((number - strength).abs() <= 6e-3 * strength, "{at}: {row}, but {strength}");
+                }
+            }
             // equal ones are in any order
             let fifth = ranked.get(4).map_or(0.0, |&index| strongest_on(index));
             let count = labels.iter().filter(|label| !label.is_empty()).count();
@@ -932,6 +947,7 @@ impl Run {
     fn verify_largest(&self) {
         let (track, scale) = (self.track("/largest"), self.track("/legend/ticks"));
         let of_bodies = self.track("/largest/bodies");
+        let ranking = (self.scene.bodies.len() > 3).then(|| self.track("/ranking/displacements"));
         self.walk_frames(|frame, world| {
             let hides = |at: DVec3, index: usize| {
                 let others = world.bodies().enumerate().filter(|(other, _)| *other != index);
@@ -962,6 +978,17 @@ impl Run {
             let mut ranked: Vec<(f64, String)> =
                 world.bodies().map(|body| (largest_of(&body), body.scene().name.clone())).collect();
             ranked.sort_by(|one, other| other.0.total_cmp(&one.0));
+            if let Some(ranking) = &ranking {
+                let rows = ranking.held[frame].texts("Points2D:labels");
+                assert_eq!(rows.len(), 8, "step {}", world.steps_taken());
+                for (row, (largest, name)) in rows.iter().zip(&ranked) {
+                    let is_right = match *largest > 0.0 {
+                        true => row.starts_with(&format!("{name}:")) && row.ends_with(&format!(" {largest:.3} R")),
+                        false => row.is_empty(),
+                    };
+                    assert!(is_right, "step {}: {row}, but {name} {largest}", world.steps_taken());
+                }
+            }
             let expected = ranked.into_iter().take(5).map(|(largest, name)| match largest {
                 0.0 => name,
                 largest => format!("{name} {largest:.3} R"),

@@ -211,9 +211,9 @@ fn the_closest_approach_and_the_time_merged_are_exact() {
             let from_middle = |q: f64| (4.0 * q * q - 4.0).sqrt() / speed;
             let split = 4.0 / speed + from_middle(1.2);
             let merged = f64::min(split, 4.0) - (4.0 / speed - from_middle(1.05));
-            assert!((number("time_merged") - merged).abs() < 1e-9, "{until}, {speed}: {cells:?}");
-            assert!((number("closest") - 1.0).abs() < 1e-9, "{until}, {speed}: {cells:?}");
-            assert!((number("closest_time") - 4.0 / speed).abs() < 1e-5, "{until}, {speed}: {cells:?}");
+            assert!((number("time_merged") - merged).abs() < 1e-12, "{until}, {speed}: {cells:?}");
+            assert!((number("closest") - 1.0).abs() < 1e-12, "{until}, {speed}: {cells:?}");
+            assert!((number("closest_time") - 4.0 / speed).abs() < 1e-7, "{until}, {speed}: {cells:?}");
         }
     }
 }

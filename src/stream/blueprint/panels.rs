@@ -58,13 +58,13 @@ pub fn arrows(schema: &Schema) -> String {
         return "No force can act in this scene.\n".to_owned();
     }
     format!(
-        "**By body**: what each cause does to a body as a whole, on the scale of the strongest at that instant, 1.5 R; it is labelled with its value \
-         [unit/s²]{}.\n\n\
+        "**By body**: what each cause does to a body as a whole, all on one scale, on which the strongest of an instant is 1.5 R long; the \
+         strongest on {} is labelled with its value [unit/s²].\n\n\
          **Others**: an arrow of **1 R = {} unit** means: {}.\n\nArrows begin at vertices{}. \
          The plots use the same colours and show means over bodies.\n",
         match schema.bodies.len() > ranking::LABELLED {
-            true => format!(" on {} bodies", ranking::LABELLED),
-            false => String::new(),
+            true => format!("each of {} bodies", ranking::LABELLED),
+            false => "each body".to_owned(),
         },
         rounded(radius),
         lengths(schema, |_| true),

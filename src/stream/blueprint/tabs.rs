@@ -30,7 +30,8 @@ use crate::{
         parts::{
             body_forces, forces, groups, heat, numbers,
             pairs::{self, MEASURES},
-            ranking, recent, trails,
+            ranking::is_ranked,
+            recent, trails,
         },
         settings::{Detail, Entities, Settings},
     },
@@ -530,11 +531,6 @@ impl Layout {
 
 /// The title of the ranking of pairs.
 const NEXT: &str = "Pairs that change phase next, if q goes on as it does";
-
-/// Whether there is too much for labels and lines of everything.
-fn is_ranked(schema: &Schema) -> bool {
-    schema.bodies.len() > ranking::FEW
-}
 
 /// The title of the view of everything.
 pub fn scene_title(schema: &Schema) -> &'static str {

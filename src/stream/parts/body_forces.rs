@@ -5,7 +5,7 @@ use glam::DVec3;
 
 use super::{
     FrameView,
-    ranking::{self, Mark, Ranking, Row},
+    ranking::{self, Mark, Ranking, Row, is_ranked},
 };
 use crate::{
     colors::SILVER,
@@ -72,7 +72,7 @@ impl BodyForces {
         let arrows = chunks.track(RESULTANTS.path, components);
         BodyForces {
             lines: vec![vec![None; terms]; bodies],
-            ranking: (schema.bodies.len() > ranking::FEW).then(|| {
+            ranking: is_ranked(schema).then(|| {
                 let causes = || schema.terms.iter().filter(|term| !term.is_sum);
                 let lines = SeriesLines::update_fields()
                     .with_names(causes().map(|term| term.label))

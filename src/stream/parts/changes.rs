@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::{
     FrameView,
-    ranking::{self, Mark, Ranking, Row},
+    ranking::{Mark, Ranking, Row, is_ranked},
 };
 use crate::{
     observe::{PairFrame, Schema},
@@ -38,7 +38,7 @@ struct Next {
 impl Changes {
     /// Starts without pairs; of few bodies, there is no ranking.
     pub fn new(schema: &Schema, chunks: &mut Chunks) -> Option<Changes> {
-        let is_ranked = schema.bodies.len() > ranking::FEW && !schema.thresholds.is_empty();
+        let is_ranked = is_ranked(schema) && !schema.thresholds.is_empty();
         let ranking = is_ranked.then(|| Ranking::new(RANKED_PAIRS.path, chunks))?;
         Some(Changes { ranking, last: BTreeMap::new(), time: 0.0 })
     }

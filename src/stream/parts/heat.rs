@@ -7,7 +7,7 @@ use glam::DVec3;
 
 use super::{
     FrameView, callout, lines,
-    ranking::{self, Mark, Ranking, Row},
+    ranking::{self, Mark, Ranking, Row, is_ranked},
     recent,
 };
 use crate::colors;
@@ -44,7 +44,6 @@ const SHARE: f64 = 0.9;
 const OF_LARGEST: f64 = 0.3;
 /// A vertex this close to the centre of another body is hidden by it [radii of that body].
 const INSIDE: f64 = 0.95;
-
 /// How far above all bodies the label of the largest displacement is at most [largest radius].
 const ABOVE: f64 = 3.0;
 
@@ -98,7 +97,7 @@ impl Heat {
             mark: chunks.track(LARGEST.path, mark),
             last: None,
             bodies: are_bodies_labelled(schema).then(|| lines::track_labels(LARGEST_OF_BODIES.path, chunks)),
-            ranking: (schema.bodies.len() > ranking::FEW).then(|| Ranking::new(RANKED_DISPLACEMENTS.path, chunks)),
+            ranking: is_ranked(schema).then(|| Ranking::new(RANKED_DISPLACEMENTS.path, chunks)),
         }
     }
 

@@ -2,6 +2,7 @@
 //! most important first, each a label and marks beside it.
 
 use crate::{
+    observe::Schema,
     sdk::{LineStrips2D, Points2D},
     stream::{
         chunks::{Chunks, TrackId},
@@ -12,8 +13,8 @@ use crate::{
 
 /// Upper limit on the number of rows.
 pub const ROWS: usize = 8;
-/// Scenes with more bodies have rankings: of fewer, everything has its own label and line.
-pub const FEW: usize = 3;
+/// Scenes with more bodies have rankings.
+const FEW: usize = 3;
 /// How many bodies of a ranking are labelled in space: more labels would cover each other.
 pub const LABELLED: usize = 5;
 /// Distance of two rows, and the widths of labels and of marks.
@@ -26,6 +27,11 @@ const HANG: f32 = 3.0;
 /// What is in view: left, right, top and bottom.
 pub const BOUNDS: [f64; 4] =
     [-LABEL as f64, 1.06 * WIDTH as f64, -0.8 * PITCH as f64, PITCH as f64 * (ROWS as f64 - 0.2)];
+
+/// Whether a scene has rankings: of few bodies, everything has its own label and line.
+pub fn is_ranked(schema: &Schema) -> bool {
+    schema.bodies.len() > FEW
+}
 
 /// A row.
 pub struct Row {
