@@ -202,7 +202,7 @@ impl Explained<'_> {
         if now.is_absent {
             return text + "\n  it is absent\n";
         }
-        match (0..now.lengths.len()).max_by(|&i, &j| now.lengths[i].total_cmp(&now.lengths[j])) {
+        match now.most_displaced() {
             Some(most) if now.max_displacement > 0.0 => {
                 let share = now.max_displacement / body.radius;
                 let _ = write!(text, "\n  largest displacement {} R, of vertex {most}", short(share));

@@ -256,6 +256,11 @@ impl BodyFrame {
         self.max_displacement = lengths.iter().copied().fold(0.0, f64::max);
     }
 
+    /// The vertex with the largest displacement, the first of several.
+    pub fn most_displaced(&self) -> Option<usize> {
+        (0..self.lengths.len()).rev().max_by(|&i, &j| self.lengths[i].total_cmp(&self.lengths[j]))
+    }
+
     /// Removes all forces and springs.
     pub fn clear_forces(&mut self) {
         self.has_forces = false;

@@ -114,7 +114,7 @@ entities! {
     RECENT_NAMES = "/recent/names" ["Points3D"]
         "Their names.";
     NAMES = "/world/names" ["Points3D"]
-        "The names of up to 16 bodies; with several models side by side, of those of the first, and the names of the models.";
+        "The names of up to 32 bodies; with several models side by side, of those of the first, and the names of the models.";
     FORCES = "/world/forces" ["AnnotationContext"]
         "Names of the pairs of bodies between which forces act, as classes of arrows.";
     FORCE = "/world/forces/CAUSE" ["Arrows3D"]
@@ -122,13 +122,13 @@ entities! {
     BODY_FORCE = "/forces/NAME/CAUSE" ["Scalars"]
         "Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, by mass if it is free, and of that by forces at points [scene unit/s²]; with at most 16 bodies, from the first frame in which it acts.";
     RESULTANTS = "/world/resultants" ["Arrows3D"]
-        "The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre; all on one scale, on which the longest of an instant is 1.5 times as long as the largest radius. The strongest causes on the five bodies with the strongest are labelled with the body, the cause and the value [scene unit/s²]; with at most 5 bodies, those on which nothing acts have arrows of no length with their names.";
+        "The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre; all on one scale, on which the longest of an instant is 1.5 times as long as the largest radius. The strongest causes on the bodies with the strongest, at most five, are labelled with the body, the cause and the value [scene unit/s²] where there is room; with at most 5 bodies, those on which nothing acts have arrows of no length with their names.";
     STRONGEST = "/strongest" ["Scalars, SeriesLines"]
         "With more than 3 bodies: the largest of the net forces on bodies by each cause, over their masses [scene unit/s²].";
     RANKED_FORCES = "/ranking/forces" ["Points2D, LineStrips2D"]
-        "With more than 3 bodies: rows with labels and bars, for those with the strongest forces at an instant.";
+        "Rows with labels and bars: the strongest forces on bodies as wholes at an instant; with more than 3 bodies, those with the strongest, each with a dot at its second strongest.";
     RANKED_DISPLACEMENTS = "/ranking/displacements" ["Points2D, LineStrips2D"]
-        "The same, for those with the largest displacements.";
+        "With more than 3 bodies: rows with labels and bars, for those with the largest displacements at an instant.";
     RANKED_PAIRS = "/ranking/pairs" ["Points2D, LineStrips2D"]
         "With more than 3 bodies: rows with labels, q and thresholds, for the pairs that change phase next.";
     POINTS = "/world/points" ["Ellipsoids3D, Points3D"]

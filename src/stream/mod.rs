@@ -45,14 +45,14 @@
 //! | `/recent/pair` | Mesh3D, lit_colors, unlit_normals | With more than 8 bodies: the two of the last event alone, about the point midway between them [radii of the larger]. |
 //! | `/recent/spheres` | Ellipsoids3D | Their influence spheres. |
 //! | `/recent/names` | Points3D | Their names. |
-//! | `/world/names` | Points3D | The names of up to 16 bodies; with several models side by side, of those of the first, and the names of the models. |
+//! | `/world/names` | Points3D | The names of up to 32 bodies; with several models side by side, of those of the first, and the names of the models. |
 //! | `/world/forces` | AnnotationContext | Names of the pairs of bodies between which forces act, as classes of arrows. |
 //! | `/world/forces/CAUSE` | Arrows3D | Accelerations of vertices and of points of contact by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre. |
 //! | `/forces/NAME/CAUSE` | Scalars | Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, by mass if it is free, and of that by forces at points [scene unit/s²]; with at most 16 bodies, from the first frame in which it acts. |
-//! | `/world/resultants` | Arrows3D | The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre; all on one scale, on which the longest of an instant is 1.5 times as long as the largest radius. The strongest causes on the five bodies with the strongest are labelled with the body, the cause and the value [scene unit/s²]; with at most 5 bodies, those on which nothing acts have arrows of no length with their names. |
+//! | `/world/resultants` | Arrows3D | The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre; all on one scale, on which the longest of an instant is 1.5 times as long as the largest radius. The strongest causes on the bodies with the strongest, at most five, are labelled with the body, the cause and the value [scene unit/s²] where there is room; with at most 5 bodies, those on which nothing acts have arrows of no length with their names. |
 //! | `/strongest` | Scalars, SeriesLines | With more than 3 bodies: the largest of the net forces on bodies by each cause, over their masses [scene unit/s²]. |
-//! | `/ranking/forces` | Points2D, LineStrips2D | With more than 3 bodies: rows with labels and bars, for those with the strongest forces at an instant. |
-//! | `/ranking/displacements` | Points2D, LineStrips2D | The same, for those with the largest displacements. |
+//! | `/ranking/forces` | Points2D, LineStrips2D | Rows with labels and bars: the strongest forces on bodies as wholes at an instant; with more than 3 bodies, those with the strongest, each with a dot at its second strongest. |
+//! | `/ranking/displacements` | Points2D, LineStrips2D | With more than 3 bodies: rows with labels and bars, for those with the largest displacements at an instant. |
 //! | `/ranking/pairs` | Points2D, LineStrips2D | With more than 3 bodies: rows with labels, q and thresholds, for the pairs that change phase next. |
 //! | `/world/points` | Ellipsoids3D, Points3D | The influence spheres of force points, while they act, and above them their names. |
 //! | `/world/springs/NAME` | LineStrips3D | The springs of a body, blue where they are shorter than at rest, red-orange where longer; with forces, and of at most 64 cells. |

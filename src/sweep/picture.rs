@@ -66,8 +66,9 @@ pub fn save(
     let mut sinks = Sinks::open(&destinations)?;
     let id = ApplicationId::new_or_unknown(application("map"));
     let recording = StoreId::new(StoreKind::Recording, id, format!("map-{}", file_stem(&sweep.file)));
-    let measures: Vec<&str> =
+    let mut measures: Vec<&str> =
         MEASURES.into_iter().filter(|name| store.columns().iter().any(|column| column.name == *name)).collect();
+    measures.sort_by_key(|name| *name != map.color); // the first is in front
     for message in blueprint::of_map(&measures, &recording, [WIDTH as f64, HEIGHT as f64]) {
         sinks.send(message)?;
     }

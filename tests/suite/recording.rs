@@ -491,15 +491,16 @@ impl Run {
         entities.extend(stacked.map(|(stage, number)| format!("/timings/stacked/{number}_{stage}")));
         entities.extend(["/timings/ranking", "/timings/speed", "/timings/lag"].map(str::to_owned));
         entities.extend(["/world/pairs", "/world/recent"].map(str::to_owned));
-        entities.extend((2..=16).contains(&self.scene.bodies.len()).then(|| "/world/names".to_owned()));
+        entities.extend((2..=32).contains(&self.scene.bodies.len()).then(|| "/world/names".to_owned()));
         if self.scene.bodies.len() > 8 {
             entities.extend(["/recent/pair", "/recent/spheres", "/recent/names"].map(str::to_owned));
         }
         if self.settings.detail == Detail::Forces {
-            entities.extend(["/legend/bar", "/legend/ticks", "/largest", "/largest/bodies"].map(str::to_owned));
+            let always = ["/legend/bar", "/legend/ticks", "/largest", "/largest/bodies", "/ranking/forces"];
+            entities.extend(always.map(str::to_owned));
         }
         if self.scene.bodies.len() > 3 {
-            let forces = ["/ranking/forces", "/ranking/displacements", "/strongest"].map(str::to_owned);
+            let forces = ["/ranking/displacements", "/strongest"].map(str::to_owned);
             entities.extend(forces.into_iter().filter(|_| self.settings.detail == Detail::Forces));
             entities.push("/ranking/pairs".to_owned());
         }
@@ -864,7 +865,7 @@ impl Run {
     /// Verifies the arrows of the mean force on each body by each cause, all on one scale, and the label of the strongest.
     fn verify_resultants(&self) {
         let track = self.track("/world/resultants");
-        let ranking = (self.scene.bodies.len() > 3).then(|| self.track("/ranking/forces"));
+        let ranking = self.track("/ranking/forces");
         let largest = self.scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
         let mut forces = BodyForces::default();
         self.walk_frames(|frame, world| {
@@ -900,30 +901,43 @@ impl Run {
             };
             let mut ranked: Vec<usize> = (0..bodies.len()).collect();
             ranked.sort_by(|&one, &other| strongest_on(other).total_cmp(&strongest_on(one)));
-            if let Some(ranking) = &ranking {
-                let rows = ranking.held[frame].texts("Points2D:labels");
-                assert_eq!(rows.len(), 8, "{at}");
-                for (row, &index) in rows.iter().zip(&ranked) {
-                    let (strength, strongest) = (strongest_on(index), strongest_on(ranked[0]));
-                    assert_eq!(row.is_empty(), strength <= 0.04 * strongest, "{at}: {row}, {strength}");
-                    let number: f64 = row
-                        .rsplit(' ')
-                        .next()
-                        .filter(|_| !row.is_empty())
-                        .map_or(strength, |number| number.parse().expect("a number"));
-                    assert!((number - strength).abs() <= 6e-3 * strength, "{at}: {row}, but {strength}");
+            // of few bodies all causes are listed, of more the strongest on each
+            let mut listed: Vec<f64> = match bodies.len() > 3 {
+                true => ranked.iter().map(|&index| strongest_on(index)).collect(),
+                false => {
+                    expected.iter().filter(|(_, cause, ..)| *cause != "net").map(|(.., mean)| mean.length()).collect()
                 }
+            };
+            let strongest = listed.iter().copied().fold(0.0, f64::max);
+            listed.sort_by(|one, other| other.total_cmp(one));
+            listed.retain(|&strength| strength > 0.04 * strongest);
+            let rows = ranking.held[frame].texts("Points2D:labels");
+            assert_eq!(rows.len(), 8, "{at}");
+            let none = listed.is_empty().then_some("no force acts on any body");
+            assert!(none.is_none_or(|none| rows[0] == none), "{at}: {}", rows[0]);
+            for (number, row) in rows.iter().enumerate().skip(usize::from(none.is_some())) {
+                let strength = listed.get(number).copied();
+                let found = row.rsplit(' ').next().filter(|_| !row.is_empty()).map(|number| number.parse::<f64>());
+                let found = found.transpose().expect("a number");
+                assert_eq!(found.is_some(), strength.is_some(), "{at}: {row}, {strength:?}");
+                let error = found.zip(strength).map_or(0.0, |(found, strength)| (found - strength).abs() / strength);
+                assert!(error <= 6e-3, "{at}: {row}, but {strength:?}");
             }
-            // equal ones are in any order
-            let fifth = ranked.get(4).map_or(0.0, |&index| strongest_on(index));
-            let count = labels.iter().filter(|label| !label.is_empty()).count();
-            let acting = ranked.iter().filter(|&&index| strongest_on(index) > 0.0).count();
-            assert_eq!(count, if bodies.len() <= 5 { bodies.len() } else { acting.min(5) }, "{at}");
+            let mut idle = expected.iter().zip(&labels).filter(|((_, cause, ..), _)| cause.is_empty());
+            assert!(idle.all(|(_, label)| !label.is_empty()), "{at}: {labels:?}");
+            let is_labelled = |index: &usize| {
+                expected
+                    .iter()
+                    .zip(&labels)
+                    .any(|((body, cause, ..), label)| body == index && !cause.is_empty() && !label.is_empty())
+            };
+            let labelled: Vec<usize> = ranked.iter().copied().filter(is_labelled).collect();
+            let acting: Vec<usize> = ranked.iter().copied().filter(|&index| strongest_on(index) > 0.0).collect();
+            assert_labelled(world, &labelled, &acting, strongest_on, &at);
             for (index, body) in self.scene.bodies.iter().enumerate() {
                 let of_body = || expected.iter().zip(&labels).filter(|((body, ..), _)| *body == index);
                 let labelled: Vec<_> = of_body().filter(|(_, label)| !label.is_empty()).collect();
                 assert!(labelled.len() <= 1, "{at}");
-                assert!(labelled.is_empty() || strongest_on(index) >= fifth * (1.0 - 1e-12), "{at}: {}", body.name);
                 for ((_, cause, _, mean), label) in labelled {
                     let others = of_body().filter(|((_, cause, ..), _)| *cause != "net");
                     let strongest = others.map(|((.., mean), _)| mean.length()).fold(0.0, f64::max);
@@ -984,17 +998,22 @@ impl Run {
                 for (row, (largest, name)) in rows.iter().zip(&ranked) {
                     let is_right = match *largest > 0.0 {
                         true => row.starts_with(&format!("{name}:")) && row.ends_with(&format!(" {largest:.3} R")),
-                        false => row.is_empty(),
+                        false => ["", "no vertex is displaced"].contains(&row.as_str()),
                     };
                     assert!(is_right, "step {}: {row}, but {name} {largest}", world.steps_taken());
                 }
             }
-            let expected = ranked.into_iter().take(5).map(|(largest, name)| match largest {
-                0.0 => name,
-                largest => format!("{name} {largest:.3} R"),
-            });
-            let expected: Vec<String> = expected.collect();
-            assert_eq!(of_bodies.held[frame].texts("Points3D:labels"), expected, "step {}", world.steps_taken());
+            let at = format!("step {}", world.steps_taken());
+            let label = |index: usize| match largest_of(&world.body(index)) {
+                0.0 => self.scene.bodies[index].name.clone(),
+                largest => format!("{} {largest:.3} R", self.scene.bodies[index].name),
+            };
+            let mut all: Vec<usize> = (0..self.scene.bodies.len()).collect();
+            all.sort_by(|&one, &other| largest_of(&world.body(other)).total_cmp(&largest_of(&world.body(one))));
+            let labels = of_bodies.held[frame].texts("Points3D:labels");
+            let labelled: Vec<usize> = all.iter().copied().filter(|&index| labels.contains(&label(index))).collect();
+            assert_eq!(labelled.len(), labels.len(), "{at}: {labels:?}");
+            assert_labelled(world, &labelled, &all, |index| largest_of(&world.body(index)), &at);
             if let Some((displacement, position, label)) = largest {
                 let held = &track.held[frame];
                 let logged = held.texts("Points3D:labels").concat();
@@ -1490,7 +1509,6 @@ fn triangles(mesh: &Row) -> Vec<[u32; 3]> {
     mesh.get::<UVec3D>("Mesh3D:triangle_indices").into_iter().map(|triangle| triangle.0).collect()
 }
 
-/// Asserts equality; reports only the first difference.
 /// The mean of the accelerations of a body's vertices, by mass if it is free; zero where only rounding is left.
 fn mean_acceleration(world: &World, index: usize, of: &Vectors) -> DVec3 {
     let body = world.body(index);
@@ -1501,6 +1519,27 @@ fn mean_acceleration(world: &World, index: usize, of: &Vectors) -> DVec3 {
     if sum.length() > 1e-12 * parts.iter().map(|part| part.length()).sum::<f64>() { sum } else { DVec3::ZERO }
 }
 
+/// Verifies which bodies are labelled: at most five, none of whose labels covers another. The others are weaker, or would
+/// cover the label of a stronger one.
+fn assert_labelled(world: &World, labelled: &[usize], all: &[usize], strength: impl Fn(usize) -> f64, at: &str) {
+    let corners = world.bodies().map(|body| [-1.0, 1.0].map(|side| body.centre() + side * body.scene().radius));
+    let [low, high] = corners.reduce(|one, other| [one[0].min(other[0]), one[1].max(other[1])]).expect("a body");
+    let covers = |one: usize, other: usize| {
+        let apart = (world.body(one).centre() - world.body(other).centre()) / low.distance(high);
+        apart.z.abs() <= 0.08 && apart.truncate().length() <= 0.25
+    };
+    assert!(labelled.len() <= 5, "{at}: {labelled:?}");
+    for (number, &one) in labelled.iter().enumerate() {
+        assert!(!labelled[..number].iter().any(|&other| covers(one, other)), "{at}: {labelled:?}");
+    }
+    for &body in all.iter().filter(|body| !labelled.contains(body)) {
+        let stronger = labelled.iter().filter(|&&of| strength(of) >= strength(body) * (1.0 - 1e-12));
+        let is_covered = stronger.clone().any(|&of| covers(of, body));
+        assert!(is_covered || stronger.count() == 5, "{at}: {body} beside {labelled:?}");
+    }
+}
+
+/// Asserts equality; reports only the first difference.
 fn assert_same<T: PartialEq + std::fmt::Debug>(found: &[T], expected: &[T], at: &str) {
     assert_eq!(found.len(), expected.len(), "{at}");
     let differs = found.iter().zip(expected).position(|(found, expected)| found != expected);

@@ -6,7 +6,7 @@ use crate::{
     observe::{Frame, Schema, schema::TermSchema},
     stream::{
         palette,
-        parts::{forces, ranking, recent, trails},
+        parts::{forces, recent, trails},
         settings::{Detail, Entities, Frames, Settings},
     },
     text::{self, counted, significant, trimmed},
@@ -59,13 +59,9 @@ pub fn arrows(schema: &Schema) -> String {
     }
     format!(
         "**By body**: what each cause does to a body as a whole, all on one scale, on which the strongest of an instant is 1.5 R long; the \
-         strongest on {} is labelled with its value [unit/s²].\n\n\
+         strongest on a body is labelled with its value [unit/s²] where there is room.\n\n\
          **Others**: an arrow of **1 R = {} unit** means: {}.\n\nArrows begin at vertices{}. \
          The plots use the same colours and show means over bodies.\n",
-        match schema.bodies.len() > ranking::LABELLED {
-            true => format!("each of {} bodies", ranking::LABELLED),
-            false => "each body".to_owned(),
-        },
         rounded(radius),
         lengths(schema, |_| true),
         if is_uniform { "; those of uniform forces, at the centre" } else { "" },
@@ -133,16 +129,17 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame, ne
     };
     let arrows = match settings.detail {
         Detail::Surface => "- Force arrows were not recorded (`--detail forces`)\n".to_owned(),
+        // among many bodies, arrows are hidden here, and explained beside those of forces
+        Detail::Forces | Detail::Stages { .. } if is_crowd => String::new(),
         Detail::Forces | Detail::Stages { .. } => {
-            let shown = lengths(schema, |term| term.is_shown || is_crowd);
-            let hidden = |term: &&TermSchema| term.can_act && !term.is_shown && !is_crowd;
-            let hidden: Vec<String> = schema.terms.iter().filter(hidden).map(called).collect();
+            let shown = lengths(schema, |term| term.is_shown);
+            let hidden = schema.terms.iter().filter(|term| term.can_act && !term.is_shown);
+            let hidden: Vec<String> = hidden.map(called).collect();
             let hidden = (!hidden.is_empty()).then(|| format!("hidden at first: {}", hidden.join(", ")));
             let shown =
                 (!shown.is_empty()).then(|| format!("1 R = {} unit long: {shown}", rounded(schema.largest_radius())));
             let parts: Vec<String> = shown.into_iter().chain(hidden).collect();
-            let place = if is_crowd { " (in Forces; here hidden at first)" } else { "" };
-            if parts.is_empty() { String::new() } else { format!("- **Arrows**{place}, {}\n", parts.join("; ")) }
+            if parts.is_empty() { String::new() } else { format!("- **Arrows**, {}\n", parts.join("; ")) }
         }
     };
     let bound = if !settings.only.is_empty() {

@@ -8,6 +8,7 @@ use super::{
     layout::{Ground, Layout, Part, VERTICES, family, including},
 };
 use crate::{
+    colors,
     observe::Schema,
     sdk::{
         self, Mesh3D, Points3D,
@@ -23,8 +24,8 @@ use crate::{
             Entity, FORCE, GROUP_LINE, INFLUENCE, LAG, LARGEST, LEGEND, MARKS_AT_Q, MERGED, MERGED_SURFACE, NAMES,
             PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR, PLANE, POINTS,
             RANKED_DISPLACEMENTS, RANKED_FORCES, RANKED_PAIRS, RANKED_STAGES, RECENT_NAMES, RECENT_PAIR,
-            RECENT_SPHERES, RESTING, RESULTANTS, SIM_TIME, SPEED, STAGE, STAGES, STEP, STRONGEST, TOUCHING, TRAILS,
-            VOLUME, WORLD,
+            RECENT_SPHERES, RESTING, RESULTANTS, SIM_TIME, SPEED, STAGE, STAGES, STEP, STRONGEST, TIMING, TOUCHING,
+            TRAILS, VOLUME, WORLD,
         },
         palette,
         parts::{
@@ -298,10 +299,7 @@ impl Layout {
         let of_bodies = if schema.bodies.len() > body_forces::MOST_BODIES { &[] } else { schema.bodies.as_slice() };
         let strongest = is_ranked.then(|| {
             let title = "Strongest on any body, by cause [unit/s²]";
-            let plot = self.plot(title, "/", &[including(STRONGEST.path)], Corner2D::RightTop);
-            // the ranking names the colours
-            self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
-            plot
+            self.plot(title, "/", &[including(STRONGEST.path)], Corner2D::RightTop)
         });
         let mut plots: Vec<Part> = strongest.into_iter().collect();
         plots.extend(of_bodies.iter().enumerate().map(|(index, body)| {
@@ -319,12 +317,14 @@ impl Layout {
         }));
         let shares = vec![1.0; plots.len()];
         let kind = if is_ranked { ContainerKind::Tabs } else { ContainerKind::Vertical };
-        let mut plots = self.container(kind, "Net forces", plots, &shares);
-        if is_ranked {
-            let ranking =
-                self.ranking("Bodies with the strongest forces now [unit/s²]; dot: the second", &RANKED_FORCES);
-            plots = self.container(ContainerKind::Vertical, "Strongest", vec![ranking, plots], &[1.2, 1.0]);
-        }
+        let plots = self.container(kind, "Net forces", plots, &shares);
+        let title = match is_ranked {
+            true => "Bodies with the strongest forces now [unit/s²]; dot: the second",
+            false => "The strongest forces on bodies now [unit/s²]",
+        };
+        let ranking = self.ranking(title, &RANKED_FORCES);
+        let share = if is_ranked { 1.0 } else { schema.bodies.len() as f32 };
+        let plots = self.container(ContainerKind::Vertical, "Strongest", vec![ranking, plots], &[1.2, share]);
         self.container(ContainerKind::Horizontal, "Forces", vec![causes, plots], &[1.6, 1.0])
     }
 
@@ -437,30 +437,37 @@ impl Layout {
             "Recording on its own thread, ms per step: extract makes surfaces and arrows, log encodes them",
             schema,
             true,
+            &[],
         );
-        let title = format!("{TIMINGS}; observe reads the state for the recording");
-        let parts = vec![self.stacked(&title, schema, false), recording, self.speed()];
+        let title = format!("{TIMINGS}; observe reads the state to be recorded; beside them, wait for the recorder");
+        let parts = vec![
+            self.stacked(&title, schema, false, &[including(&TIMING.of(&[numbers::WAIT]))]),
+            recording,
+            self.speed(),
+        ];
         for plot in &parts[..2] {
             // the ranking names the colours
             self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
         }
         let plots = self.container(ContainerKind::Vertical, "Over time", parts, &[1.6, 1.0, 1.0]);
-        let ranking = self.ranking("Where the time went; +: meanwhile, on other threads", &RANKED_STAGES);
+        let title = "Where the time went: total; longest, its step. +: on other threads";
+        let ranking = self.ranking(title, &RANKED_STAGES);
         self.container(ContainerKind::Horizontal, "Timings", vec![plots, ranking], &[1.8, 1.0])
     }
 
     /// Without a legend, which would hide the lines of a small plot.
     fn small_timings(&mut self, schema: &Schema) -> Part {
-        let plot = self.stacked(TIMINGS, schema, false);
+        let plot = self.stacked(TIMINGS, schema, false, &[]);
         self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
         plot
     }
 
-    /// The stages of a step, or of its recording.
-    fn stacked(&mut self, title: &str, schema: &Schema, is_recording: bool) -> Part {
+    /// The stages of a step, or of its recording, and lines `beside` them.
+    fn stacked(&mut self, title: &str, schema: &Schema, is_recording: bool, beside: &[String]) -> Part {
         let stages = numbers::timings(schema).filter(|stage| numbers::is_work(stage));
         let stages = stages.filter(|stage| numbers::RECORDING.contains(stage) == is_recording);
-        let contents: Vec<String> = stages.map(|stage| including(&numbers::stacked(schema, stage))).collect();
+        let stages = stages.map(|stage| including(&numbers::stacked(schema, stage)));
+        let contents: Vec<String> = stages.chain(beside.iter().cloned()).collect();
         let plot = self.plot(title, "/", &contents, Corner2D::LeftTop);
         self.timings.push((plot.path.clone(), is_recording, title.to_owned()));
         plot
@@ -468,8 +475,11 @@ impl Layout {
 
     fn speed(&mut self) -> Part {
         let contents = [&SPEED, &LAG].map(|line| including(line.path));
-        let plot =
-            self.plot("Steps per second; with --realtime, also the lag in ms", "/", &contents, Corner2D::LeftTop);
+        let lag = colors::name(numbers::LAG_COLOR);
+        let title = format!("Steps per second; with --realtime, also the lag in ms ({lag})");
+        let plot = self.plot(&title, "/", &contents, Corner2D::LeftTop);
+        // it would cover the first steps
+        self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
         self.speeds = Some(plot.path.clone());
         plot
     }

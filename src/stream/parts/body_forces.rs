@@ -1,5 +1,5 @@
-//! The resultant force on each body by each cause: arrows at the centre, and plots; of more than a few bodies also a ranking
-//! of the strongest, and plots of the strongest on any body.
+//! The resultant force on each body by each cause: arrows at the centre, plots, and a ranking of the strongest; of more than
+//! a few bodies, a ranking of bodies, and a plot of the strongest on any of them.
 
 use glam::DVec3;
 
@@ -37,8 +37,10 @@ const WEAK: f64 = 0.04;
 pub struct BodyForces {
     /// By body and term; none if there are too many bodies.
     lines: Vec<Vec<Option<LineId>>>,
-    /// The bodies with the strongest forces, and the lines of the strongest on any body.
-    ranking: Option<(Ranking, TrackId)>,
+    /// The strongest forces; of more than a few bodies, the strongest on each.
+    ranking: Ranking,
+    /// The lines of the strongest on any body, if there are more than a few.
+    strongest: Option<TrackId>,
     /// Whether a term has acted on any body.
     has_acted: Vec<bool>,
     arrows: TrackId,
@@ -72,14 +74,14 @@ impl BodyForces {
         let arrows = chunks.track(RESULTANTS.path, components);
         BodyForces {
             lines: vec![vec![None; terms]; bodies],
-            ranking: is_ranked(schema).then(|| {
-                let causes = || schema.terms.iter().filter(|term| !term.is_sum);
+            ranking: Ranking::new(RANKED_FORCES.path, chunks),
+            strongest: is_ranked(schema).then(|| {
+                let causes = || schema.terms.iter().filter(|term| is_plotted(term));
                 let lines = SeriesLines::update_fields()
                     .with_names(causes().map(|term| term.label))
                     .with_colors(causes().map(|term| color(term.color)));
                 chunks.log_static(STRONGEST.path, &lines);
-                let track = chunks.track(STRONGEST.path, [Scalars::descriptor_scalars()]);
-                (Ranking::new(RANKED_FORCES.path, chunks), track)
+                chunks.track(STRONGEST.path, [Scalars::descriptor_scalars()])
             }),
             has_acted: vec![false; terms],
             arrows,
@@ -115,47 +117,55 @@ impl BodyForces {
             }
         }
         let ranked = ranked(view.schema, &resultants);
-        let now = ResultantRows::of(view, &resultants, &ranked[..ranked.len().min(ranking::LABELLED)]);
+        let of_bodies: Vec<Resultant> = strongest_of_each(view.schema, &ranked).collect();
+        let labelled = ranking::labelled(view, of_bodies.iter().map(|(body, ..)| *body));
+        let now = ResultantRows::of(view, &resultants, of_bodies.iter().filter(|(body, ..)| labelled.contains(body)));
         chunks.push_changed(self.arrows, view.at, &[&now.origins, &now.vectors, &now.colors, &now.labels]);
-        let Some((ranking, track)) = &self.ranking else { return };
-        ranking.log(rows(view.schema, &resultants, &ranked), view.at, chunks);
+        let listed = if is_ranked(view.schema) { &of_bodies } else { &ranked };
+        self.ranking.log(rows(view.schema, listed, &ranked), "no force acts on any body", view.at, chunks);
+        let Some(track) = &self.strongest else { return };
         let strongest = |number: usize| {
             let of_term = resultants.iter().filter(|(_, term, _)| *term == number);
             of_term.map(|(.., acceleration)| acceleration.length()).fold(0.0, f64::max)
         };
-        let causes = (0..view.schema.terms.len()).filter(|&number| !view.schema.terms[number].is_sum);
+        let causes = (0..view.schema.terms.len()).filter(|&number| is_plotted(&view.schema.terms[number]));
         chunks.push_changed(*track, view.at, &[&causes.map(strongest).collect::<Vec<f64>>()]);
     }
 }
 
-/// The strongest cause on each body, the strongest first.
+/// Whether there is a line of the strongest on any body.
+fn is_plotted(term: &TermSchema) -> bool {
+    term.can_act && !term.is_sum
+}
+
+/// The causes of all bodies, without sums of others, the strongest first.
 fn ranked(schema: &Schema, resultants: &[Resultant]) -> Vec<Resultant> {
     let strength = |(.., acceleration): &Resultant| acceleration.length_squared();
-    let strongest = |of_body: &[Resultant]| {
-        let causes = of_body.iter().filter(|(_, term, _)| !schema.terms[*term].is_sum);
-        causes.copied().max_by(|one, other| strength(one).total_cmp(&strength(other)))
-    };
-    let mut ranked: Vec<Resultant> = resultants.chunk_by(|one, other| one.0 == other.0).filter_map(strongest).collect();
+    let mut ranked: Vec<Resultant> =
+        resultants.iter().filter(|(_, term, _)| !schema.terms[*term].is_sum).copied().collect();
     ranked.sort_by(|one, other| strength(other).total_cmp(&strength(one)));
     ranked
 }
 
-/// A row for the strongest cause on each body, with a dot at the second strongest.
-fn rows<'a>(
-    schema: &'a Schema,
-    resultants: &'a [Resultant],
-    ranked: &'a [Resultant],
-) -> impl Iterator<Item = Row> + 'a {
-    let longest = ranked.first().map_or(0.0, |(.., acceleration)| acceleration.length());
-    let strong = ranked.iter().take_while(move |(.., acceleration)| acceleration.length() > WEAK * longest);
-    strong.map(move |&(body, strongest, acceleration)| {
-        let others = resultants.iter().filter(|(of, term, _)| *of == body && *term != strongest);
-        let others = others.filter(|(_, term, _)| !schema.terms[*term].is_sum);
-        let second = others.max_by(|one, other| one.2.length_squared().total_cmp(&other.2.length_squared()));
-        let color = schema.terms[strongest].color;
+/// The first of these causes on each body.
+fn strongest_of_each(schema: &Schema, ranked: &[Resultant]) -> impl Iterator<Item = Resultant> {
+    let mut is_new = vec![true; schema.bodies.len()];
+    ranked.iter().copied().filter(move |(body, ..)| std::mem::replace(&mut is_new[*body], false))
+}
+
+/// A row for each of the `listed` causes; of more than a few bodies, with a dot at the second strongest on the same body.
+fn rows<'a>(schema: &'a Schema, listed: &'a [Resultant], ranked: &'a [Resultant]) -> impl Iterator<Item = Row> + 'a {
+    let longest = listed.first().map_or(0.0, |(.., acceleration)| acceleration.length());
+    let strong = listed.iter().take_while(move |(.., acceleration)| acceleration.length() > WEAK * longest);
+    strong.map(move |&(body, number, acceleration)| {
+        let color = schema.terms[number].color;
         let mut marks = vec![(Mark::Bar(acceleration.length() / longest), color)];
-        marks.extend(second.map(|(_, term, of)| (Mark::Dot(of.length() / longest), schema.terms[*term].color)));
-        Row { label: label(schema, body, strongest, acceleration), color, marks }
+        if is_ranked(schema)
+            && let Some((_, second, of)) = ranked.iter().filter(|(of, ..)| *of == body).nth(1)
+        {
+            marks.push((Mark::Dot(of.length() / longest), schema.terms[*second].color));
+        }
+        Row { label: label(schema, body, number, acceleration), color, marks }
     })
 }
 
@@ -166,7 +176,12 @@ fn label(schema: &Schema, body: usize, term: usize, acceleration: DVec3) -> Stri
 impl ResultantRows {
     /// Arrows from the centres, all on one scale, on which the longest is [`LONGEST`]. Those of `labelled` have the body, the
     /// cause and its value as their labels.
-    fn of(view: FrameView<'_>, resultants: &[Resultant], labelled: &[Resultant]) -> ResultantRows {
+    fn of<'a>(
+        view: FrameView<'_>,
+        resultants: &[Resultant],
+        labelled: impl Iterator<Item = &'a Resultant>,
+    ) -> ResultantRows {
+        let labelled: Vec<&Resultant> = labelled.collect();
         let FrameView { schema, frame, .. } = view;
         let longest = resultants.iter().map(|(.., acceleration)| acceleration.length()).fold(0.0, f64::max);
         let scale = LONGEST * schema.largest_radius() / longest;
@@ -175,7 +190,7 @@ impl ResultantRows {
             arrows.origins.push(frame.bodies[body].centre.as_vec3().to_array());
             arrows.vectors.push((scale * acceleration).as_vec3().to_array());
             arrows.colors.push(color(schema.terms[number].color).to_u32());
-            let is_labelled = labelled.contains(resultant);
+            let is_labelled = labelled.contains(&resultant);
             arrows.labels.push(if is_labelled { label(schema, body, number, acceleration) } else { String::new() });
         }
         // the others have their names alone, on arrows of no length

@@ -82,7 +82,7 @@ impl Changes {
             let label = format!("{} {:.3}: {what}", schema.pair_name(pair.a, pair.b), pair.q);
             Row { label, color: phase.color, marks }
         });
-        self.ranking.log(rows, at, chunks);
+        self.ranking.log(rows, "no pair is within reach", at, chunks);
     }
 }
 

@@ -131,7 +131,7 @@ impl Heat {
         let mut ranked: Vec<usize> = (0..view.schema.bodies.len()).collect();
         ranked.sort_by(|&one, &other| largest(other).total_cmp(&largest(one)));
         if let Some(bodies) = self.bodies {
-            let labelled = &ranked[..ranked.len().min(ranking::LABELLED)];
+            let labelled = ranking::labelled(view, ranked.iter().copied());
             let places: Vec<Float3> = labelled.iter().map(|&body| lines::name_place(view, body)).collect();
             let label = |&body: &usize| match largest(body) {
                 0.0 => view.schema.bodies[body].name.clone(),
@@ -142,12 +142,11 @@ impl Heat {
         if let Some(ranking) = &self.ranking {
             let longest = ranked.first().map_or(0.0, |&body| largest(body));
             let rows = ranked.into_iter().filter(|&body| largest(body) > 0.0).map(|body| {
-                let lengths = view.frame.bodies[body].lengths.iter().enumerate();
-                let vertex = lengths.max_by(|one, other| one.1.total_cmp(other.1)).map_or(0, |(vertex, _)| vertex);
+                let vertex = view.frame.bodies[body].most_displaced().unwrap_or(0);
                 let label = format!("{}:{vertex} {:.3} R", view.schema.bodies[body].name, largest(body));
                 Row { label, color: palette::DOT, marks: vec![(Mark::Bar(largest(body) / longest), palette::DOT)] }
             });
-            ranking.log(rows, view.at, chunks);
+            ranking.log(rows, "no vertex is displaced", view.at, chunks);
         }
     }
 }

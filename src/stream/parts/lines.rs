@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::{FrameView, MAX_LABELS, recent::Recent};
+use super::{FrameView, Labels, MAX_LABELS, recent::Recent};
 use crate::{
     observe::{BodyFrame, PairEvent, PairFrame, Schema},
     sdk::{self, LineStrips3D, Points3D},
@@ -20,11 +20,7 @@ use crate::{
 /// other and the bodies.
 const MAX_LABELLED: usize = 3;
 /// Upper limit on the number of bodies with names.
-pub const MAX_NAMED: usize = 16;
-/// Labels that are nearer to each other than this, both upward and across, cover each other [diagonals of the box around
-/// the bodies].
-const LABEL_HEIGHT: f64 = 0.08;
-const LABEL_WIDTH: f64 = 0.25;
+pub const MAX_NAMED: usize = 32;
 
 /// Pair lines.
 pub struct Lines {
@@ -102,17 +98,16 @@ impl Lines {
         self.recent.age();
         let recent = self.recent.pair();
         let middle = |a: usize, b: usize| 0.5 * (view.frame.bodies[a].centre + view.frame.bodies[b].centre);
-        let mut taken: Vec<DVec3> = recent.map(|(a, b)| middle(a, b)).into_iter().collect();
-        let [low, high] = view.bounds();
+        let mut labels_in_space = Labels::new(view);
+        let mut most = MAX_LABELLED;
+        if let Some((a, b)) = recent {
+            labels_in_space.take(middle(a, b));
+            most -= 1;
+        }
         let mut labelled = 0;
         for index in 0..self.closest.len() {
             let PairFrame { a, b, .. } = self.closest[index];
-            let is_clear = |other: &DVec3| {
-                let apart = (*other - middle(a, b)) / low.distance(high);
-                apart.z.abs() > LABEL_HEIGHT || apart.truncate().length() > LABEL_WIDTH
-            };
-            if recent != Some((a, b)) && taken.len() < MAX_LABELLED && taken.iter().all(is_clear) {
-                taken.push(middle(a, b));
+            if recent != Some((a, b)) && labelled < most && labels_in_space.take(middle(a, b)) {
                 self.closest[labelled..=index].rotate_right(1);
                 labelled += 1;
             }

@@ -58,6 +58,36 @@ use crate::observe::{BodyFrame, Frame, Schema, schema::BodySchema};
 /// Upper limit on the number of bodies whose names are shown in the 3D view.
 const MAX_LABELS: usize = 8;
 
+/// Places of labels in space, none of which covers another.
+struct Labels {
+    /// Of the box around the bodies [scene unit].
+    diagonal: f64,
+    taken: Vec<DVec3>,
+}
+
+impl Labels {
+    /// Labels whose places are nearer to each other than this, both upward and across, cover each other [diagonals].
+    const HEIGHT: f64 = 0.08;
+    const WIDTH: f64 = 0.25;
+
+    fn new(view: FrameView<'_>) -> Labels {
+        let [low, high] = view.bounds();
+        Labels { diagonal: low.distance(high), taken: Vec::new() }
+    }
+
+    /// Takes this place if there is room for a label.
+    fn take(&mut self, place: DVec3) -> bool {
+        let is_clear = self.taken.iter().all(|other| {
+            let apart = (other - place) / self.diagonal;
+            apart.z.abs() > Labels::HEIGHT || apart.truncate().length() > Labels::WIDTH
+        });
+        if is_clear {
+            self.taken.push(place);
+        }
+        is_clear
+    }
+}
+
 /// The input of a part: the frame to be logged.
 #[derive(Clone, Copy)]
 pub struct FrameView<'a> {

@@ -7,6 +7,7 @@ use super::{
     ranking::{self, Mark, Row},
 };
 use crate::{
+    colors,
     observe::{Schema, schema::ScalarOf},
     sdk::Scalars,
     stream::{
@@ -22,9 +23,14 @@ use crate::{
 };
 
 /// Additional stages in `/timings`: the cost of observation on the simulation thread.
-pub const OBSERVING: [&str; 2] = ["observe", "wait"];
+pub const OBSERVING: [&str; 2] = ["observe", WAIT];
+/// The stage in which the simulation waits for the recorder: work is slow elsewhere.
+pub const WAIT: &str = "wait";
 /// Additional stages in `/timings`: the cost of recording on its own thread.
 pub const RECORDING: [&str; 2] = ["extract", "log"];
+
+/// The colour of the line that shows how far a run is behind real time.
+pub const LAG_COLOR: Rgb = colors::ORANGE;
 
 /// The stages in `/timings`, in order.
 pub fn timings(schema: &Schema) -> impl Iterator<Item = &'static str> {
@@ -33,7 +39,7 @@ pub fn timings(schema: &Schema) -> impl Iterator<Item = &'static str> {
 
 /// Whether a stage does work: waiting for a slow disk or viewer is not part of the stacked cost of a step.
 pub fn is_work(stage: &str) -> bool {
-    stage != OBSERVING[1]
+    stage != WAIT
 }
 
 /// The entity of the stacked plot of a stage. Its number orders the viewer's legend like the stack, from its top.
@@ -132,7 +138,7 @@ impl FrameNumbers {
         let of_bodies = of_bodies
             .map(|(scalar, name, rgb)| series.scalar(chunks, &BODY_SCALAR.of(&[scalar.name, name]), scalar, name, rgb));
         let of_bodies = of_bodies.collect();
-        let speed = run_line(SPEED.path, "steps per second", 0, chunks);
+        let speed = run_line(SPEED.path, "steps per second", colors::SKY_BLUE, chunks);
         FrameNumbers {
             scalars,
             of_bodies,
@@ -145,7 +151,7 @@ impl FrameNumbers {
             speed,
             fastest: 0.0,
             lag: None,
-            lag_track: run_line(LAG.path, "behind real time [ms]", 1, chunks),
+            lag_track: run_line(LAG.path, "behind real time [ms]", LAG_COLOR, chunks),
             totals: Default::default(),
         }
     }
@@ -193,7 +199,7 @@ impl FrameNumbers {
     }
 
     /// Ranks the stages on the simulation thread by their shares of its time, then those of recording, which run meanwhile;
-    /// each with its peak.
+    /// each with its longest step.
     pub fn log_ranking(&self, chunks: &mut Chunks) {
         let is_recording = |timing: &Timing| RECORDING.contains(&timing.name);
         let of_run = self.timings.iter().filter(|timing| !is_recording(timing));
@@ -203,13 +209,13 @@ impl FrameNumbers {
         stages.sort_by_key(|(timing, _)| (is_recording(timing), std::cmp::Reverse(timing.total)));
         let share = |timing: &Timing| timing.total.as_secs_f64() / whole;
         let stages = stages.into_iter().filter(|(timing, _)| share(timing) >= LEAST_SHARE).map(|(timing, color)| {
-            let name = match timing.name {
-                name if !is_work(name) => name.to_owned(),
-                name if is_recording(timing) => format!("+ {name}"),
-                name => name.to_owned(),
+            let (longest, step) = timing.spread.largest();
+            let total = format!("{} {} s", timing.name, significant(timing.total.as_secs_f64()));
+            let total = match is_recording(timing) {
+                true => format!("+ {total}"),
+                false => format!("{total}, {:.0} %", 100.0 * share(timing)),
             };
-            let (peak, step) = timing.spread.largest();
-            let label = format!("{name} {:.0} %, peak {} ms, step {step}", 100.0 * share(timing), significant(peak));
+            let label = format!("{total}; {} ms, step {step}", significant(longest));
             Row { label, color, marks: vec![(Mark::Bar(share(timing)), color)] }
         });
         ranking::log_static(RANKED_STAGES.path, stages, chunks);
@@ -330,8 +336,8 @@ impl Spread {
     }
 }
 
-fn run_line(entity: &str, name: &str, color: usize, chunks: &mut Chunks) -> TrackId {
-    Series::style(chunks, entity, name, palette::line(color), 1.5, Interpolation::Step);
+fn run_line(entity: &str, name: &str, rgb: Rgb, chunks: &mut Chunks) -> TrackId {
+    Series::style(chunks, entity, name, rgb, 1.5, Interpolation::Step);
     chunks.track(entity, [Scalars::descriptor_scalars()])
 }
 

@@ -1,7 +1,9 @@
 //! Pictures of what matters most at an instant, where there is too much for names in space and lines in plots: rows, the
 //! most important first, each a label and marks beside it.
 
+use super::{FrameView, Labels};
 use crate::{
+    colors::SILVER,
     observe::Schema,
     sdk::{LineStrips2D, Points2D},
     stream::{
@@ -15,7 +17,7 @@ use crate::{
 pub const ROWS: usize = 8;
 /// Scenes with more bodies have rankings.
 const FEW: usize = 3;
-/// How many bodies of a ranking are labelled in space: more labels would cover each other.
+/// Upper limit on the number of bodies of a ranking that are labelled in space.
 pub const LABELLED: usize = 5;
 /// Distance of two rows, and the widths of labels and of marks.
 const PITCH: f32 = 10.0;
@@ -28,9 +30,15 @@ const HANG: f32 = 3.0;
 pub const BOUNDS: [f64; 4] =
     [-LABEL as f64, 1.06 * WIDTH as f64, -0.8 * PITCH as f64, PITCH as f64 * (ROWS as f64 - 0.2)];
 
-/// Whether a scene has rankings: of few bodies, everything has its own label and line.
+/// Whether a scene has rankings of its bodies and pairs: of few bodies, everything has its own line.
 pub fn is_ranked(schema: &Schema) -> bool {
     schema.bodies.len() > FEW
+}
+
+/// The bodies of a ranking that are labelled in space, the first ones for which there is room.
+pub fn labelled(view: FrameView<'_>, ranked: impl Iterator<Item = usize>) -> Vec<usize> {
+    let mut labels = Labels::new(view);
+    ranked.filter(|&body| labels.take(view.frame.bodies[body].centre)).take(LABELLED).collect()
 }
 
 /// A row.
@@ -85,8 +93,11 @@ impl Ranking {
         Ranking(chunks.track(entity, components))
     }
 
-    /// Logs the rows if they have changed, as many as there is room for.
-    pub fn log(&self, rows: impl Iterator<Item = Row>, at: Instant, chunks: &mut Chunks) {
+    /// Logs the rows if they have changed, as many as there is room for, or what the lack of rows means.
+    pub fn log(&self, rows: impl Iterator<Item = Row>, none: &str, at: Instant, chunks: &mut Chunks) {
+        let mut rows = rows.peekable();
+        let none = rows.peek().is_none().then(|| Row { label: none.to_owned(), color: SILVER, marks: Vec::new() });
+        let rows = none.into_iter().chain(rows);
         let Drawn { labels, colors, strips, radii, strip_colors } = Drawn::of(rows);
         chunks.push_changed(self.0, at, &[&labels, &colors, &strips, &radii, &strip_colors]);
     }
