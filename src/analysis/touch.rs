@@ -162,7 +162,7 @@ impl Touches {
         let own = simulation.contacts();
         let mut watched: Vec<PairFrame> = now.pairs.clone();
         // pairs that met and left within the step, and pairs in contact that left
-        let met = changes.iter().take(MAX_CHANGES).map(|of| PairFrame { a: of.a, b: of.b, q: of.q, phase: of.to });
+        let met = changes.iter().take(MAX_CHANGES).map(|of| PairFrame::new(of.a, of.b, of.q, of.to));
         let is_touching = |pair: &&PairFrame| self.pairs.get(&[pair.a, pair.b]).is_some_and(|known| known.is_touching);
         for left in met.chain(self.before.pairs.iter().filter(is_touching).copied()) {
             if !watched.iter().any(|pair| (pair.a, pair.b) == (left.a, left.b)) {

@@ -93,7 +93,7 @@ fn row(name: &'static str, mesh: &Arc<Mesh>, centres: &[DVec3]) -> Row {
     // alternates between two positions, because results are reused for bodies that have not moved
     let frames = [0.0, 1e-3].map(|by| Frame {
         bodies: centres.iter().map(|&centre| at_rest(centre + DVec3::splat(by))).collect(),
-        pairs: (1..bodies).map(|b| PairFrame { a: 0, b, q: 1.0, phase: 0 }).collect(),
+        pairs: (1..bodies).map(|b| PairFrame::new(0, b, 1.0, 0)).collect(),
         ..Frame::default()
     });
     let (mut merger, mut turn) = (Merger::new(&schema, None), 0);

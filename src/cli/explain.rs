@@ -105,8 +105,11 @@ impl Wanted {
     fn of(arguments: &Arguments, schema: &Schema) -> Result<Wanted, Failure> {
         let find = |option: &str, name: &str| {
             schema.body(name).ok_or_else(|| {
-                let hint = did_you_mean(name, schema.bodies.iter().map(|body| body.name.as_str()));
-                Failure::Input(format!("{option}: there is no body {name:?}{hint}"))
+                let names = || schema.bodies.iter().map(|body| body.name.as_str());
+                let hint = did_you_mean(name, names());
+                let listed = names().take(LISTED).collect::<Vec<_>>().join(", ");
+                let more = if schema.bodies.len() > LISTED { ", …" } else { "" };
+                Failure::Input(format!("{option}: there is no body {name:?}{hint} (bodies: {listed}{more})"))
             })
         };
         let bodies = arguments.body.iter().map(|name| find("--body", name)).collect::<Result<Vec<_>, _>>()?;
@@ -307,7 +310,7 @@ impl Explained<'_> {
         let distance = (frame.bodies[b].centre - frame.bodies[a].centre).length();
         let found = frame.pairs.iter().find(|pair| [pair.a, pair.b] == [a, b]).copied();
         let q = distance / (one.radius + other.radius);
-        let pair = found.unwrap_or(PairFrame { a, b, q, phase: 0 });
+        let pair = found.unwrap_or(PairFrame::new(a, b, q, 0));
         let of_pair = || events.iter().filter(|event| [event.a, event.b] == [a, b]);
         let before = of_pair().rfind(|event| event.step <= frame.at.step);
         let after = of_pair().find(|event| event.step > frame.at.step);

@@ -154,6 +154,8 @@ pub struct PairFrame {
     pub b: usize,
     /// The quantity that decides the phase: centre distance over the sum of the radii [–].
     pub q: f64,
+    /// Rate at which q changes [1/s]; NaN if it is not known.
+    pub rate: f64,
     /// Index into the schema's phases.
     pub phase: usize,
 }
@@ -197,7 +199,12 @@ impl TermFrame {
 impl PairFrame {
     /// The pair of bodies `a` < `b` with this q [–], in a phase of the schema.
     pub fn new(a: usize, b: usize, q: f64, phase: usize) -> PairFrame {
-        PairFrame { a, b, q, phase }
+        PairFrame { a, b, q, rate: f64::NAN, phase }
+    }
+
+    /// The same with q changing at this rate [1/s].
+    pub fn with_rate(self, rate: f64) -> PairFrame {
+        PairFrame { rate, ..self }
     }
 }
 

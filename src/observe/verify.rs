@@ -245,7 +245,7 @@ impl Mistakes {
         let is_ascending = frame.pairs.is_sorted_by(|x, y| (x.a, x.b) < (y.a, y.b));
         ensure!(self, is_ascending =>
             "frame.pairs in step {step} are not in ascending order of their bodies, or one is there twice");
-        for (index, &PairFrame { a, b, q, phase }) in frame.pairs.iter().enumerate() {
+        for (index, &PairFrame { a, b, q, phase, .. }) in frame.pairs.iter().enumerate() {
             let (field, phases) =
                 (|part: &str| format!("frame.pairs[{index}].{part} in step {step}"), schema.phases.len());
             ensure!(self, a < b && b < count => "{}: the pair is ({a}, {b}), expected a < b < {count}", field("a, b"));

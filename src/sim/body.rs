@@ -210,6 +210,8 @@ pub struct PairView {
     pub b: usize,
     /// Centre distance over the sum of the radii [–].
     pub q: f64,
+    /// Rate at which q changes [1/s].
+    pub rate: f64,
     /// The phase of the pair, which determines how the two act on each other.
     pub phase: Phase,
 }

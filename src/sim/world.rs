@@ -329,14 +329,19 @@ impl World {
         let coupled = coupled.map(|pair| (pair.a as usize, pair.b as usize, pair.phase));
         prescribed
             .chain(coupled)
-            .map(|(a, b, phase)| PairView { a, b, q: self.q_of(a, b), phase })
+            .map(|(a, b, phase)| {
+                let [q, rate] = self.q_and_rate(a, b);
+                PairView { a, b, q, rate, phase }
+            })
             .filter(|pair| pair.phase != Phase::Apart || pair.q <= self.reach_of(pair.a, pair.b))
     }
 
-    /// Centre distance over the sum of the radii [–].
-    fn q_of(&self, a: usize, b: usize) -> f64 {
+    /// Centre distance over the sum of the radii [–], and the rate at which it changes [1/s].
+    fn q_and_rate(&self, a: usize, b: usize) -> [f64; 2] {
         let (a, b) = (self.body(a), self.body(b));
-        a.centre().distance(b.centre()) / (a.scene().radius + b.scene().radius)
+        let (apart, velocity) = (b.centre() - a.centre(), b.centre_velocity() - a.centre_velocity());
+        let radii = a.scene().radius + b.scene().radius;
+        [apart.length() / radii, apart.normalize_or_zero().dot(velocity) / radii]
     }
 
     /// The q up to which one of two bodies can have vertices inside the other's influence sphere, or the two can merge

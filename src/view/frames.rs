@@ -18,7 +18,7 @@ use crate::{
 
 /// The frame of a pair.
 pub(super) fn pair_frame(pair: PairView) -> PairFrame {
-    PairFrame { a: pair.a, b: pair.b, q: pair.q, phase: pair.phase as usize }
+    PairFrame::new(pair.a, pair.b, pair.q, pair.phase as usize).with_rate(pair.rate)
 }
 
 /// Adds the forces on a body of a coupled scene in its current state, and the labels of its vertices.

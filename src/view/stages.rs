@@ -3,13 +3,13 @@
 //! Starting from the state before a step and the events in it, every interval between two jumps is integrated again
 //! with the components that the step itself uses. Of a step of free bodies, the states at its events are shown.
 
-use super::frames::{add_forces, pair_frame};
+use super::frames::add_forces;
 use crate::{
     model::phase::Phase,
     observe::{BodyFrame, Frame, Instant, PairFrame, Simulation, StageFrame, Want, state_within},
     scene::{Integrator, Scene},
     sim::{
-        Cause, PairView, States, World,
+        Cause, States, World,
         prescribed::within::{Before, Recomputed},
         work::Work,
     },
@@ -155,7 +155,7 @@ fn frame_of(
     let pairs = before.pairs.iter().map(|&PairFrame { a, b, .. }| {
         let radii = world.scene().bodies[a].radius + world.scene().bodies[b].radius;
         let q = bodies[a].centre.distance(bodies[b].centre) / radii;
-        pair_frame(PairView { a, b, q, phase: recomputed.phase(a, b, phases_at) })
+        PairFrame::new(a, b, q, recomputed.phase(a, b, phases_at) as usize)
     });
     let at = Instant { step: world.steps_taken(), time: t };
     Frame { at, pairs: pairs.collect(), bodies, ..Frame::default() }

@@ -234,16 +234,24 @@ impl Elastic {
         self.bodies[body].free.as_ref().map_or_else(path, |free| free.centre)
     }
 
+    /// The velocity of the centre of a body [scene unit/s].
+    fn velocity(&self, body: usize) -> DVec3 {
+        let path = || self.path(body).map_or(DVec3::ZERO, |path| path.at(self.time_of(self.step)).velocity);
+        self.bodies[body].free.as_ref().map_or_else(path, |free| free.velocity)
+    }
+
     /// The pairs of a scene with free bodies that can act on each other or are not apart.
     fn near_pairs(&self, pairs: &mut Vec<PairFrame>) {
         let centres: Vec<DVec3> = (0..self.bodies.len()).map(|body| self.centre(body)).collect();
         for (a, one) in self.scene.bodies.iter().enumerate() {
             for (b, other) in self.scene.bodies.iter().enumerate().skip(a + 1) {
-                let distance = centres[a].distance(centres[b]);
+                let (apart, radii) = (centres[b] - centres[a], one.radius + other.radius);
+                let distance = apart.length();
                 let phase = self.phases.get(&[a as u32, b as u32]).copied().unwrap_or(Phase::Apart);
                 let reach = f64::max(one.sphere_radius() + other.radius, other.sphere_radius() + one.radius);
                 if phase != Phase::Apart || distance <= reach {
-                    pairs.push(PairFrame { a, b, q: distance / (one.radius + other.radius), phase: phase as usize });
+                    let rate = apart.normalize_or_zero().dot(self.velocity(b) - self.velocity(a)) / radii;
+                    pairs.push(PairFrame::new(a, b, distance / radii, phase as usize).with_rate(rate));
                 }
             }
         }
@@ -460,15 +468,10 @@ impl Simulation for Elastic {
         }
         let mut found = Vec::new();
         self.near_pairs(&mut found);
-        let time = self.time_of(self.step);
-        let velocity = |body: usize| {
-            let free = self.bodies[body].free.as_ref().map(|free| free.velocity);
-            free.or(self.path(body).map(|path| path.at(time).velocity)).unwrap_or_default()
-        };
         pairs.clear();
         pairs.extend(found.iter().map(|&PairFrame { a, b, phase, .. }| {
             let apart = self.centre(b) - self.centre(a);
-            NearPair { a, b, phase, apart, rate: velocity(b) - velocity(a) }
+            NearPair { a, b, phase, apart, rate: self.velocity(b) - self.velocity(a) }
         }));
     }
 
@@ -533,12 +536,11 @@ impl Simulation for Elastic {
         frame.at = self.now();
         frame.pairs.clear();
         match &self.world {
-            Some(world) => frame.pairs.extend(world.pairs().map(|pair| PairFrame {
-                a: pair.a,
-                b: pair.b,
-                q: pair.q,
-                phase: pair.phase as usize,
-            })),
+            Some(world) => frame.pairs.extend(
+                world
+                    .pairs()
+                    .map(|pair| PairFrame::new(pair.a, pair.b, pair.q, pair.phase as usize).with_rate(pair.rate)),
+            ),
             None => self.near_pairs(&mut frame.pairs),
         }
         frame.bodies.resize_with(self.bodies.len(), BodyFrame::default);

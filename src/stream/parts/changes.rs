@@ -16,11 +16,11 @@ const STILL: f64 = 1e-3;
 /// What is in view beyond the highest threshold, as a ratio.
 const BEYOND: f64 = 1.3;
 
-/// The ranking of the pairs within reach.
+/// The ranking of the pairs within reach. Of a simulation that does not know the rates of q, differences between frames.
 pub struct Changes {
     ranking: Ranking,
-    /// q of the pairs in the last frame, and the time of that [s].
-    last: BTreeMap<(usize, usize), f64>,
+    /// q of the pairs in the last frame and its rate [1/s], and the time of that [s].
+    last: BTreeMap<(usize, usize), [f64; 2]>,
     time: f64,
 }
 
@@ -48,12 +48,16 @@ impl Changes {
         let FrameView { schema, frame, at } = view;
         let since = (at.time - self.time).max(f64::MIN_POSITIVE);
         let mut ranked: Vec<(PairFrame, Option<Next>)> = Vec::with_capacity(frame.pairs.len());
+        let mut now = BTreeMap::new();
         for &pair in &frame.pairs {
             let before = self.last.get(&(pair.a, pair.b));
-            let rate = before.map_or(0.0, |before| (pair.q - before) / since);
-            ranked.push((pair, next(schema, &pair, rate, at.time)));
+            let difference = || before.map_or(0.0, |[q, _]| (pair.q - q) / since);
+            let rate = if pair.rate.is_nan() { difference() } else { pair.rate };
+            let bend = before.map_or(0.0, |[_, before]| (rate - before) / since);
+            ranked.push((pair, next(schema, &pair, [rate, bend], at.time)));
+            now.insert((pair.a, pair.b), [pair.q, rate]);
         }
-        self.last = frame.pairs.iter().map(|pair| ((pair.a, pair.b), pair.q)).collect();
+        self.last = now;
         self.time = at.time;
         // those that do not come nearer to a threshold are last, the nearest first
         let key = |(pair, next): &(PairFrame, Option<Next>)| {
@@ -86,19 +90,31 @@ impl Changes {
     }
 }
 
-/// The threshold that a pair crosses next, if q goes on changing at `rate` [1/s]: of bodies that are apart the first, of
+/// The threshold that a pair crosses next, if q goes on with this rate [1/s] and its rate of change [1/s²]: of bodies that are apart the first, of
 /// joined ones one of the others. If it moves away from all, the nearest.
-fn next(schema: &Schema, pair: &PairFrame, rate: f64, time: f64) -> Option<Next> {
+fn next(schema: &Schema, pair: &PairFrame, [rate, bend]: [f64; 2], time: f64) -> Option<Next> {
     let is_joined = schema.phases[pair.phase].is_joined;
     let thresholds = if is_joined { 1..schema.thresholds.len() } else { 0..1 };
     let nexts = thresholds.filter_map(|threshold| {
         let level = schema.level(threshold, [pair.a, pair.b], time)?;
-        let wait = (level - pair.q) / rate;
-        let wait = if rate.abs() > STILL && wait >= 0.0 { wait } else { f64::INFINITY };
+        let wait = first_time(pair.q - level, rate, bend);
         Some(Next { threshold, level, wait })
     });
     let distance = |next: &Next| (next.level - pair.q).abs();
     nexts.min_by(|one, other| one.wait.total_cmp(&other.wait).then(distance(one).total_cmp(&distance(other))))
+}
+
+/// The first time at which x + v t + ½ a t² is 0 [s]; infinite if it never is, or if x hardly moves.
+fn first_time(x: f64, v: f64, a: f64) -> f64 {
+    if v.abs().max(a.abs()) <= STILL {
+        return f64::INFINITY;
+    }
+    // both roots without cancellation
+    let under_root = v * v - 2.0 * a * x;
+    let sum = -v - under_root.max(0.0).sqrt().copysign(v);
+    let roots = [sum / a, 2.0 * x / sum];
+    let later = roots.into_iter().filter(|root| *root >= 0.0 && root.is_finite() && under_root >= 0.0);
+    later.fold(f64::INFINITY, f64::min)
 }
 
 #[cfg(test)]
@@ -112,15 +128,18 @@ mod tests {
                     motion = { fixed = [0, 0, 0] }\n[[body]]\nname = 'b'\nradius = 1\nmotion = { fixed = [9, 0, 0] }\n";
         let schema = view::schema(&Scene::parse(text, "next").unwrap());
         let phase = |name: &str| schema.phases.iter().position(|phase| phase.name == name).unwrap();
-        for (name, q, rate, threshold, wait) in [
-            ("apart", 1.2, -1.0, "merge_at", 0.15),
-            ("apart", 1.2, 1.0, "merge_at", f64::INFINITY),
-            ("merged", 0.85, 1.0, "split_at", 0.3),
-            ("merged", 1.1, -2.0, "core_at", 0.15),
-            ("merged", 1.1, 0.0, "split_at", f64::INFINITY),
-            ("core", 0.7, 0.5, "core_at", 0.2),
+        for (name, q, rate, bend, threshold, wait) in [
+            ("apart", 1.2, -1.0, 0.0, "merge_at", 0.15),
+            ("apart", 1.2, 1.0, 0.0, "merge_at", f64::INFINITY),
+            ("merged", 0.85, 1.0, 0.0, "split_at", 0.3),
+            ("merged", 1.1, -2.0, 0.0, "core_at", 0.15),
+            ("merged", 1.1, 0.0, 0.0, "split_at", f64::INFINITY),
+            ("core", 0.7, 0.5, 0.0, "core_at", 0.2),
+            // it turns back: before the threshold, and out of the core
+            ("apart", 1.2, -1.0, 10.0, "merge_at", f64::INFINITY),
+            ("core", 0.7, -1.0, 20.0, "core_at", (1.0 + 5f64.sqrt()) / 20.0),
         ] {
-            let next = next(&schema, &PairFrame::new(0, 1, q, phase(name)), rate, 0.0).unwrap();
+            let next = next(&schema, &PairFrame::new(0, 1, q, phase(name)), [rate, bend], 0.0).unwrap();
             assert_eq!(schema.thresholds[next.threshold].name, threshold, "{name}, q = {q}");
             assert!(next.wait == wait || (next.wait - wait).abs() < 1e-12, "{name}, q = {q}: {}", next.wait);
         }

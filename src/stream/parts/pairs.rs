@@ -359,7 +359,7 @@ impl PairPlots {
     /// Logs an event as a change of phase, at its exact time.
     pub fn log_event(&mut self, schema: &Schema, event: &PairEvent, series: &mut Series, chunks: &mut Chunks) {
         let at = Instant { step: event.step, time: event.time };
-        let pair = PairFrame { a: event.a, b: event.b, q: event.q, phase: event.from };
+        let pair = PairFrame::new(event.a, event.b, event.q, event.from);
         let entity = self.track(schema, pair, at, 2 * self.max_in_reach, series, chunks);
         let is_plotted = entity.is_some();
         if let Some(entity) = entity {
