@@ -92,13 +92,20 @@ impl Near {
         let all = hulls.iter().flatten().fold(Aabb::EMPTY, |all, hull| all.joined(hull));
         let axis = (all.max - all.min).max_position();
         let (mut pairs, mut is_met) = (Vec::new(), [0, 1].map(|k| vec![false; blocks[k].len()]));
+        let mut tested = 0_usize;
         sweep(axis, [&first, &second], [&hulls[0], &hulls[1]], |a, b| {
+            // around a vertex of many triangles, all blocks overlap
+            tested += 1;
+            if tested.is_multiple_of(AT_ONCE) {
+                meter.spend(AT_ONCE as u64)?;
+            }
             if (!is_one || a <= b) && (shown[0][a as usize] || shown[1][b as usize]) {
                 pairs.push([a, b]);
                 is_met[0][a as usize] = true;
                 is_met[1][b as usize] = true;
             }
-        });
+            Ok(())
+        })?;
         if pairs.is_empty() {
             return Ok(found);
         }

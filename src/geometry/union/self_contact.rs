@@ -80,12 +80,12 @@ impl<'a> Surface<'a> {
         let of = |block: u32| self.topology.block(block as usize);
         let hull = |&block: &u32| of(block).iter().fold(Aabb::EMPTY, |hull, &t| hull.joined(&self.boxes[t as usize]));
         let hulls: Vec<Aabb> = blocks.iter().map(hull).collect();
-        let (mut found, mut done) = (Ok(None), 0_usize);
+        let (mut found, mut done) = (None, 0_usize);
         let (axis, tests) = best_axis(&blocks, &hulls);
         meter.spend(tests / TESTS_PER_STEP)?;
         sweep(axis, [&blocks; 2], [&hulls; 2], |a, b| {
-            if a > b || !matches!(found, Ok(None)) {
-                return;
+            if a > b || found.is_some() {
+                return Ok(());
             }
             if a == b {
                 done += 1;
@@ -93,9 +93,10 @@ impl<'a> Surface<'a> {
                     watch(0.4 + 0.6 * done as f64 / blocks.len() as f64);
                 }
             }
-            found = self.of_blocks([of(a), of(b)], [&hulls[a as usize], &hulls[b as usize]], a == b, meter);
-        });
-        found
+            found = self.of_blocks([of(a), of(b)], [&hulls[a as usize], &hulls[b as usize]], a == b, meter)?;
+            Ok(())
+        })?;
+        Ok(found)
     }
 
     /// Triangles of two blocks that meet.

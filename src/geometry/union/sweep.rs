@@ -1,15 +1,18 @@
 //! Overlapping boxes, by sweep and prune along an axis.
 
+use std::convert::Infallible;
+
 use super::body::Aabb;
 
 /// Pairs of overlapping boxes, each ascending, in ascending order.
 pub fn body_pairs(boxes: &[Aabb]) -> Vec<[u32; 2]> {
     let everything: Vec<u32> = (0..boxes.len() as u32).collect();
     let mut pairs = Vec::new();
-    sweep(0, [&everything; 2], [boxes; 2], |a, b| {
+    let Ok(()) = sweep::<Infallible>(0, [&everything; 2], [boxes; 2], |a, b| {
         if a < b {
             pairs.push([a, b]);
         }
+        Ok(())
     });
     pairs.sort_unstable();
     pairs
@@ -32,9 +35,14 @@ pub fn best_axis(list: &[u32], boxes: &[Aabb]) -> (usize, u64) {
     (best, of_axes[best])
 }
 
-/// Calls `meet` for every pair of an element of the first list and one of the second whose boxes overlap. Boxes are
-/// indexed by element. The sweep is fastest along an axis on which the boxes are spread out.
-pub fn sweep(axis: usize, lists: [&[u32]; 2], boxes: [&[Aabb]; 2], mut meet: impl FnMut(u32, u32)) {
+/// Calls `meet` for every pair of an element of the first list and one of the second whose boxes overlap, until it fails.
+/// Boxes are indexed by element. The sweep is fastest along an axis on which the boxes are spread out.
+pub fn sweep<E>(
+    axis: usize,
+    lists: [&[u32]; 2],
+    boxes: [&[Aabb]; 2],
+    mut meet: impl FnMut(u32, u32) -> Result<(), E>,
+) -> Result<(), E> {
     let sorted = [0, 1].map(|k| {
         let start = |i: u32| boxes[k][i as usize].min[axis];
         let mut list: Vec<(f64, u32)> = lists[k].iter().map(|&i| (start(i), i)).collect();
@@ -49,7 +57,7 @@ pub fn sweep(axis: usize, lists: [&[u32]; 2], boxes: [&[Aabb]; 2], mut meet: imp
             let own = &boxes[0][first[i].1 as usize];
             for &(_, other) in second[j..].iter().take_while(|other| other.0 <= own.max[axis]) {
                 if own.meets(&boxes[1][other as usize]) {
-                    meet(first[i].1, other);
+                    meet(first[i].1, other)?;
                 }
             }
             i += 1;
@@ -57,10 +65,11 @@ pub fn sweep(axis: usize, lists: [&[u32]; 2], boxes: [&[Aabb]; 2], mut meet: imp
             let own = &boxes[1][second[j].1 as usize];
             for &(_, other) in first[i..].iter().take_while(|other| other.0 <= own.max[axis]) {
                 if own.meets(&boxes[0][other as usize]) {
-                    meet(other, second[j].1);
+                    meet(other, second[j].1)?;
                 }
             }
             j += 1;
         }
     }
+    Ok(())
 }
