@@ -112,7 +112,7 @@ impl PairPaths<'_> {
 
 /// A search for the phase changes of a pair, limited by `work`: results are meaningless once that is over.
 #[derive(Clone, Copy)]
-pub(super) struct Search<'a> {
+pub(crate) struct Search<'a> {
     pub paths: PairPaths<'a>,
     pub thresholds: &'a Thresholds,
     pub work: &'a Tally<'a>,

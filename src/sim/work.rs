@@ -231,7 +231,7 @@ impl Tally<'static> {
 
 impl<'a> Tally<'a> {
     /// A tally of a step: of the body in turn `turn`, or of the work before bodies are stepped.
-    pub(super) fn new(work: &'a Work, turn: Option<usize>) -> Tally<'a> {
+    pub(crate) fn new(work: &'a Work, turn: Option<usize>) -> Tally<'a> {
         let is_too_much = turn.is_some_and(|turn| turn > work.last_turn.load(Ordering::Relaxed));
         let is_over = Cell::new(is_too_much || work.is_interrupted());
         Tally { work: Some(work), turn, done: Cell::new(0), reported: Cell::new(0), is_over, most: u64::MAX }

@@ -54,11 +54,18 @@ use crate::{
         FreeMotion, Integrator, Model, Path, Plane, Point, Scene,
         path::{Bounds, Given, Kinematics},
     },
-    sim::{Event, events::PairPaths, terms},
+    sim::{
+        Event,
+        events::{PairPaths, Search},
+        terms,
+        work::{Tally, Work},
+    },
 };
 
 /// Upper limit on phase changes in a step; more would take forever.
 const MAX_CHANGES: usize = 1000;
+/// Work for finding the phase changes of a step [units of a step's work]: a second or two.
+const MAX_SEARCH: u64 = 1_000_000_000;
 
 /// The rigid motion of a free body.
 #[derive(Clone, Debug)]
@@ -132,9 +139,11 @@ impl Free {
         (self.velocity.length() + 0.5 * time * self.acceleration.length()) * time
     }
 
-    /// Its motion from `start` to `end` [s].
-    fn path(&self, start: f64, end: f64) -> Path {
-        let Free { centre, velocity, acceleration, .. } = *self;
+    /// Its motion from `start` to `end` [s], seen from the centre of another body if one is given.
+    fn path(&self, from: Option<&Free>, start: f64, end: f64) -> Path {
+        let own = [self.centre, self.velocity, self.acceleration];
+        let other = from.map_or([DVec3::ZERO; 3], |other| [other.centre, other.velocity, other.acceleration]);
+        let [centre, velocity, acceleration] = std::array::from_fn(|k| own[k] - other[k]);
         let at = move |t: f64| Kinematics {
             position: centre + (velocity + acceleration * (0.5 * (t - start))) * (t - start),
             velocity: velocity + acceleration * (t - start),
@@ -432,7 +441,7 @@ impl Elastic {
     /// The known motion of a centre from `start` to `end` [s], in a part of a step without jumps.
     fn path_within(&self, body: usize, [start, end]: [f64; 2], part: [f64; 2]) -> Cow<'_, Path> {
         match (&self.bodies[body].free, self.scene.bodies[body].path()) {
-            (Some(free), _) => Cow::Owned(free.path(start, end)),
+            (Some(free), _) => Cow::Owned(free.path(None, start, end)),
             (None, Some(path)) if path.is_held() => {
                 Cow::Owned(Path::Fixed(path.position(part[0] + 0.5 * (part[1] - part[0]))))
             }
@@ -451,15 +460,24 @@ impl Elastic {
         pairs.sort_unstable();
         pairs.dedup();
         let mut found: Vec<PairEvent> = Vec::new();
+        let work = Work::limited(MAX_SEARCH, self.options.interrupt);
+        let tally = Tally::new(&work, None);
         for pair in pairs {
             let [a, b] = pair.map(|body| body as usize);
             let radii = self.scene.bodies[a].radius + self.scene.bodies[b].radius;
-            let [one, other] = [a, b].map(|body| self.path_within(body, [start, end], part));
+            let [one, other] = match (&self.bodies[a].free, &self.bodies[b].free) {
+                // they may be fast, but hardly move relative to each other
+                (Some(one), Some(other)) => {
+                    [Cow::Owned(Path::Fixed(DVec3::ZERO)), Cow::Owned(other.path(Some(one), start, end))]
+                }
+                _ => [a, b].map(|body| self.path_within(body, [start, end], part)),
+            };
             let between = PairPaths { a: &one, b: &other, radii };
             let thresholds = self.scene.law(a, b).thresholds;
+            let search = Search { paths: between, thresholds: &thresholds, work: &tally };
             let mut phase = self.phases.get(&pair).copied().unwrap_or(Phase::Apart);
             let mut from = start;
-            while let Some((time, to)) = between.first_change(&thresholds, phase, from, end) {
+            while let Some((time, to)) = search.first_change(phase, from, end) {
                 let event = Event {
                     time,
                     step: self.step + 1,
@@ -484,6 +502,15 @@ impl Elastic {
                 if only_first {
                     break;
                 }
+            }
+            if tally.is_over() {
+                self.check_interrupt()?;
+                let [a, b] = pair.map(|body| &self.scene.bodies[body as usize].name);
+                return Err(StepFailure::NotTaken(format!(
+                    "too much to do in step {} (from t = {start:.6} s on): bodies \"{a}\" and \"{b}\" move too fast to find when they change \
+                     phase; lower their velocities",
+                    self.step + 1
+                )));
             }
         }
         found.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));

@@ -361,6 +361,19 @@ fn unsupported_scenes_are_rejected() {
     assert!(matches!(&failure, Some(StepFailure::NotTaken(words)) if words.contains("omega")), "{failure:?}");
 }
 
+/// Phase changes are searched for on the relative motion of two free bodies: these hardly move.
+#[test]
+fn bodies_that_fly_together_are_no_work_at_any_speed() {
+    for model in [Model::Lattice, Model::Fem] {
+        let text = format!(
+            "duration = 0.1\nmodel = '{model}'\n\
+             [[body]]\nname = 'a'\nradius = 1.0\nmotion = {{ free = {{ from = [0, 0, 0], velocity = [0, 0, -5e10] }} }}\n\
+             [[body]]\nname = 'b'\nradius = 1.0\nmotion = {{ free = {{ from = [0.5, 0, 0.3], velocity = [0, 0, -5e10] }} }}\n"
+        );
+        run(&mut start(&Scene::parse(&text, "fast.toml").unwrap()), 2);
+    }
+}
+
 /// The stiffness from ω: a bar one radius long has that frequency, by its closed form.
 #[test]
 fn stiffness_follows_omega() {
