@@ -100,6 +100,15 @@ pub struct Bounds {
 }
 
 impl Path {
+    /// The rate at which it turns [rad/s], for a path of a program at most; 0 if it is piecewise polynomial.
+    pub(crate) fn turning_rate(&self) -> f64 {
+        match self {
+            Path::Sine { frequency, .. } => TAU * frequency.abs(),
+            Path::Given(Given { bounds, .. }) if bounds.acceleration > 0.0 => bounds.acceleration / bounds.speed,
+            Path::Given(_) | Path::Fixed(_) | Path::Line { .. } | Path::Keyframes(_) => 0.0,
+        }
+    }
+
     /// c, c′ and c″ at time `t` [s]; at a discontinuity, the values after it.
     #[inline]
     pub fn at(&self, t: f64) -> Kinematics {

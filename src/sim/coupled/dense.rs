@@ -104,7 +104,7 @@ impl DenseOutput {
             DenseOutput { field, tolerance, scratch: Scratch::default(), states, spans, own_spans: 0, most_states };
         let mut island = Island::resume(parts, tolerance, start);
         let mut scratch = scratch;
-        let mut advance = island.begin(&mut scratch, end);
+        let mut advance = island.begin(&mut scratch, end, paths);
         dense.keep(&island, paths);
         while island.time() < end {
             island.substep(&mut scratch, &mut advance, paths, work, &mut Report::default()).ok()?;

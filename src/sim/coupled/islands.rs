@@ -14,7 +14,7 @@ use crate::{
     lock,
     model::oscillator::Oscillator,
     parallel,
-    scene::{Point, Scene},
+    scene::{Path, Point, Scene},
     sim::{
         free::{self, Body, Driven, Island, Pair, Parts, Paths, Report, Scratch, Shape},
         neighbours::PairId,
@@ -241,6 +241,10 @@ pub(super) struct OfScene<'a> {
 impl Paths for OfScene<'_> {
     fn at(&self, body: usize, t: f64, before: bool) -> Driven {
         driven(self.scene, self.bodies[body], t, before)
+    }
+
+    fn turning_rate(&self, body: usize) -> f64 {
+        self.scene.source_path(self.bodies[body] as usize).map_or(0.0, Path::turning_rate)
     }
 
     fn kick(&self, body: usize, t: f64) -> DVec3 {

@@ -168,6 +168,11 @@ pub trait Paths: Sync {
     /// The motion of `body` at `t` [s]; with `before`, the left limit if something jumps there.
     fn at(&self, body: usize, t: f64, before: bool) -> Driven;
 
+    /// The rate at which the path turns [rad/s]; 0 if it is piecewise polynomial.
+    fn turning_rate(&self, _body: usize) -> f64 {
+        0.0
+    }
+
     /// Jump of the velocities u of the body's vertices at `t` [s], where the velocity of its path jumps [scene unit/s].
     fn kick(&self, _body: usize, _t: f64) -> DVec3 {
         DVec3::ZERO

@@ -18,7 +18,7 @@ use super::{
 use crate::{
     model::phase::Phase,
     sim::numerics::{
-        control::{GROWTH, MAX_GROWTH, ORDER, SAFETY, STANDING},
+        control::{GROWTH, MAX_ANGLE, MAX_GROWTH, ORDER, SAFETY, STANDING},
         larger,
     },
 };
@@ -144,6 +144,8 @@ pub(in crate::sim) struct Advance {
     end: f64,
     /// Steps below this length are not tried [s].
     shortest: f64,
+    /// Nor are longer ones [s]: their polynomials would not follow the paths.
+    longest: f64,
     /// Number of steps tried so far.
     tried: u64,
 }
@@ -304,7 +306,7 @@ impl Island {
         work: &Tally<'_>,
         report: &mut Report,
     ) -> Result<(), Failure> {
-        let mut advance = self.begin(scratch, end);
+        let mut advance = self.begin(scratch, end, paths);
         while self.time < end {
             self.substep(scratch, &mut advance, paths, work, report)?;
         }
@@ -313,7 +315,7 @@ impl Island {
     }
 
     /// Prepares to advance the island to `end` [s] in [substeps](Self::substep).
-    pub(in crate::sim) fn begin(&self, scratch: &mut Scratch, end: f64) -> Advance {
+    pub(in crate::sim) fn begin(&self, scratch: &mut Scratch, end: f64, paths: &dyn Paths) -> Advance {
         let count = self.stepped();
         resize(&mut scratch.courses, &mut scratch.spare.courses, count);
         resize(&mut scratch.acting, &mut scratch.spare.acting, count);
@@ -332,7 +334,10 @@ impl Island {
             let radii = near.flat_map(|pair| [pair.a, pair.b]).map(|near| self.bodies[near as usize].radius);
             course.smallest_radius = radii.fold(body.radius, f64::min);
         }
-        Advance { end, shortest: (end - self.time) * STANDING, tried: 0 }
+        let on_paths = (0..self.bodies.len()).filter(|&body| !self.bodies[body].is_free());
+        let fastest = on_paths.map(|body| paths.turning_rate(body)).fold(0.0, f64::max);
+        let shortest = (end - self.time) * STANDING;
+        Advance { end, shortest, longest: f64::max(MAX_ANGLE / fastest, shortest), tried: 0 }
     }
 
     /// Takes one step of the solver, of the length that the tolerance allows.
@@ -346,7 +351,7 @@ impl Island {
     ) -> Result<(), Failure> {
         let stop = self.enter(scratch, advance.end, paths, report)?;
         let left = stop - self.time;
-        let parts = (left / self.step_length).ceil().max(1.0);
+        let parts = (left / self.step_length.min(advance.longest)).ceil().max(1.0);
         let mut next = if parts > 1.0 { self.time + left / parts } else { stop };
         let attempt = loop {
             let attempt = self.attempt(scratch, next, paths, work, report);

@@ -339,7 +339,7 @@ impl Island {
         work: &Tally<'_>,
         report: &mut Report,
     ) -> Result<(), Failure> {
-        self.begin(scratch, end);
+        self.begin(scratch, end, paths);
         while self.time < end {
             let stop = self.enter(scratch, end, paths, report)?;
             self.coast(scratch, stop, vertices, paths, work, report)?;

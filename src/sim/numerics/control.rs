@@ -52,8 +52,10 @@ pub const MAX_GROWTH: f64 = 4.0;
 /// by half in each.
 pub const MAX_SWEEPS: u32 = 24;
 /// Largest angle by which a body's frame turns in a step, and the stiffest oscillation in a substep of fixed length [rad];
-/// there it is also the largest way of a vertex [radii of the smallest body]. The rate of a rotation vector is singular at
-/// a full turn; velocity Verlet is stable up to 2, and its frequency is off by 1 % here (1/24 of the square).
+/// there it is also the largest way of a vertex [radii of the smallest body]; also the largest angle by which a sine path
+/// turns in a step: the squared distance of two bodies is then off by 2e-9 of the square of the amplitude (the remainder of
+/// Hermite interpolation at the four nodes), so that a threshold is passed in time. The rate of a rotation vector is singular
+/// at a full turn; velocity Verlet is stable up to 2, and its frequency is off by 1 % here (1/24 of the square).
 pub const MAX_ANGLE: f64 = 0.5;
 /// Larger tolerances than this make steps longer, but do not allow to leave out more [radii/s]. Otherwise what corrections
 /// leave, which is of low order, would dominate the error of steps much shorter than the tolerance requires.
