@@ -62,7 +62,7 @@ impl Conserved {
                 }
             }
             sum.angular_momentum += mass * body.centre.cross(body.velocity) + spin;
-            let rigid = 0.5 * spin.dot(body.inner(body.rotation).spin(spin));
+            let rigid = if body.turns() { 0.5 * spin.dot(body.inner(body.rotation).spin(spin)) } else { 0.0 };
             sum.spin += rigid;
             sum.vibration += own - rigid;
             sum.elastic += 0.5 * body.oscillator.omega * body.oscillator.omega * elastic;
