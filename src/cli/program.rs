@@ -8,6 +8,7 @@ use std::{
 use super::{
     Failure, load,
     overrides::{self, Overrides},
+    say,
 };
 use crate::{
     models::{self, SceneRun},
@@ -118,10 +119,14 @@ impl Program<'_> {
         }
     }
 
-    /// Opens the only recording of a file, or one of several: `F.rrd/NAME`.
+    /// Opens the only recording of a file, or one of several: `F.rrd/NAME`. Warns if it is cut short.
     pub fn recorded(&self, path: &Path) -> Result<Recorded, ReadError> {
         let contents = Contents::read(path)?;
-        self.recreate(&contents, contents.only()?)
+        let recorded = self.recreate(&contents, contents.only()?)?;
+        if let Some(what) = recorded.cut_short() {
+            say(&format!("warning: {what}"));
+        }
+        Ok(recorded)
     }
 
     /// Opens one of the recordings of a file.

@@ -14,7 +14,6 @@ use crate::{
         Recorded,
         contents::Contents,
         existing::{Existing, Kind},
-        read::End,
         replay::{self, Verdict},
     },
     scene::template::Override,
@@ -185,21 +184,8 @@ fn verify(arguments: &Arguments, recorded: &Recorded, name: &str) -> Result<(), 
 
 /// Rejects a truncated recording unless one is expected.
 fn check_end(recorded: &Recorded) -> Result<(), Failure> {
-    if recorded.end == End::Whole {
-        return Ok(());
-    }
-    let (path, last) = (recorded.path.display(), thousands(recorded.last()));
-    let what = match recorded.settings.steps {
-        Some(steps) if steps == recorded.last() => {
-            format!(
-                "{path} is cut short: it has all {last} steps but lacks its end: the run was killed, or the file is incomplete"
-            )
-        }
-        steps => {
-            let planned = steps.map_or(String::new(), |steps| format!(" of {}", thousands(steps)));
-            format!("{path} is cut short after step {last}{planned}: the run was killed, or the file is incomplete")
-        }
-    };
+    let Some(what) = recorded.cut_short() else { return Ok(()) };
+    let path = recorded.path.display();
     if recorded.path.extension().is_some_and(|extension| extension == "partial") {
         say(&format!("note: {what}"));
         return Ok(());

@@ -133,16 +133,20 @@ pub fn sweep(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> 
         models::need_oscillators(template.base(), "a sweep").map_err(Failure::input)?;
     }
     let axis = arguments.bisect.as_ref().map(|name| axis_to_bisect(&sweep.design, name)).transpose()?;
+    if arguments.out.exists() && !arguments.out.is_dir() {
+        return Err(Failure::Input(format!("--out {} is not a folder: choose another name", arguments.out.display())));
+    }
     may_draw(&arguments.out)?;
     if let Some(axis) = axis {
         let path = arguments.out.join(thresholds_file(axis));
         may_replace(&path, &bisect::columns(&sweep.design)).map_err(Failure::input)?;
     }
-    let store = Store::open(&arguments.out, &sweep, columns(&sweep))?;
+    let store = || Store::open(&arguments.out, &sweep, columns(&sweep));
     if let Some(row) = arguments.open {
-        return open(&sweep, &store, row);
+        return open(&sweep, &store()?, row); // the run listens for Ctrl-C itself
     }
     interrupt::raise_stop()?;
+    let store = store()?;
     // shapes stay cached as long as they are referenced
     let base = template.iter().flat_map(|template| &template.base().bodies);
     let _shapes: Vec<_> = base.map(|body| body.shape.mesh()).collect();

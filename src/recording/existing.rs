@@ -71,10 +71,11 @@ pub struct Existing {
 }
 
 impl Existing {
-    /// Whether a file begins like a recording.
+    /// Whether a file begins like a recording, or has the name of one, which may be damaged.
     pub fn is_recording(path: &Path) -> bool {
         let (file, _) = file_and_name(path);
-        file.is_file() && Reader::open(file).is_ok()
+        let is_named = file.extension().is_some_and(|extension| extension == "rrd");
+        file.is_file() && (is_named || Reader::open(file).is_ok())
     }
 
     /// The recording at `path`; `None` if there is no readable one.

@@ -25,6 +25,7 @@ use crate::{
         },
         settings::{FORMAT, Settings, application, recording_id},
     },
+    text::thousands,
 };
 
 /// Size of a checksum in a file [bytes]: checksums are incompressible.
@@ -162,6 +163,18 @@ impl Recorded {
     /// The last step that has a checksum.
     pub fn last(&self) -> u64 {
         self.first + (self.checksums.len() as u64).saturating_sub(1)
+    }
+
+    /// In words, what a recording without an end lacks; `None` if it has its end.
+    pub fn cut_short(&self) -> Option<String> {
+        let (path, last) = (self.path.display(), thousands(self.last()));
+        let lacks = match self.settings.steps {
+            _ if self.end == End::Whole => return None,
+            Some(steps) if steps == self.last() => format!(": it has all {last} steps but lacks its end"),
+            Some(steps) => format!(" after step {last} of {}", thousands(steps)),
+            None => format!(" after step {last}"),
+        };
+        Some(format!("{path} is cut short{lacks}: the run was killed, or the file is incomplete"))
     }
 
     /// The checksum of a step, if it has one.

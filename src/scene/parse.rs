@@ -454,19 +454,30 @@ impl Names {
 fn read_shape(body: &Table<'_>, meshes: &mut Meshes<'_>) -> Result<Shape, SceneError> {
     let Some(shape) = body.get("shape") else { return Ok(Shape::default()) };
     let table = shape.clone().into_table(&keys::SHAPE)?;
-    let mut given = Shape::KINDS.iter().zip(&*keys::SOLIDS).filter(|(kind, _)| table.get(kind.name).is_some());
-    let file = table.get("mesh");
-    let kind = given.next();
-    if given.next().is_some() || kind.is_some() && file.is_some() {
-        return Err(shape.unexpected(keys::SHAPE_FORM));
-    }
-    if let Some(file) = file {
-        return meshes.shape(&file);
-    }
-    let (kind, section) = kind.unwrap_or((&Shape::KINDS[0], &keys::SOLIDS[0]));
+    let names: Vec<&'static str> = Shape::KINDS.iter().map(|kind| kind.name).chain(["mesh"]).collect();
+    let given = match given(&table, &names)[..] {
+        [] => Shape::KINDS[0].name,
+        [only] => only,
+        ref several => return Err(not_one(&shape, &names, several)),
+    };
+    let mut kinds = Shape::KINDS.iter().zip(&*keys::SOLIDS);
+    let Some((kind, section)) = kinds.find(|(kind, _)| kind.name == given) else {
+        return meshes.shape(&table.present(given, keys::SHAPE_FORM)?);
+    };
     let table = table.present(kind.name, section.form)?.into_table(section)?;
     let parameters = section.all().map(|key| table.integer(key)).collect::<Result<Vec<_>, SceneError>>()?;
     Ok((kind.make)(&parameters))
+}
+
+/// Those of some keys that a table has.
+fn given(table: &Table<'_>, names: &[&'static str]) -> Vec<&'static str> {
+    names.iter().copied().filter(|name| table.get(name).is_some()).collect()
+}
+
+/// A table, the value `of` a key, should have exactly one of some keys.
+fn not_one(of: &Value<'_>, names: &[&str], given: &[&str]) -> SceneError {
+    let found = if given.is_empty() { "none".to_owned() } else { given.join(" and ") };
+    of.error(format!("expected exactly one of {}, found {found}", names.join(", ")))
 }
 
 /// The motion of a body or of a force point; `free` reads `motion = { free = … }`.
@@ -476,13 +487,9 @@ fn read_motion<T: From<Path>>(
 ) -> Result<T, SceneError> {
     let motion = owner.present("motion", keys::MOTION_FORM)?;
     let table = motion.clone().into_table(&keys::MOTION)?;
-    let names = || keys::MOTIONS.iter().map(|key| key.name);
-    let given: Vec<_> = names().filter(|name| table.get(name).is_some()).collect();
-    let [kind] = given[..] else {
-        let found = if given.is_empty() { "none".to_owned() } else { given.join(" and ") };
-        let names: Vec<_> = names().collect();
-        return Err(motion.error(format!("expected exactly one of {}, found {found}", names.join(", "))));
-    };
+    let names: Vec<_> = keys::MOTIONS.iter().map(|key| key.name).collect();
+    let given = given(&table, &names);
+    let [kind] = given[..] else { return Err(not_one(&motion, &names, &given)) };
     let value = table.present(kind, keys::MOTION_FORM)?;
     Ok(match kind {
         "fixed" => Path::Fixed(value.vector(ANY)?).into(),

@@ -313,6 +313,7 @@ fn set<'a>(at: &mut DeValue<'a>, parts: &[Part], value: DeValue<'a>) -> Result<(
                 return set(next.get_mut(), rest, value);
             }
             let mut next = match rest.first() {
+                Some(Part::Index(_)) if rest.len() > 1 => return Err(format!("there is no [[{name}]] to change")),
                 Some(Part::Index(_)) => zeros(),
                 _ => DeValue::Table(DeTable::new()),
             };

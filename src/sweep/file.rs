@@ -463,7 +463,7 @@ fn read_axis(table: &Table<'_>, sampling: Sampling) -> Result<Axis, SceneError> 
         _ => 2,
     };
     if count < 2 {
-        return Err(table.error("count", "expected 2 or more".to_owned()));
+        return Err(table.error("count", format!("expected 2 or more, found {count}")));
     }
     Ok(Axis { key, name, values: Values::Range { from, to, count, scale } })
 }

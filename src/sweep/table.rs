@@ -20,7 +20,7 @@ use crate::{
 
 /// Why a table cannot be read.
 #[derive(Debug, thiserror::Error)]
-#[error("{path} is not a table of this sweep: {why}")]
+#[error("{path} is not a table of this sweep: {why}; delete it and repeat the command, which runs its rows again")]
 pub struct TableError {
     path: String,
     why: String,

@@ -579,6 +579,10 @@ Body: shape is empty
 shape = {}
 > bad.toml:3:9: body["ball"].shape.sphere: missing, expected a table such as { stacks = 12, slices = 24 }
 
+Body: two shapes
+shape = { sphere = { stacks = 12, slices = 24 }, mesh = "blob.obj" }
+> bad.toml:3:9: body["ball"].shape: expected exactly one of sphere, mesh, found sphere and mesh
+
 Body: shape unknown
 shape = { cube = 1 }
 > bad.toml:3:11: body["ball"].shape.cube: unknown key (known keys: sphere, mesh)

@@ -232,6 +232,10 @@ fn the_worst_recording_of_a_file_decides() {
         "{text}"
     );
     assert!(text.contains("error: three: cut.rrd is cut short"), "{text}");
+    // what does not need the end says so
+    let (status, _, text) = meldscope(&dir, &["explain", "cut.rrd/three", "--step", "99999"]);
+    assert!(text.starts_with("warning: cut.rrd is cut short") && text.contains("beyond the last step"), "{text}");
+    assert_eq!(status, 2);
 }
 
 /// Recordings of one scene are told apart by their ids.

@@ -95,6 +95,9 @@ pub enum Flaw {
         /// Number of triangles of the mesh.
         triangles: usize,
     },
+    /// The triangles enclose nothing.
+    #[error("it is flat: it encloses no volume")]
+    Flat,
     /// The triangles are oriented inwards.
     #[error("it is inside out: it encloses a volume of {volume:e}; flip its normals")]
     InsideOut {
@@ -125,6 +128,9 @@ pub fn closed(soup: Soup, watch: &dyn Fn(f64)) -> Result<Soup, Flaw> {
     let massless = || (0..areas.len()).filter(|&vertex| !(areas[vertex] > 0.0));
     if let Some(first) = massless().next() {
         return Err(Flaw::Massless { count: massless().count(), position: soup.positions[first] });
+    }
+    if volume == 0.0 {
+        return Err(Flaw::Flat);
     }
     if !(volume > 0.0) {
         return Err(Flaw::InsideOut { volume });

@@ -11,6 +11,7 @@ pub fn parse(bytes: &[u8]) -> Result<Soup, String> {
     let mut soup = Soup::default();
     let mut corners = Vec::new();
     // material names may be in any encoding; positions and faces are ASCII
+    let bytes = bytes.strip_prefix("\u{feff}".as_bytes()).unwrap_or(bytes); // a byte-order mark
     let mut lines = (1..).zip(bytes.split(|&byte| byte == b'\n'));
     while let Some((line, bytes)) = lines.next() {
         if !matches!(bytes.trim_ascii_start(), [b'v' | b'f', b' ' | b'\t', ..]) {

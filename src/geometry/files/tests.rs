@@ -156,7 +156,7 @@ fn every_format_has_the_same_cube() {
     }
 }
 
-/// Variants that other programs write: continued lines, capitals, trailing bytes.
+/// Variants that other programs write: continued lines, a byte-order mark, capitals, trailing bytes.
 #[test]
 fn unusual_files_have_the_same_cube() {
     let own = String::from_utf8(obj()).unwrap();
@@ -167,6 +167,7 @@ fn unusual_files_have_the_same_cube() {
     for (extension, bytes) in [
         ("obj", own.replace(" -", " \\\n -").into_bytes()),
         ("obj", windows.replace(" -", " \\\r\n-").into_bytes()),
+        ("obj", format!("\u{feff}{own}").into_bytes()),
         ("stl", ascii.to_ascii_uppercase().into_bytes()),
         ("stl", ascii.replace('\n', "\r\n").into_bytes()),
         ("stl", longer),
