@@ -122,11 +122,11 @@ entities! {
     BODY_FORCE = "/forces/NAME/CAUSE" ["Scalars"]
         "Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, by mass if it is free, and of that by forces at points [scene unit/s²]; with at most 16 bodies, from the first frame in which it acts.";
     RESULTANTS = "/world/resultants" ["Arrows3D"]
-        "The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre; all on one scale, on which the longest of an instant is 1.5 times as long as the largest radius. The strongest causes on the bodies with the strongest, at most five, are labelled with the body, the cause and the value [scene unit/s²] where there is room; with at most 5 bodies, those on which nothing acts have arrows of no length with their names.";
+        "The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre; all on one scale, on which the longest of an instant is 1.5 times as long as the largest radius. Of the five bodies with the largest net forces, those for which there is room are labelled with the body, its net force and its strongest cause [scene unit/s²]; with at most 5 bodies, those on which nothing acts have arrows of no length with their names.";
     STRONGEST = "/strongest" ["Scalars, SeriesLines"]
         "With more than 3 bodies: the largest of the net forces on bodies by each cause, over their masses [scene unit/s²].";
     RANKED_FORCES = "/ranking/forces" ["Points2D, LineStrips2D"]
-        "Rows with labels and bars: the strongest forces on bodies as wholes at an instant; with more than 3 bodies, those with the strongest, each with a dot at its second strongest.";
+        "Rows with labels and bars: the strongest forces on bodies as wholes at an instant; with more than 3 bodies, those with the largest net forces, each with a dot at its strongest cause.";
     RANKED_DISPLACEMENTS = "/ranking/displacements" ["Points2D, LineStrips2D"]
         "With more than 3 bodies: rows with labels and bars, for those with the largest displacements at an instant.";
     RANKED_PAIRS = "/ranking/pairs" ["Points2D, LineStrips2D"]
@@ -148,7 +148,7 @@ entities! {
     PAIR_PHASE = "/pairs/A~B/phase" ["StateChange, StateConfiguration"]
         "The phase, for the same pairs.";
     PAIR_GAP = "/pairs/A~B/gap" ["Scalars"]
-        "Smallest distance of the surfaces, or minus the depth of their overlap [radii of the smaller body].";
+        "Smallest distance of the surfaces, or minus the depth of their overlap, the largest at vertices and in the middles of edges and triangles [radii of the smaller body].";
     PAIR_OVERLAP = "/pairs/A~B/overlap" ["Scalars"]
         "Volume of the intersection [its radius³].";
     PAIR_NECK = "/pairs/A~B/neck" ["Scalars"]
@@ -162,7 +162,7 @@ entities! {
     BODY_SCALAR = "/bodies/SCALAR/NAME" ["Scalars"]
         "A scalar of a body that the simulation names, for the first 64 bodies.";
     GROUP = "/groups/A" ["bodies"]
-        "The names of the bodies of the group whose first body is A.";
+        "The names of the bodies of the group whose first body is A; none once it has dissolved.";
     GROUP_LINE = "/groups/A/QUANTITY" ["Scalars"]
         "Volume, area, genus, components, Euler characteristic and number of bodies of the group, of its sharp union.";
     EVENTS = "/events" ["TextLog, bodies, phases, time, q, rate, energy"]
@@ -200,7 +200,7 @@ entities! {
     LARGEST = "/largest" ["Points3D, LineStrips3D"]
         "The vertex with the largest displacement of those that lie in no other body, and above it its label, also with the largest of all.";
     LARGEST_OF_BODIES = "/largest/bodies" ["Points3D"]
-        "The names of the five bodies with the largest displacements [radii], and these.";
+        "Of the five bodies with the largest displacements, the names and these [radii], where there is room.";
     STAGES = "/stages" ["TextLog"]
         "One line per stage of the steps recorded in detail, with the largest displacement and how far vertices moved since the stage before, on the timeline stage, which the entities under /world have too, and on that of steps.";
     CHECKSUM = "/checksum" ["checksum"]

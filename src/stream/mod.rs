@@ -49,9 +49,9 @@
 //! | `/world/forces` | AnnotationContext | Names of the pairs of bodies between which forces act, as classes of arrows. |
 //! | `/world/forces/CAUSE` | Arrows3D | Accelerations of vertices and of points of contact by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre. |
 //! | `/forces/NAME/CAUSE` | Scalars | Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, by mass if it is free, and of that by forces at points [scene unit/s²]; with at most 16 bodies, from the first frame in which it acts. |
-//! | `/world/resultants` | Arrows3D | The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre; all on one scale, on which the longest of an instant is 1.5 times as long as the largest radius. The strongest causes on the bodies with the strongest, at most five, are labelled with the body, the cause and the value [scene unit/s²] where there is room; with at most 5 bodies, those on which nothing acts have arrows of no length with their names. |
+//! | `/world/resultants` | Arrows3D | The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre; all on one scale, on which the longest of an instant is 1.5 times as long as the largest radius. Of the five bodies with the largest net forces, those for which there is room are labelled with the body, its net force and its strongest cause [scene unit/s²]; with at most 5 bodies, those on which nothing acts have arrows of no length with their names. |
 //! | `/strongest` | Scalars, SeriesLines | With more than 3 bodies: the largest of the net forces on bodies by each cause, over their masses [scene unit/s²]. |
-//! | `/ranking/forces` | Points2D, LineStrips2D | Rows with labels and bars: the strongest forces on bodies as wholes at an instant; with more than 3 bodies, those with the strongest, each with a dot at its second strongest. |
+//! | `/ranking/forces` | Points2D, LineStrips2D | Rows with labels and bars: the strongest forces on bodies as wholes at an instant; with more than 3 bodies, those with the largest net forces, each with a dot at its strongest cause. |
 //! | `/ranking/displacements` | Points2D, LineStrips2D | With more than 3 bodies: rows with labels and bars, for those with the largest displacements at an instant. |
 //! | `/ranking/pairs` | Points2D, LineStrips2D | With more than 3 bodies: rows with labels, q and thresholds, for the pairs that change phase next. |
 //! | `/world/points` | Ellipsoids3D, Points3D | The influence spheres of force points, while they act, and above them their names. |
@@ -62,14 +62,14 @@
 //! | `/pairs/A~B/distance` | Scalars | q, for the first 16 pairs within reach, or 5 with more than 64 bodies (--plots), and as many that have events. |
 //! | `/pairs/A~B/LEVEL` | Scalars | A threshold of q, for the same pairs: merge_at, split_at, core_at. |
 //! | `/pairs/A~B/phase` | StateChange, StateConfiguration | The phase, for the same pairs. |
-//! | `/pairs/A~B/gap` | Scalars | Smallest distance of the surfaces, or minus the depth of their overlap [radii of the smaller body]. |
+//! | `/pairs/A~B/gap` | Scalars | Smallest distance of the surfaces, or minus the depth of their overlap, the largest at vertices and in the middles of edges and triangles [radii of the smaller body]. |
 //! | `/pairs/A~B/overlap` | Scalars | Volume of the intersection [its radius³]. |
 //! | `/pairs/A~B/neck` | Scalars | Radius of the seam [radii of the smaller body]. |
 //! | `/pairs/A~B/contact` | StateChange, StateConfiguration | Whether the bodies are joined by their phase, and whether their surfaces touch. |
 //! | `/touching/MODEL` | StateChange, StateConfiguration | With several models side by side: the pairs of bodies whose surfaces touch, of those with plots. |
 //! | `/between/SCALAR/A~B` | Scalars | A scalar of a pair that the simulation names, for the same pairs. |
 //! | `/bodies/SCALAR/NAME` | Scalars | A scalar of a body that the simulation names, for the first 64 bodies. |
-//! | `/groups/A` | bodies | The names of the bodies of the group whose first body is A. |
+//! | `/groups/A` | bodies | The names of the bodies of the group whose first body is A; none once it has dissolved. |
 //! | `/groups/A/QUANTITY` | Scalars | Volume, area, genus, components, Euler characteristic and number of bodies of the group, of its sharp union. |
 //! | `/events` | TextLog, bodies, phases, time, q, rate, energy | One line per change of a phase; a thin recording has all events here. |
 //! | `/events/accuracy` | TextLog | One line when the error of a body begins to exceed the tolerance, and when it has doubled since: which body, and by how much. |
@@ -88,7 +88,7 @@
 //! | `/diagnostics/overlapping_groups` | Scalars | Groups that could not be united in time and are drawn as overlapping meshes. |
 //! | `/legend/PART` | Image; Points2D | The colour scale of displacements, and its numbers at the instant. |
 //! | `/largest` | Points3D, LineStrips3D | The vertex with the largest displacement of those that lie in no other body, and above it its label, also with the largest of all. |
-//! | `/largest/bodies` | Points3D | The names of the five bodies with the largest displacements [radii], and these. |
+//! | `/largest/bodies` | Points3D | Of the five bodies with the largest displacements, the names and these [radii], where there is room. |
 //! | `/stages` | TextLog | One line per stage of the steps recorded in detail, with the largest displacement and how far vertices moved since the stage before, on the timeline stage, which the entities under /world have too, and on that of steps. |
 //! | `/checksum` | checksum | A hash of the exact state after every step; a thin recording has several steps per row, at the time of the last one. |
 //! | `/about` | TextDocument | The text of the panel. |

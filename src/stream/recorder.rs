@@ -55,6 +55,9 @@ pub const MOST_APPROACHES: usize = 5;
 /// A move between two stages that is rounding [radii].
 const STILL: f64 = 1e-9;
 
+/// Upper limit on the ranges of frames that the panel of a flight recorder lists.
+const RANGES: usize = 8;
+
 /// What a flight recorder writes whether or not a trigger fires.
 /// Not the marks of events, which would make plots as long as the run.
 static ALWAYS_WRITTEN: [&Entity; 6] = [&EVENTS, &SURFACE_EVENTS, &BODY_EVENTS, &ACCURACY, &FAILED, &PAIR_PHASE];
@@ -76,8 +79,8 @@ pub struct Recorder {
     first: u64,
     /// Number of those frames that are in the recording.
     written: u64,
-    /// The first and the last of them, of a flight recorder.
-    kept: Option<[Instant; 2]>,
+    /// The first and the last of each range of them without a gap, of a flight recorder.
+    kept: Vec<[Instant; 2]>,
     /// The parts that show stages inside steps.
     stages: Option<StateParts>,
     /// Number of stages shown.
@@ -187,7 +190,7 @@ impl Recorder {
             frames: 0,
             first: simulation.steps_taken(),
             written: 0,
-            kept: None,
+            kept: Vec::new(),
             stages: matches!(settings.detail, Detail::Stages { .. })
                 .then(|| StateParts::new(&schema, &settings, simulation.interrupt(), &mut chunks)),
             stage_count: 0,
@@ -266,7 +269,7 @@ impl Recorder {
             lines: parts.series.outlines().collect(),
             pairs: parts.pairs.told(&self.schema, focus.as_ref().map_or(0.0, |focus| focus.time)),
             focus: focus.filter(|_| self.flight.is_none()), // a flight recorder may have dropped it
-            kept: self.kept.map(|kept| kept.map(|at| at.time)),
+            kept: self.kept.first().zip(self.kept.last()).map(|(first, last)| [first[0].time, last[1].time]),
             have_acted: parts.body_forces.as_ref().map_or(&[], BodyForces::have_acted),
         };
         blueprint::measured(&self.subject(simulation), tab, self.chunks.store(), &measured)
@@ -446,7 +449,10 @@ impl Recorder {
     fn write_kept(&mut self) {
         if let Some(flight) = &mut self.flight {
             if let Some([first, last]) = flight.range() {
-                self.kept = Some([self.kept.map_or(first, |[first, _]| first), last]);
+                match self.kept.last_mut().filter(|kept| first.step <= kept[1].step + self.settings.every) {
+                    Some(before) => before[1] = last,
+                    None => self.kept.push([first, last]),
+                }
             }
             let (chunks, frames) = flight.take();
             chunks.into_iter().for_each(|chunk| self.chunks.send(chunk));
@@ -499,13 +505,16 @@ impl Recorder {
                 }
             }
         }
-        let kept = match (&self.flight, self.kept) {
+        let ranges: Vec<String> =
+            self.kept.iter().take(RANGES).map(|[first, last]| format!("{} to {}", first.step, last.step)).collect();
+        let more = if self.kept.len() > RANGES { ", …" } else { "" };
+        let kept = match (&self.flight, ranges.is_empty()) {
             (None, _) => String::new(),
-            (Some(_), Some([first, last])) => format!(
-                "**Frames: only between steps {} and {}.** At other steps, the 3D views show the last recorded frame, possibly incomplete.\n\n",
-                first.step, last.step
+            (Some(_), false) => format!(
+                "**Frames: only of steps {}{more}.** At other steps, the 3D views show the last recorded frame, possibly incomplete.\n\n",
+                ranges.join(", ")
             ),
-            (Some(_), None) => {
+            (Some(_), true) => {
                 "**No frames**: what they are kept for did not happen. Ignore the 3D views.\n\n".to_owned()
             }
         };
@@ -609,11 +618,11 @@ impl StateParts {
     fn log(&mut self, view: FrameView<'_>, pairs: &[[usize; 2]], chunks: &mut Chunks) -> [Duration; 2] {
         let start = Clock::now();
         let StateParts { extractor, merged, surfaces, spheres, points, forces, springs, lines } = self;
+        let ahead = merged.log(view, pairs, chunks);
         if let Some(forces) = forces {
-            forces.extract(view, extractor);
+            forces.extract(view, &merged.merged().groups, extractor);
         }
         let vertices = forces.as_ref().map_or(&[] as &[_], |forces| &forces.vertices);
-        let ahead = merged.log(view, pairs, chunks);
         let is_merged = &merged.merged().is_merged;
         match surfaces {
             Surfaces::Bodies(bodies) => bodies.log(view, is_merged, vertices, extractor, chunks),

@@ -66,10 +66,9 @@ fn eye(spheres: &[(DVec3, f64)], back: DVec3, aspect: f64) -> DVec3 {
     let up = back.cross(right);
     // the planes of the view frustum that face each other touch a sphere each, and meet at the eye
     let fit = |sideways: DVec3, half: f64| {
+        let slant = half.hypot(1.0);
         let reach = |sideways: DVec3| {
-            let of = |&(centre, radius): &(DVec3, f64)| {
-                centre.dot(sideways) + half * centre.dot(back) + radius * half.hypot(1.0)
-            };
+            let of = |&(centre, radius): &(DVec3, f64)| centre.dot(sideways) + half * centre.dot(back) + radius * slant;
             spheres.iter().map(of).fold(f64::NEG_INFINITY, f64::max)
         };
         let [one, other] = [reach(sideways), reach(-sideways)];

@@ -263,6 +263,11 @@ impl Layout {
         self.view("StateTimeline", name, origin, contents, &[("TimeAxis", &axis)])
     }
 
+    /// Hides the legend of a plot.
+    pub fn hide_legend(&mut self, plot: &Part) {
+        self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
+    }
+
     /// Rows with labels and bars.
     pub fn ranking(&mut self, title: &str, Entity { path, .. }: &Entity) -> Part {
         let [left, right, top, bottom] = ranking::BOUNDS;

@@ -36,7 +36,7 @@ use crate::{
     sdk::{
         self, AsComponents, LogMsg, Points3D, StoreId,
         blueprint::{
-            archetypes::{PlotLegend, TimePanelBlueprint, VisualBounds2D},
+            archetypes::{TimePanelBlueprint, VisualBounds2D},
             components::{ContainerKind, Corner2D, PlayState},
         },
         datatypes,
@@ -123,7 +123,7 @@ pub fn of_comparison(
         let contents = [&COMPARED_DISTANCE, &COMPARED_EVENTS].map(family);
         let plot = layout.time_series(&distances, "/", &contents, Corner2D::RightBottom);
         // it would cover a third of the lines, whose colours are those of the surfaces
-        layout.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
+        layout.hide_legend(&plot);
         parts.insert(1, plot);
         shares.insert(1, 1.0);
     }

@@ -58,8 +58,8 @@ pub fn arrows(schema: &Schema) -> String {
         return "No force can act in this scene.\n".to_owned();
     }
     format!(
-        "**By body**: what each cause does to a body as a whole, all on one scale, on which the strongest of an instant is 1.5 R long; the \
-         strongest on a body is labelled with its value [unit/s²] where there is room.\n\n\
+        "**By body**: what each cause does to a body as a whole, all on one scale, on which the strongest of an instant is 1.5 R long; bodies \
+         are labelled with the net force and its strongest cause [unit/s²] where there is room.\n\n\
          **Others**: an arrow of **1 R = {} unit** means: {}.\n\nArrows begin at vertices{}. \
          The plots use the same colours and show means over bodies.\n",
         rounded(radius),

@@ -13,7 +13,7 @@ use crate::{
     sdk::{
         self, Mesh3D, Points3D,
         blueprint::{
-            archetypes::{ContainerBlueprint, EntityBehavior, PlotLegend, VisibleTimeRanges},
+            archetypes::{ContainerBlueprint, EntityBehavior, VisibleTimeRanges},
             components::{ContainerKind, Corner2D, VisibleTimeRange},
         },
         datatypes::{self, TimeRange, TimeRangeBoundary},
@@ -98,7 +98,7 @@ impl Layout {
             let mut parts = self.pair_views(schema);
             if is_ranked(schema) {
                 // as many names would cover half of a small plot, and lanes of all pairs have no room
-                self.log(&format!("{}/PlotLegend", parts[0].path), &PlotLegend::new().with_visible(false));
+                self.hide_legend(&parts[0]);
                 parts[1] = self.ranking(NEXT, &RANKED_PAIRS);
             }
             let shares = match schema.bodies.len() {
@@ -138,7 +138,7 @@ impl Layout {
             let lines: Vec<String> = lines.map(|scalar| including(&DIAGNOSTIC.of(&[scalar.name]))).collect();
             let plot = self.time_series(plot, "/", &lines, Corner2D::LeftTop);
             // the lines have the colours of those above
-            self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
+            self.hide_legend(&plot);
             parts.push(plot);
         }
         parts.push(self.events());
@@ -220,6 +220,9 @@ impl Layout {
             let plots = measures.map(|(title, measure)| {
                 let contents: Vec<String> = pairs::named(schema, measure).map(|line| including(&line)).collect();
                 let plot = self.plot(title, "/", &contents, Corner2D::RightTop);
+                if is_ranked(schema) {
+                    self.hide_legend(&plot); // as many names would cover half of it
+                }
                 self.measures.push((plot.path.clone(), measure));
                 plot
             });
@@ -299,7 +302,9 @@ impl Layout {
         let of_bodies = if schema.bodies.len() > body_forces::MOST_BODIES { &[] } else { schema.bodies.as_slice() };
         let strongest = is_ranked.then(|| {
             let title = "Strongest on any body, by cause [unit/s²]";
-            self.plot(title, "/", &[including(STRONGEST.path)], Corner2D::RightTop)
+            let plot = self.plot(title, "/", &[including(STRONGEST.path)], Corner2D::RightTop);
+            self.hide_legend(&plot); // it would cover half of the lines; the panel below the arrows names the colours
+            plot
         });
         let mut plots: Vec<Part> = strongest.into_iter().collect();
         plots.extend(of_bodies.iter().enumerate().map(|(index, body)| {
@@ -309,9 +314,9 @@ impl Layout {
             };
             let contents = format!("+ {}/{}/**", BODY_FORCE.family(), body.name);
             let plot = self.plot(&title, "/", &[contents], Corner2D::RightTop);
-            if !is_ranked && index > 0 {
+            if !is_ranked && (index > 0 || schema.bodies.len() > 2) {
                 // the lines have the same colours in all plots; a legend covers half of a small one
-                self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
+                self.hide_legend(&plot);
             }
             plot
         }));
@@ -319,7 +324,7 @@ impl Layout {
         let kind = if is_ranked { ContainerKind::Tabs } else { ContainerKind::Vertical };
         let plots = self.container(kind, "Net forces", plots, &shares);
         let title = match is_ranked {
-            true => "Bodies with the strongest forces now [unit/s²]; dot: the second",
+            true => "Bodies with the largest net forces now [unit/s²]; dot: the strongest cause",
             false => "The strongest forces on bodies now [unit/s²]",
         };
         let ranking = self.ranking(title, &RANKED_FORCES);
@@ -447,7 +452,7 @@ impl Layout {
         ];
         for plot in &parts[..2] {
             // the ranking names the colours
-            self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
+            self.hide_legend(&plot);
         }
         let plots = self.container(ContainerKind::Vertical, "Over time", parts, &[1.6, 1.0, 1.0]);
         let title = "Where the time went: total; longest, its step. +: on other threads";
@@ -458,7 +463,7 @@ impl Layout {
     /// Without a legend, which would hide the lines of a small plot.
     fn small_timings(&mut self, schema: &Schema) -> Part {
         let plot = self.stacked(TIMINGS, schema, false, &[]);
-        self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
+        self.hide_legend(&plot);
         plot
     }
 
@@ -479,7 +484,7 @@ impl Layout {
         let title = format!("Steps per second; with --realtime, also the lag in ms ({lag})");
         let plot = self.plot(&title, "/", &contents, Corner2D::LeftTop);
         // it would cover the first steps
-        self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
+        self.hide_legend(&plot);
         self.speeds = Some(plot.path.clone());
         plot
     }
@@ -540,7 +545,7 @@ impl Layout {
 }
 
 /// The title of the ranking of pairs.
-const NEXT: &str = "Pairs that change phase next, if q goes on as it does";
+const NEXT: &str = "Pairs within reach that change phase next, if q goes on so";
 
 /// The title of the view of everything.
 pub fn scene_title(schema: &Schema) -> &'static str {

@@ -116,13 +116,16 @@ impl BodyForces {
                 }
             }
         }
-        let ranked = ranked(view.schema, &resultants);
-        let of_bodies: Vec<Resultant> = strongest_of_each(view.schema, &ranked).collect();
-        let labelled = ranking::labelled(view, of_bodies.iter().map(|(body, ..)| *body));
-        let now = ResultantRows::of(view, &resultants, of_bodies.iter().filter(|(body, ..)| labelled.contains(body)));
+        let of_bodies = of_bodies(view.schema, &resultants);
+        let labelled = ranking::labelled(view, of_bodies.iter().map(|of| of.body));
+        let labels: Vec<&OfBody> = of_bodies.iter().filter(|of| labelled.contains(&of.body)).collect();
+        let now = ResultantRows::of(view, &resultants, &labels);
         chunks.push_changed(self.arrows, view.at, &[&now.origins, &now.vectors, &now.colors, &now.labels]);
-        let listed = if is_ranked(view.schema) { &of_bodies } else { &ranked };
-        self.ranking.log(rows(view.schema, listed, &ranked), "no force acts on any body", view.at, chunks);
+        let rows = match is_ranked(view.schema) {
+            true => rows_of_bodies(view.schema, &of_bodies),
+            false => rows_of_causes(view.schema, resultants.clone()),
+        };
+        self.ranking.log(rows.into_iter(), "no force acts on any body", view.at, chunks);
         let Some(track) = &self.strongest else { return };
         let strongest = |number: usize| {
             let of_term = resultants.iter().filter(|(_, term, _)| *term == number);
@@ -138,50 +141,83 @@ fn is_plotted(term: &TermSchema) -> bool {
     term.can_act && !term.is_sum
 }
 
-/// The causes of all bodies, without sums of others, the strongest first.
-fn ranked(schema: &Schema, resultants: &[Resultant]) -> Vec<Resultant> {
-    let strength = |(.., acceleration): &Resultant| acceleration.length_squared();
-    let mut ranked: Vec<Resultant> =
-        resultants.iter().filter(|(_, term, _)| !schema.terms[*term].is_sum).copied().collect();
-    ranked.sort_by(|one, other| strength(other).total_cmp(&strength(one)));
-    ranked
+/// What acts on a body as a whole.
+struct OfBody {
+    body: usize,
+    /// The strength of all together [scene unit/s²], if the schema has a sum of its terms.
+    net: Option<f64>,
+    /// The strongest cause.
+    strongest: Resultant,
 }
 
-/// The first of these causes on each body.
-fn strongest_of_each(schema: &Schema, ranked: &[Resultant]) -> impl Iterator<Item = Resultant> {
-    let mut is_new = vec![true; schema.bodies.len()];
-    ranked.iter().copied().filter(move |(body, ..)| std::mem::replace(&mut is_new[*body], false))
+impl OfBody {
+    fn strongest(&self) -> f64 {
+        self.strongest.2.length()
+    }
+
+    /// By which bodies are ranked.
+    fn strength(&self) -> f64 {
+        self.net.unwrap_or_else(|| self.strongest())
+    }
+
+    fn label(&self, schema: &Schema) -> String {
+        let cause = format!("{} {}", schema.terms[self.strongest.1].name, significant(self.strongest()));
+        let net = self.net.map_or(String::new(), |net| format!("net {}, ", significant(net)));
+        format!("{}: {net}{cause}", schema.bodies[self.body].name)
+    }
 }
 
-/// A row for each of the `listed` causes; of more than a few bodies, with a dot at the second strongest on the same body.
-fn rows<'a>(schema: &'a Schema, listed: &'a [Resultant], ranked: &'a [Resultant]) -> impl Iterator<Item = Row> + 'a {
-    let longest = listed.first().map_or(0.0, |(.., acceleration)| acceleration.length());
-    let strong = listed.iter().take_while(move |(.., acceleration)| acceleration.length() > WEAK * longest);
-    strong.map(move |&(body, number, acceleration)| {
-        let color = schema.terms[number].color;
-        let mut marks = vec![(Mark::Bar(acceleration.length() / longest), color)];
-        if is_ranked(schema)
-            && let Some((_, second, of)) = ranked.iter().filter(|(of, ..)| *of == body).nth(1)
-        {
-            marks.push((Mark::Dot(of.length() / longest), schema.terms[*second].color));
-        }
-        Row { label: label(schema, body, number, acceleration), color, marks }
-    })
+/// The bodies on which a force acts, those with the largest net forces first.
+fn of_bodies(schema: &Schema, resultants: &[Resultant]) -> Vec<OfBody> {
+    let sum = schema.terms.iter().position(|term| term.is_sum);
+    let of_body = |all: &[Resultant]| {
+        let causes = all.iter().filter(|(_, term, _)| Some(*term) != sum);
+        let strongest = *causes.max_by(|one, other| one.2.length_squared().total_cmp(&other.2.length_squared()))?;
+        let net = sum.map(|sum| all.iter().find(|(_, term, _)| *term == sum).map_or(0.0, |(.., net)| net.length()));
+        Some(OfBody { body: strongest.0, net, strongest })
+    };
+    let mut of_bodies: Vec<OfBody> = resultants.chunk_by(|one, other| one.0 == other.0).filter_map(of_body).collect();
+    of_bodies.sort_by(|one, other| other.strength().total_cmp(&one.strength()));
+    of_bodies
 }
 
-fn label(schema: &Schema, body: usize, term: usize, acceleration: DVec3) -> String {
-    format!("{}: {} {}", schema.bodies[body].name, schema.terms[term].name, significant(acceleration.length()))
+/// A bar for the net force on each body, with a dot at its strongest cause.
+fn rows_of_bodies(schema: &Schema, of_bodies: &[OfBody]) -> Vec<Row> {
+    let largest = of_bodies.first().map_or(0.0, OfBody::strength);
+    let listed: Vec<&OfBody> =
+        of_bodies.iter().filter(|of| of.strength() > WEAK * largest).take(ranking::ROWS).collect();
+    let longest = listed.iter().map(|of| of.strength().max(of.strongest())).fold(0.0, f64::max);
+    let net = schema.terms.iter().find(|term| term.is_sum);
+    let row = |of: &OfBody| {
+        let cause = schema.terms[of.strongest.1].color;
+        let color = net.map_or(cause, |net| net.color);
+        let mut marks = vec![(Mark::Bar(of.strength() / longest), color)];
+        marks.extend(of.net.map(|_| (Mark::Dot(of.strongest() / longest), cause)));
+        Row { label: of.label(schema), color, marks }
+    };
+    listed.into_iter().map(row).collect()
+}
+
+/// A bar for each cause on each body, and for the net forces.
+fn rows_of_causes(schema: &Schema, mut resultants: Vec<Resultant>) -> Vec<Row> {
+    resultants.sort_by(|one, other| other.2.length_squared().total_cmp(&one.2.length_squared()));
+    let longest = resultants.first().map_or(0.0, |(.., acceleration)| acceleration.length());
+    let row = |&(body, number, acceleration): &Resultant| {
+        let (TermSchema { name, color, .. }, strength) = (&schema.terms[number], acceleration.length());
+        let label = format!("{}: {name} {}", schema.bodies[body].name, significant(strength));
+        (strength > WEAK * longest).then(|| Row {
+            label,
+            color: *color,
+            marks: vec![(Mark::Bar(strength / longest), *color)],
+        })
+    };
+    resultants.iter().map_while(row).take(ranking::ROWS).collect()
 }
 
 impl ResultantRows {
-    /// Arrows from the centres, all on one scale, on which the longest is [`LONGEST`]. Those of `labelled` have the body, the
-    /// cause and its value as their labels.
-    fn of<'a>(
-        view: FrameView<'_>,
-        resultants: &[Resultant],
-        labelled: impl Iterator<Item = &'a Resultant>,
-    ) -> ResultantRows {
-        let labelled: Vec<&Resultant> = labelled.collect();
+    /// Arrows from the centres, all on one scale, on which the longest is [`LONGEST`]. The bodies of `labelled` have their
+    /// names, net forces and strongest causes as labels, on the arrow of the net force if there is one.
+    fn of(view: FrameView<'_>, resultants: &[Resultant], labelled: &[&OfBody]) -> ResultantRows {
         let FrameView { schema, frame, .. } = view;
         let longest = resultants.iter().map(|(.., acceleration)| acceleration.length()).fold(0.0, f64::max);
         let scale = LONGEST * schema.largest_radius() / longest;
@@ -190,8 +226,12 @@ impl ResultantRows {
             arrows.origins.push(frame.bodies[body].centre.as_vec3().to_array());
             arrows.vectors.push((scale * acceleration).as_vec3().to_array());
             arrows.colors.push(color(schema.terms[number].color).to_u32());
-            let is_labelled = labelled.contains(&resultant);
-            arrows.labels.push(if is_labelled { label(schema, body, number, acceleration) } else { String::new() });
+            let has_net =
+                |body: usize| resultants.iter().any(|(of, term, _)| *of == body && schema.terms[*term].is_sum);
+            let of = labelled.iter().find(|of| of.body == body);
+            let of =
+                of.filter(|of| if has_net(body) { schema.terms[number].is_sum } else { of.strongest == *resultant });
+            arrows.labels.push(of.map_or(String::new(), |of| of.label(schema)));
         }
         // the others have their names alone, on arrows of no length
         let is_idle = |index: usize| !resultants.iter().any(|(body, ..)| *body == index);

@@ -1,14 +1,17 @@
 //! Forces as arrows: one batch per force term, only at vertices on which it acts; and net force and torque on free bodies, an
 //! arrow for each at the centre.
 
-use std::collections::{BTreeMap, btree_map::Entry};
+use std::{
+    collections::{BTreeMap, btree_map::Entry},
+    sync::Arc,
+};
 
 use glam::DVec3;
 
 use super::{FrameView, heat::Displacements, vertices};
 use crate::{
     colors,
-    observe::{NetForce, Schema, schema::BodySchema},
+    observe::{NetForce, Schema, schema::BodySchema, surface::Group},
     sdk::{self, AnnotationContext, Arrows3D},
     stream::{
         chunks::{Chunks, TrackId},
@@ -91,11 +94,11 @@ impl Forces {
         }
     }
 
-    /// Extracts the forces of a frame.
-    pub fn extract(&mut self, view: FrameView<'_>, extractor: &mut Extractor) {
+    /// Extracts the forces of a frame with these merged surfaces.
+    pub fn extract(&mut self, view: FrameView<'_>, groups: &[Arc<Group>], extractor: &mut Extractor) {
         let FrameView { schema, .. } = view;
         let longest_net = LONGEST_NET * schema.largest_radius();
-        self.displacements.find(view);
+        self.displacements.find(view, groups);
         let end = self.displacements.end();
         self.terms.iter_mut().chain(&mut self.net).for_each(|kind| kind.arrows.clear());
         for (index, (body, now)) in view.bodies().enumerate() {

@@ -114,6 +114,8 @@ impl GroupPlots {
                     series.interrupt(chunks, line, at);
                 }
                 plot.bodies.clear();
+                let none = AnyValues::default().with_component::<Text>(BODIES.0, [] as [&str; 0]);
+                chunks.log(&plot.entity, at, &none);
             }
         }
         for group in &merged.groups {

@@ -3,6 +3,8 @@
 //! The place of a vertex in the texture is its displacement as a share of one that few vertices on the surface exceed in the
 //! frame: a single spike, perhaps on the far side, would leave the same colour to all others.
 
+use std::sync::Arc;
+
 use glam::DVec3;
 
 use super::{
@@ -11,7 +13,10 @@ use super::{
     recent,
 };
 use crate::colors;
-use crate::observe::Schema;
+use crate::observe::{
+    Schema,
+    surface::{Group, VertexOrigin},
+};
 use crate::sdk::{
     self, AnyValues, Image, LineStrips3D, Points2D, Points3D,
     components::{ImageBuffer, ImageFormat},
@@ -42,7 +47,7 @@ const LEAST: f64 = 0.01;
 const SHARE: f64 = 0.9;
 /// … but at least this share of the largest one, so that a small dent has more than one colour.
 const OF_LARGEST: f64 = 0.3;
-/// A vertex this close to the centre of another body is hidden by it [radii of that body].
+/// A vertex this close to the centre of a body with which its own is not merged is hidden by it [radii of that body].
 const INSIDE: f64 = 0.95;
 /// How far above all bodies the label of the largest displacement is at most [largest radius].
 const ABOVE: f64 = 3.0;
@@ -177,7 +182,7 @@ impl Largest {
     }
 }
 
-/// The displacements of the vertices that lie in no other body, and the largest of all.
+/// The displacements of the vertices on the surface, which lie in no other body, and the largest of all.
 #[derive(Clone, Default)]
 pub struct Displacements {
     outside: Option<Largest>,
@@ -187,17 +192,38 @@ pub struct Displacements {
     /// Scratch storage, reused.
     lengths: Vec<f32>,
     near: Vec<(DVec3, f64)>,
+    /// The number of the merged surface of which each body is part, if it is of one, and which of its vertices are on it.
+    on_surfaces: Vec<(Option<usize>, Vec<bool>)>,
 }
 
 impl Displacements {
-    /// Finds them in a frame.
-    pub fn find(&mut self, view: FrameView<'_>) {
+    /// Finds them in a frame with these merged surfaces.
+    pub fn find(&mut self, view: FrameView<'_>, groups: &[Arc<Group>]) {
+        self.on_surfaces.resize_with(view.schema.bodies.len(), Default::default);
+        self.on_surfaces.iter_mut().for_each(|(number, _)| *number = None);
+        for (number, group) in groups.iter().enumerate() {
+            for &body in &group.bodies {
+                let (of_body, is_on) = &mut self.on_surfaces[body];
+                *of_body = Some(number);
+                is_on.clear();
+                is_on.resize(view.frame.bodies[body].lengths.len(), false);
+            }
+            for VertexOrigin { bodies: [body, _], vertex, .. } in &group.origins {
+                let is_on = vertex.and_then(|vertex| self.on_surfaces[*body as usize].1.get_mut(vertex as usize));
+                is_on.into_iter().for_each(|is_on| *is_on = true);
+            }
+        }
         let (mut outside, mut of_all): (Option<Largest>, Option<Largest>) = (None, None);
         self.lengths.clear();
         for (index, (body, now)) in view.bodies().enumerate().filter(|(_, (_, now))| now.max_displacement > 0.0) {
             let reach = body.radius + now.max_displacement;
+            let (number, is_on) = &self.on_surfaces[index];
             let others = view.bodies().enumerate().filter(|&(other, (of, at))| {
-                other != index && !at.is_absent && at.centre.distance(now.centre) < INSIDE * of.radius + reach
+                let are_merged = number.is_some() && self.on_surfaces[other].0 == *number;
+                other != index
+                    && !are_merged
+                    && !at.is_absent
+                    && at.centre.distance(now.centre) < INSIDE * of.radius + reach
             });
             self.near.clear();
             self.near.extend(others.map(|(_, (of, at))| (at.centre, INSIDE * of.radius)));
@@ -210,7 +236,9 @@ impl Displacements {
                     }
                 };
                 larger(&mut of_all);
-                if !self.near.iter().any(|&(centre, radius)| centre.distance(position) < radius) {
+                let is_hidden = number.is_some() && !is_on[vertex]
+                    || self.near.iter().any(|&(centre, radius)| centre.distance(position) < radius);
+                if !is_hidden {
                     larger(&mut outside);
                     self.lengths.push(found.displacement as f32);
                 }

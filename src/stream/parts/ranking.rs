@@ -35,10 +35,10 @@ pub fn is_ranked(schema: &Schema) -> bool {
     schema.bodies.len() > FEW
 }
 
-/// The bodies of a ranking that are labelled in space, the first ones for which there is room.
+/// Of the first bodies of a ranking, those for which there is room for a label in space.
 pub fn labelled(view: FrameView<'_>, ranked: impl Iterator<Item = usize>) -> Vec<usize> {
     let mut labels = Labels::new(view);
-    ranked.filter(|&body| labels.take(view.frame.bodies[body].centre)).take(LABELLED).collect()
+    ranked.take(LABELLED).filter(|&body| labels.take(view.frame.bodies[body].centre)).collect()
 }
 
 /// A row.
