@@ -452,7 +452,7 @@ impl Layout {
         ];
         for plot in &parts[..2] {
             // the ranking names the colours
-            self.hide_legend(&plot);
+            self.hide_legend(plot);
         }
         let plots = self.container(ContainerKind::Vertical, "Over time", parts, &[1.6, 1.0, 1.0]);
         let title = "Where the time went: total; longest, its step. +: on other threads";
