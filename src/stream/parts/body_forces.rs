@@ -37,7 +37,7 @@ const WEAK: f64 = 0.04;
 pub struct BodyForces {
     /// By body and term; none if there are too many bodies.
     lines: Vec<Vec<Option<LineId>>>,
-    /// The strongest forces; of more than a few bodies, the strongest on each.
+    /// The strongest forces; of more than a few bodies, the net forces on them.
     ranking: Ranking,
     /// The lines of the strongest on any body, if there are more than a few.
     strongest: Option<TrackId>,

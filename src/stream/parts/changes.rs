@@ -90,8 +90,8 @@ impl Changes {
     }
 }
 
-/// The threshold that a pair crosses next, if q goes on with this rate [1/s] and its rate of change [1/s²]: of bodies that are apart the first, of
-/// joined ones one of the others. If it moves away from all, the nearest.
+/// The threshold that a pair crosses next, if q goes on with this rate [1/s] and this rate of change of it [1/s²]: of
+/// bodies that are apart the first, of joined ones one of the others. If it moves away from all, the nearest.
 fn next(schema: &Schema, pair: &PairFrame, [rate, bend]: [f64; 2], time: f64) -> Option<Next> {
     let is_joined = schema.phases[pair.phase].is_joined;
     let thresholds = if is_joined { 1..schema.thresholds.len() } else { 0..1 };
