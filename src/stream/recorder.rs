@@ -507,7 +507,7 @@ impl Recorder {
         }
         let ranges: Vec<String> =
             self.kept.iter().take(RANGES).map(|[first, last]| format!("{} to {}", first.step, last.step)).collect();
-        let more = if self.kept.len() > RANGES { ", …" } else { "" };
+        let more = if self.kept.len() > RANGES { " and others" } else { "" };
         let kept = match (&self.flight, ranges.is_empty()) {
             (None, _) => String::new(),
             (Some(_), false) => format!(
