@@ -461,6 +461,11 @@ impl Schema {
         self.bodies.iter().position(|body| body.name == name)
     }
 
+    /// The index of the term that is the sum of the others, if there is one.
+    pub fn sum_of_terms(&self) -> Option<usize> {
+        self.terms.iter().position(|term| term.is_sum)
+    }
+
     /// Name of a pair: `A~B`, in the order of the bodies.
     pub fn pair_name(&self, a: usize, b: usize) -> String {
         format!("{}~{}", self.bodies[a].name, self.bodies[b].name)

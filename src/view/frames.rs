@@ -17,7 +17,7 @@ use crate::{
 };
 
 /// The frame of a pair.
-pub(super) fn pair_frame(pair: PairView) -> PairFrame {
+pub fn pair_frame(pair: PairView) -> PairFrame {
     PairFrame::new(pair.a, pair.b, pair.q, pair.phase as usize).with_rate(pair.rate)
 }
 

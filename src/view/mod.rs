@@ -41,7 +41,8 @@ use crate::{
     text::{change, short},
 };
 use camera::framing;
-use frames::{add_coupled_forces, add_forces, pair_frame};
+pub(crate) use frames::pair_frame;
+use frames::{add_coupled_forces, add_forces};
 use scalars::{ScalarValue, StateNumbers, scalars};
 use scales::{arrow_scale, net_force_scale};
 use terms::{LABELS, PHASES, label, law, level, phase_color, term};

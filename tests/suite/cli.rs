@@ -1496,6 +1496,13 @@ fn a_flight_recorder_writes_frames_after_its_trigger() {
     // lines end where the frame after the window is dropped
     assert_eq!(frames, (merge - 2..=merge + 6).collect::<Vec<_>>());
     run(&dir, &["replay", "x.rrd"]).succeeded();
+    // of two windows, the panel says where there is nothing; the names of a group end with it
+    run(&dir, &["run", "two", "--save", "x.rrd", "--keep", "3", "--on", "merge,split"]).succeeded();
+    let recording = Recording::open(&dir.file("x.rrd"));
+    let about = recording.fixed("/about").text("TextDocument:text");
+    assert!(about.starts_with("**Frames: only of steps 82 to 84, 197 to 199.**"), "{about}");
+    let groups: Vec<Vec<String>> = recording.changes("/groups/a").iter().map(|row| row.texts("bodies")).collect();
+    assert_eq!(groups, [vec!["a".to_owned(), "b".to_owned()], vec![]]);
     let error = run(&dir, &["run", "two", "--keep", "3+5"]).failed(2);
     assert!(error.contains("--on"), "{error}");
 }

@@ -202,6 +202,21 @@ motion = { free = { from = [0.9, 0.1, 0], velocity = [-0.8, 0.1, 0], spin = [0, 
 [[body]]\nname = \"cage\"\nradius = 2.0\nshape = { sphere = { stacks = 6, slices = 8 } }
 motion = { free = { from = [0, 0, 0] } }\n";
 
+/// A body whose rotation is fixed has no energy of spin: what its vertices swing is all vibration.
+#[test]
+fn bodies_of_fixed_rotation_have_no_energy_of_spin() {
+    let text = "duration = 1\ndt = 0.05\n[[body]]\nname = 'a'\nradius = 1\nshape = { sphere = { stacks = 5, slices = 7 } }\n\
+                motion = { free = { from = [-1, 0, 0], velocity = [0.5, 0, 0], rotation = 'fixed' } }\n\
+                [[body]]\nname = 'b'\nradius = 0.7\nmotion = { fixed = [0.5, 0.8, 0] }\n";
+    let mut world = World::new(Scene::parse(text, "fixed").expect("a scene")).expect("enough memory");
+    for _ in 0..20 {
+        step(&mut world);
+        let now = world.conserved().expect("it has a free body");
+        assert_eq!(now.spin, 0.0);
+    }
+    assert!(world.conserved().expect("it has a free body").vibration > 1e-3);
+}
+
 /// The largest changes of conserved quantities during a run, relative to their scales.
 #[derive(Debug, Default)]
 struct Drift {

@@ -946,7 +946,10 @@ impl Run {
                     assert_eq!(*cause == "net", net_on(index) > 0.0, "{at}: {label} at {cause}");
                     let (net, strongest) = label.split_once(", ").expect("two numbers");
                     let net = net.strip_prefix(&format!("{}: net ", body.name)).expect("its name");
-                    let (_, strongest) = strongest.split_once(' ').expect("a cause and a number");
+                    let (named, strongest) = strongest.split_once(' ').expect("a cause and a number");
+                    let of_named = of_body().find(|((_, cause, ..), _)| *cause == named);
+                    let of_named = of_named.map_or(0.0, |((.., mean), _)| mean.length());
+                    assert!(of_named >= (1.0 - 1e-12) * strongest_on(index), "{at}: {named} is not the strongest");
                     for (text, value) in [(net, net_on(index)), (strongest, strongest_on(index))] {
                         let number: f64 = text.parse().expect("a number");
                         assert!((number - value).abs() <= 6e-3 * value.max(1e-9), "{at}: {label}, but {value}");
@@ -1570,8 +1573,10 @@ fn assert_labelled(world: &World, labelled: &[usize], all: &[usize], strength: i
         let limit = strength(body) * by;
         all.iter().filter(|&&other| other != body && strength(other) > limit).count()
     };
+    assert!(labelled.len() <= 5, "{at}: {labelled:?}");
     for &body in all {
-        let is_covered = labelled.iter().any(|&of| of != body && covers(of, body));
+        let is_stronger = |of: usize| strength(of) >= (1.0 - 1e-12) * strength(body);
+        let is_covered = labelled.iter().any(|&of| of != body && is_stronger(of) && covers(of, body));
         match labelled.contains(&body) {
             true => assert!(!is_covered && stronger(body, 1.0 + 1e-12) < 5, "{at}: {body} in {labelled:?}"),
             false => assert!(

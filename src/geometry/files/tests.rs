@@ -239,6 +239,8 @@ fn every_flaw_is_reported() {
     assert!(matches!(inconsistent, Flaw::Inconsistent { count: 3, .. }), "{inconsistent}");
     let inside_out = flaw(&|soup| soup.triangles.iter_mut().for_each(|triangle| triangle.swap(0, 1)));
     assert!(matches!(inside_out, Flaw::InsideOut { volume } if (volume + 8.0).abs() < 1e-12), "{inside_out}");
+    let flat = flaw(&|soup| soup.positions.iter_mut().for_each(|position| position.z = 0.5 * position.x));
+    assert_eq!(flat, Flaw::Flat);
     let at_corner = flaw(&|soup| {
         let other = cube();
         soup.positions.extend(other.positions.iter().map(|p| *p + DVec3::splat(2.0)));

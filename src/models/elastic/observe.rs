@@ -536,11 +536,7 @@ impl Simulation for Elastic {
         frame.at = self.now();
         frame.pairs.clear();
         match &self.world {
-            Some(world) => frame.pairs.extend(
-                world
-                    .pairs()
-                    .map(|pair| PairFrame::new(pair.a, pair.b, pair.q, pair.phase as usize).with_rate(pair.rate)),
-            ),
+            Some(world) => frame.pairs.extend(world.pairs().map(view::pair_frame)),
             None => self.near_pairs(&mut frame.pairs),
         }
         frame.bodies.resize_with(self.bodies.len(), BodyFrame::default);

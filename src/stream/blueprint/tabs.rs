@@ -271,7 +271,7 @@ impl Layout {
     /// scene, of which the first is in front, and the net force on each body over time. All views have the same initial
     /// camera; Rerun 0.36 cannot link two of them.
     pub fn forces_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
-        let sums = schema.terms.iter().filter(|term| term.is_sum).map(|sum| sum.name);
+        let sums = schema.sum_of_terms().map(|sum| schema.terms[sum].name).into_iter();
         let sums = sums.chain(forces::NET_KINDS.map(|(name, ..)| name));
         let mut arrows: Vec<String> = sums.map(|name| format!("- {}", FORCE.of(&[name]))).collect();
         arrows.push(family(&FORCE));

@@ -55,8 +55,21 @@ struct ResultantRows {
     labels: Vec<String>,
 }
 
-/// A resultant: body, term, and acceleration [scene unit/s²].
-type Resultant = (usize, usize, DVec3);
+/// What one cause does to a body as a whole.
+#[derive(Clone, Copy, PartialEq)]
+struct Resultant {
+    body: usize,
+    /// Index into the schema's terms.
+    term: usize,
+    /// [scene unit/s²]
+    acceleration: DVec3,
+}
+
+impl Resultant {
+    fn strength(&self) -> f64 {
+        self.acceleration.length()
+    }
+}
 
 impl BodyForces {
     /// Starts without lines.
@@ -102,7 +115,7 @@ impl BodyForces {
                 self.has_acted[number] |= acceleration.is_some();
                 let acceleration = acceleration.unwrap_or_default();
                 if acceleration != DVec3::ZERO {
-                    resultants.push((index, number, acceleration));
+                    resultants.push(Resultant { body: index, term: number, acceleration });
                 }
                 let Some(line) = self.lines.get_mut(index).map(|lines| &mut lines[number]) else { continue };
                 let strength = acceleration.length();
@@ -128,8 +141,7 @@ impl BodyForces {
         self.ranking.log(rows.into_iter(), "no force acts on any body", view.at, chunks);
         let Some(track) = &self.strongest else { return };
         let strongest = |number: usize| {
-            let of_term = resultants.iter().filter(|(_, term, _)| *term == number);
-            of_term.map(|(.., acceleration)| acceleration.length()).fold(0.0, f64::max)
+            resultants.iter().filter(|of| of.term == number).map(Resultant::strength).fold(0.0, f64::max)
         };
         let causes = (0..view.schema.terms.len()).filter(|&number| is_plotted(&view.schema.terms[number]));
         chunks.push_changed(*track, view.at, &[&causes.map(strongest).collect::<Vec<f64>>()]);
@@ -144,74 +156,67 @@ fn is_plotted(term: &TermSchema) -> bool {
 /// What acts on a body as a whole.
 struct OfBody {
     body: usize,
-    /// The strength of all together [scene unit/s²], if the schema has a sum of its terms.
-    net: Option<f64>,
-    /// The strongest cause.
+    /// The strength of all together [scene unit/s²]; without a sum in the schema, that of the strongest cause.
+    strength: f64,
     strongest: Resultant,
+    /// The arrow that has the label: the sum's if there is one.
+    labelled: Resultant,
 }
 
 impl OfBody {
-    fn strongest(&self) -> f64 {
-        self.strongest.2.length()
-    }
-
-    /// By which bodies are ranked.
-    fn strength(&self) -> f64 {
-        self.net.unwrap_or_else(|| self.strongest())
-    }
-
+    /// Its name, the sum and the strongest cause.
     fn label(&self, schema: &Schema) -> String {
-        let cause = format!("{} {}", schema.terms[self.strongest.1].name, significant(self.strongest()));
-        let net = self.net.map_or(String::new(), |net| format!("net {}, ", significant(net)));
-        format!("{}: {net}{cause}", schema.bodies[self.body].name)
+        let value = |term: usize, strength: f64| format!("{} {}", schema.terms[term].name, significant(strength));
+        let sum = schema.sum_of_terms().map_or(String::new(), |sum| value(sum, self.strength) + ", ");
+        let cause = value(self.strongest.term, self.strongest.strength());
+        format!("{}: {sum}{cause}", schema.bodies[self.body].name)
     }
 }
 
-/// The bodies on which a force acts, those with the largest net forces first.
+/// The bodies on which a force acts, those with the largest sums first.
 fn of_bodies(schema: &Schema, resultants: &[Resultant]) -> Vec<OfBody> {
-    let sum = schema.terms.iter().position(|term| term.is_sum);
+    let sum = schema.sum_of_terms();
     let of_body = |all: &[Resultant]| {
-        let causes = all.iter().filter(|(_, term, _)| Some(*term) != sum);
-        let strongest = *causes.max_by(|one, other| one.2.length_squared().total_cmp(&other.2.length_squared()))?;
-        let net = sum.map(|sum| all.iter().find(|(_, term, _)| *term == sum).map_or(0.0, |(.., net)| net.length()));
-        Some(OfBody { body: strongest.0, net, strongest })
+        let causes = all.iter().filter(|of| Some(of.term) != sum);
+        let strongest = *causes.max_by(|one, other| one.strength().total_cmp(&other.strength()))?;
+        let net = all.iter().find(|of| Some(of.term) == sum);
+        let strength = match sum {
+            Some(_) => net.map_or(0.0, Resultant::strength),
+            None => strongest.strength(),
+        };
+        Some(OfBody { body: strongest.body, strength, strongest, labelled: *net.unwrap_or(&strongest) })
     };
-    let mut of_bodies: Vec<OfBody> = resultants.chunk_by(|one, other| one.0 == other.0).filter_map(of_body).collect();
-    of_bodies.sort_by(|one, other| other.strength().total_cmp(&one.strength()));
+    let mut of_bodies: Vec<OfBody> =
+        resultants.chunk_by(|one, other| one.body == other.body).filter_map(of_body).collect();
+    of_bodies.sort_by(|one, other| other.strength.total_cmp(&one.strength));
     of_bodies
 }
 
-/// A bar for the net force on each body, with a dot at its strongest cause.
+/// A bar for the sum on each body, with a dot at its strongest cause.
 fn rows_of_bodies(schema: &Schema, of_bodies: &[OfBody]) -> Vec<Row> {
-    let largest = of_bodies.first().map_or(0.0, OfBody::strength);
-    let listed: Vec<&OfBody> =
-        of_bodies.iter().filter(|of| of.strength() > WEAK * largest).take(ranking::ROWS).collect();
-    let longest = listed.iter().map(|of| of.strength().max(of.strongest())).fold(0.0, f64::max);
-    let net = schema.terms.iter().find(|term| term.is_sum);
+    let largest = of_bodies.first().map_or(0.0, |of| of.strength);
+    let listed = || of_bodies.iter().filter(|of| of.strength > WEAK * largest).take(ranking::ROWS);
+    let longest = listed().map(|of| of.strength.max(of.strongest.strength())).fold(0.0, f64::max);
     let row = |of: &OfBody| {
-        let cause = schema.terms[of.strongest.1].color;
-        let color = net.map_or(cause, |net| net.color);
-        let mut marks = vec![(Mark::Bar(of.strength() / longest), color)];
-        marks.extend(of.net.map(|_| (Mark::Dot(of.strongest() / longest), cause)));
+        let cause = schema.terms[of.strongest.term].color;
+        let color = schema.sum_of_terms().map_or(cause, |sum| schema.terms[sum].color);
+        let marks =
+            vec![(Mark::Bar(of.strength / longest), color), (Mark::Dot(of.strongest.strength() / longest), cause)];
         Row { label: of.label(schema), color, marks }
     };
-    listed.into_iter().map(row).collect()
+    listed().map(row).collect()
 }
 
-/// A bar for each cause on each body, and for the net forces.
+/// A bar for each cause on each body, and for the sums.
 fn rows_of_causes(schema: &Schema, mut resultants: Vec<Resultant>) -> Vec<Row> {
-    resultants.sort_by(|one, other| other.2.length_squared().total_cmp(&one.2.length_squared()));
-    let longest = resultants.first().map_or(0.0, |(.., acceleration)| acceleration.length());
-    let row = |&(body, number, acceleration): &Resultant| {
-        let (TermSchema { name, color, .. }, strength) = (&schema.terms[number], acceleration.length());
-        let label = format!("{}: {name} {}", schema.bodies[body].name, significant(strength));
-        (strength > WEAK * longest).then(|| Row {
-            label,
-            color: *color,
-            marks: vec![(Mark::Bar(strength / longest), *color)],
-        })
+    resultants.sort_by(|one, other| other.strength().total_cmp(&one.strength()));
+    let longest = resultants.first().map_or(0.0, Resultant::strength);
+    let row = |of: &Resultant| {
+        let TermSchema { name, color, .. } = &schema.terms[of.term];
+        let label = format!("{}: {name} {}", schema.bodies[of.body].name, significant(of.strength()));
+        Row { label, color: *color, marks: vec![(Mark::Bar(of.strength() / longest), *color)] }
     };
-    resultants.iter().map_while(row).take(ranking::ROWS).collect()
+    resultants.iter().take_while(|of| of.strength() > WEAK * longest).take(ranking::ROWS).map(row).collect()
 }
 
 impl ResultantRows {
@@ -219,22 +224,18 @@ impl ResultantRows {
     /// names, net forces and strongest causes as labels, on the arrow of the net force if there is one.
     fn of(view: FrameView<'_>, resultants: &[Resultant], labelled: &[&OfBody]) -> ResultantRows {
         let FrameView { schema, frame, .. } = view;
-        let longest = resultants.iter().map(|(.., acceleration)| acceleration.length()).fold(0.0, f64::max);
+        let longest = resultants.iter().map(Resultant::strength).fold(0.0, f64::max);
         let scale = LONGEST * schema.largest_radius() / longest;
         let mut arrows = ResultantRows::default();
-        for resultant @ &(body, number, acceleration) in resultants {
+        for resultant @ &Resultant { body, term, acceleration } in resultants {
             arrows.origins.push(frame.bodies[body].centre.as_vec3().to_array());
             arrows.vectors.push((scale * acceleration).as_vec3().to_array());
-            arrows.colors.push(color(schema.terms[number].color).to_u32());
-            let has_net =
-                |body: usize| resultants.iter().any(|(of, term, _)| *of == body && schema.terms[*term].is_sum);
-            let of = labelled.iter().find(|of| of.body == body);
-            let of =
-                of.filter(|of| if has_net(body) { schema.terms[number].is_sum } else { of.strongest == *resultant });
+            arrows.colors.push(color(schema.terms[term].color).to_u32());
+            let of = labelled.iter().find(|of| of.labelled == *resultant);
             arrows.labels.push(of.map_or(String::new(), |of| of.label(schema)));
         }
         // the others have their names alone, on arrows of no length
-        let is_idle = |index: usize| !resultants.iter().any(|(body, ..)| *body == index);
+        let is_idle = |index: usize| !resultants.iter().any(|of| of.body == index);
         let are_few = schema.bodies.len() <= ranking::LABELLED;
         let idle = view.bodies().enumerate().filter(|(index, (_, now))| are_few && !now.is_absent && is_idle(*index));
         for (_, (body, now)) in idle {

@@ -11,7 +11,7 @@ use crate::{
     stream::{chunks::Chunks, contract::RANKED_PAIRS},
 };
 
-/// Rate of q below which a pair does not move [1/s].
+/// Rate of q [1/s], and rate of change of that [1/s²], below which a pair does not move.
 const STILL: f64 = 1e-3;
 /// What is in view beyond the highest threshold, as a ratio.
 const BEYOND: f64 = 1.3;
@@ -53,8 +53,8 @@ impl Changes {
             let before = self.last.get(&(pair.a, pair.b));
             let difference = || before.map_or(0.0, |[q, _]| (pair.q - q) / since);
             let rate = if pair.rate.is_nan() { difference() } else { pair.rate };
-            let bend = before.map_or(0.0, |[_, before]| (rate - before) / since);
-            ranked.push((pair, next(schema, &pair, [rate, bend], at.time)));
+            let acceleration = before.map_or(0.0, |[_, before]| (rate - before) / since);
+            ranked.push((pair, next(schema, &pair, [rate, acceleration], at.time)));
             now.insert((pair.a, pair.b), [pair.q, rate]);
         }
         self.last = now;
@@ -92,12 +92,12 @@ impl Changes {
 
 /// The threshold that a pair crosses next, if q goes on with this rate [1/s] and this rate of change of it [1/s²]: of
 /// bodies that are apart the first, of joined ones one of the others. If it moves away from all, the nearest.
-fn next(schema: &Schema, pair: &PairFrame, [rate, bend]: [f64; 2], time: f64) -> Option<Next> {
+fn next(schema: &Schema, pair: &PairFrame, [rate, acceleration]: [f64; 2], time: f64) -> Option<Next> {
     let is_joined = schema.phases[pair.phase].is_joined;
     let thresholds = if is_joined { 1..schema.thresholds.len() } else { 0..1 };
     let nexts = thresholds.filter_map(|threshold| {
         let level = schema.level(threshold, [pair.a, pair.b], time)?;
-        let wait = first_time(pair.q - level, rate, bend);
+        let wait = first_time(pair.q - level, rate, acceleration);
         Some(Next { threshold, level, wait })
     });
     let distance = |next: &Next| (next.level - pair.q).abs();
@@ -128,7 +128,7 @@ mod tests {
                     motion = { fixed = [0, 0, 0] }\n[[body]]\nname = 'b'\nradius = 1\nmotion = { fixed = [9, 0, 0] }\n";
         let schema = view::schema(&Scene::parse(text, "next").unwrap());
         let phase = |name: &str| schema.phases.iter().position(|phase| phase.name == name).unwrap();
-        for (name, q, rate, bend, threshold, wait) in [
+        for (name, q, rate, acceleration, threshold, wait) in [
             ("apart", 1.2, -1.0, 0.0, "merge_at", 0.15),
             ("apart", 1.2, 1.0, 0.0, "merge_at", f64::INFINITY),
             ("merged", 0.85, 1.0, 0.0, "split_at", 0.3),
@@ -139,7 +139,7 @@ mod tests {
             ("apart", 1.2, -1.0, 10.0, "merge_at", f64::INFINITY),
             ("core", 0.7, -1.0, 20.0, "core_at", (1.0 + 5f64.sqrt()) / 20.0),
         ] {
-            let next = next(&schema, &PairFrame::new(0, 1, q, phase(name)), [rate, bend], 0.0).unwrap();
+            let next = next(&schema, &PairFrame::new(0, 1, q, phase(name)), [rate, acceleration], 0.0).unwrap();
             assert_eq!(schema.thresholds[next.threshold].name, threshold, "{name}, q = {q}");
             assert!(next.wait == wait || (next.wait - wait).abs() < 1e-12, "{name}, q = {q}: {}", next.wait);
         }

@@ -192,24 +192,33 @@ pub struct Displacements {
     /// Scratch storage, reused.
     lengths: Vec<f32>,
     near: Vec<(DVec3, f64)>,
-    /// The number of the merged surface of which each body is part, if it is of one, and which of its vertices are on it.
-    on_surfaces: Vec<(Option<usize>, Vec<bool>)>,
+    /// `[body_count]`
+    merged: Vec<PartOfSurface>,
+}
+
+/// A body's part of a merged surface.
+#[derive(Clone, Default)]
+struct PartOfSurface {
+    /// The number of the surface, if the body is part of one.
+    number: Option<usize>,
+    /// Whether each of its vertices is on the surface.
+    is_on: Vec<bool>,
 }
 
 impl Displacements {
     /// Finds them in a frame with these merged surfaces.
     pub fn find(&mut self, view: FrameView<'_>, groups: &[Arc<Group>]) {
-        self.on_surfaces.resize_with(view.schema.bodies.len(), Default::default);
-        self.on_surfaces.iter_mut().for_each(|(number, _)| *number = None);
+        self.merged.resize_with(view.schema.bodies.len(), PartOfSurface::default);
+        self.merged.iter_mut().for_each(|part| part.number = None);
         for (number, group) in groups.iter().enumerate() {
             for &body in &group.bodies {
-                let (of_body, is_on) = &mut self.on_surfaces[body];
-                *of_body = Some(number);
-                is_on.clear();
-                is_on.resize(view.frame.bodies[body].lengths.len(), false);
+                let part = &mut self.merged[body];
+                part.number = Some(number);
+                part.is_on.clear();
+                part.is_on.resize(view.frame.bodies[body].lengths.len(), false);
             }
             for VertexOrigin { bodies: [body, _], vertex, .. } in &group.origins {
-                let is_on = vertex.and_then(|vertex| self.on_surfaces[*body as usize].1.get_mut(vertex as usize));
+                let is_on = vertex.and_then(|vertex| self.merged[*body as usize].is_on.get_mut(vertex as usize));
                 is_on.into_iter().for_each(|is_on| *is_on = true);
             }
         }
@@ -217,9 +226,9 @@ impl Displacements {
         self.lengths.clear();
         for (index, (body, now)) in view.bodies().enumerate().filter(|(_, (_, now))| now.max_displacement > 0.0) {
             let reach = body.radius + now.max_displacement;
-            let (number, is_on) = &self.on_surfaces[index];
+            let PartOfSurface { number, is_on } = &self.merged[index];
             let others = view.bodies().enumerate().filter(|&(other, (of, at))| {
-                let are_merged = number.is_some() && self.on_surfaces[other].0 == *number;
+                let are_merged = number.is_some() && self.merged[other].number == *number;
                 other != index
                     && !are_merged
                     && !at.is_absent

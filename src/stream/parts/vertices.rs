@@ -45,7 +45,7 @@ impl VertexNumbers {
         self.displacement.extend(now.lengths.iter().map(|length| (length * inverse) as f32));
         self.displacement.resize(end, 0.0);
         self.heat.extend(self.displacement[first..].iter().map(|&displacement| heat::place(displacement, end_of_heat)));
-        match schema.terms.iter().position(|term| term.is_sum) {
+        match schema.sum_of_terms() {
             Some(sum) => {
                 let net = now.terms.get(sum).into_iter().flat_map(|net| net.accelerations.iter());
                 self.net.extend(net.map(|force| force.length() as f32));
