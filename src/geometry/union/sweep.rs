@@ -73,3 +73,29 @@ pub fn sweep<E>(
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Boxes that all overlap have n² pairs: what counts them can end the search.
+    #[test]
+    fn a_sweep_ends_where_a_pair_fails() {
+        let boxes = vec![Aabb { min: glam::DVec3::ZERO, max: glam::DVec3::ONE }; 100];
+        let everything: Vec<u32> = (0..100).collect();
+        for most in [1, 37, 9_999] {
+            let mut met = 0;
+            let count = |_, _| {
+                met += 1;
+                if met == most { Err(met) } else { Ok(()) }
+            };
+            assert_eq!(sweep(0, [&everything; 2], [&boxes; 2], count), Err(most));
+        }
+        let mut met = 0;
+        let count = |_, _| {
+            met += 1;
+            Ok::<(), ()>(())
+        };
+        assert_eq!((sweep(0, [&everything; 2], [&boxes; 2], count), met), (Ok(()), 10_000));
+    }
+}

@@ -24,23 +24,6 @@ fn deformed(random: &mut shapes::Random, strength: f64) -> Shape {
     shape
 }
 
-/// Around a vertex of very many triangles, all blocks overlap. Their pairs count, even if almost none of their triangles
-/// are suspects: the search gives up before their list takes up the memory.
-#[test]
-fn around_a_pole_of_many_triangles_the_search_gives_up() {
-    let shape = shapes::sphere(4, 10_000);
-    let topology = Topology::new(shape.positions.len(), &shape.triangles).unwrap();
-    let body = Body::new(&topology, &shape.positions).unwrap();
-    let placement = Placement::new(vec![&body], 0);
-    let mut suspects = vec![false; shape.triangles.len()];
-    for block in 0..topology.block_count() {
-        suspects[topology.block(block)[0] as usize] = true;
-    }
-    let meter = Meter::new(Budget { work: 100_000, interrupt: None });
-    assert_eq!(candidates::near_itself(&placement, 0, Some(&suspects), &meter).err(), Some(Failure::GaveUp));
-    assert!(meter.spent() < 101_000, "{}", meter.spent());
-}
-
 #[test]
 fn a_body_intersects_itself_only_among_suspects() {
     let mut random = shapes::Random::new(7);
