@@ -106,7 +106,7 @@ entities! {
     PAIR_LINES = "/world/pairs" ["LineStrips3D; with more than 64 bodies Ellipsoids3D"]
         "Lines between the centres of the closest pairs within reach, up to three labelled with the pair and q; with many bodies also the influence spheres that reach another body.";
     RECENT = "/world/recent" ["LineStrips3D, Points3D"]
-        "The pair that had the last event, labelled with the event and q: for 24 frames, with more than 8 bodies until the next event. The label is above all bodies, on a line that leads to the pair.";
+        "The pairs that had the events of the last step with any, up to four, labelled with the event and q, for 24 frames; with more than 8 bodies that of the last event, until the next. The labels are above all bodies, on lines that lead to the pairs.";
     RECENT_PAIR = "/recent/pair" ["Mesh3D, lit_colors, unlit_normals"]
         "With more than 8 bodies: the two of the last event alone, about the point midway between them [radii of the larger].";
     RECENT_SPHERES = "/recent/spheres" ["Ellipsoids3D"]
@@ -129,8 +129,12 @@ entities! {
         "Rows with labels and bars: the strongest forces on bodies as wholes at an instant; with more than 3 bodies, those with the largest net forces, each with a dot at its strongest cause.";
     RANKED_DISPLACEMENTS = "/ranking/displacements" ["Points2D, LineStrips2D"]
         "With more than 3 bodies: rows with labels and bars, for those with the largest displacements at an instant.";
+    RANKED_GROUPS = "/ranking/groups" ["Points2D, LineStrips2D"]
+        "With more than 3 bodies: rows with labels and bars, for the largest groups at an instant: their pieces and volumes [scene unit³], and with at most 64 bodies how these differ from the volumes of their bodies one by one.";
     RANKED_PAIRS = "/ranking/pairs" ["Points2D, LineStrips2D"]
         "With more than 3 bodies: rows with labels, q and thresholds, for the pairs that change phase next.";
+    NOT_RECORDED = "/world/not_recorded" ["Points3D"]
+        "In a flight recorder's file: where no frames were kept, a label that says of which step the view is.";
     POINTS = "/world/points" ["Ellipsoids3D, Points3D"]
         "The influence spheres of force points, while they act, and above them their names.";
     SPRINGS = "/world/springs/NAME" ["LineStrips3D"]
@@ -183,6 +187,8 @@ entities! {
         "What a stage of the step or of the recording costs [ms per step].";
     STACKED = "/timings/stacked/N_STAGE" ["Scalars"]
         "The same, with the stages before it on the same thread; numbered from the top of the stack.";
+    RANKED_ENERGIES = "/ranking/energies/N" ["Points2D, LineStrips2D"]
+        "Rows with labels and bars: the scalars in a plot of energies at an instant, those that have not been 0 in all frames; those in a plot of one line follow those of the plot before it.";
     RANKED_STAGES = "/timings/ranking" ["Points2D, LineStrips2D"]
         "Rows with labels and bars: the share and the peak of each stage in the whole run.";
     SPEED = "/timings/speed" ["Scalars"]

@@ -7,7 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use super::{
-    contract::{MARKS_AT_Q, MARKS_ON_AXIS},
+    contract::{MARKS_AT_Q, MARKS_ON_AXIS, path_of},
     instant::Instant,
 };
 use crate::sdk::{Chunk, ChunkId, Scalars, SizeBytes as _};
@@ -15,6 +15,9 @@ use crate::text::bytes;
 
 /// Limit on the size of the kept frames [bytes].
 const MAX_BYTES: u64 = 1 << 30;
+
+/// Size of a chunk of several frames that is written [bytes].
+const CHUNK_BYTES: u64 = 1 << 20;
 
 /// The last frames of a run.
 pub(super) struct FlightRecorder {
@@ -73,6 +76,11 @@ impl FlightRecorder {
         ended
     }
 
+    /// Whether the next frame may drop one.
+    pub fn is_full(&self) -> bool {
+        self.frames.len() >= self.max_frames || self.bytes >= self.max_bytes
+    }
+
     /// The instants of the first and the last frame that are kept now.
     pub fn range(&self) -> Option<[Instant; 2]> {
         Some([self.frames.front()?.0, self.frames.back()?.0])
@@ -114,10 +122,44 @@ impl FlightRecorder {
         let held = std::mem::take(&mut self.held_chunks).into_values().map(|(chunk, _)| chunk);
         let count = self.frames.len() as u64;
         let frames = self.frames.drain(..).flat_map(|(_, chunks)| chunks);
-        let chunks: Vec<Chunk> = held.chain(frames).chain(self.open.drain(..)).collect();
+        let chunks = concatenated(held.chain(frames).chain(self.open.drain(..)));
         self.lines.extend(chunks.iter().filter(|chunk| is_line(chunk)).map(|chunk| chunk.entity_path().to_string()));
         (chunks, count)
     }
+}
+
+/// The same rows in fewer chunks: those of a single row take more room for their columns' names than for values.
+fn concatenated(chunks: impl Iterator<Item = Chunk>) -> Vec<Chunk> {
+    let mut of_entities: BTreeMap<(String, BTreeSet<String>), Vec<Chunk>> = BTreeMap::new();
+    for chunk in chunks {
+        let components = chunk.components().keys().map(ToString::to_string).collect();
+        of_entities.entry((path_of(&chunk), components)).or_default().push(chunk);
+    }
+    let mut all = Vec::new();
+    for chunks in of_entities.into_values() {
+        let mut bytes = 0;
+        let part = |one: &Chunk, _: &Chunk| {
+            bytes += one.heap_size_bytes();
+            let fits = bytes < CHUNK_BYTES;
+            bytes = if fits { bytes } else { 0 };
+            fits
+        };
+        for part in chunks.chunk_by(part) {
+            match concatenate(part) {
+                Some(chunk) => all.push(chunk),
+                None => all.extend(part.iter().cloned()),
+            }
+        }
+    }
+    all
+}
+
+/// The rows of all of these chunks in one, which has the id of the first; `None` if their columns differ.
+fn concatenate(chunks: &[Chunk]) -> Option<Chunk> {
+    let [first, .., _] = chunks else { return chunks.first().cloned() };
+    let (left, right) = chunks.split_at(chunks.len() / 2);
+    let both = Chunk::concat_and_sort(&concatenate(left)?, &concatenate(right)?).ok()?;
+    Some(both.with_id(first.id()))
 }
 
 fn size(chunks: &[Chunk]) -> u64 {

@@ -41,7 +41,7 @@
 //! | `/world/merged/seams` | LineStrips3D | The lines along which bodies meet. |
 //! | `/world/influence` | Ellipsoids3D | All influence spheres, coloured by the deepest phase of their body. |
 //! | `/world/pairs` | LineStrips3D; with more than 64 bodies Ellipsoids3D | Lines between the centres of the closest pairs within reach, up to three labelled with the pair and q; with many bodies also the influence spheres that reach another body. |
-//! | `/world/recent` | LineStrips3D, Points3D | The pair that had the last event, labelled with the event and q: for 24 frames, with more than 8 bodies until the next event. The label is above all bodies, on a line that leads to the pair. |
+//! | `/world/recent` | LineStrips3D, Points3D | The pairs that had the events of the last step with any, up to four, labelled with the event and q, for 24 frames; with more than 8 bodies that of the last event, until the next. The labels are above all bodies, on lines that lead to the pairs. |
 //! | `/recent/pair` | Mesh3D, lit_colors, unlit_normals | With more than 8 bodies: the two of the last event alone, about the point midway between them [radii of the larger]. |
 //! | `/recent/spheres` | Ellipsoids3D | Their influence spheres. |
 //! | `/recent/names` | Points3D | Their names. |
@@ -53,7 +53,9 @@
 //! | `/strongest` | Scalars, SeriesLines | With more than 3 bodies: the largest of the net forces on bodies by each cause, over their masses [scene unit/s²]. |
 //! | `/ranking/forces` | Points2D, LineStrips2D | Rows with labels and bars: the strongest forces on bodies as wholes at an instant; with more than 3 bodies, those with the largest net forces, each with a dot at its strongest cause. |
 //! | `/ranking/displacements` | Points2D, LineStrips2D | With more than 3 bodies: rows with labels and bars, for those with the largest displacements at an instant. |
+//! | `/ranking/groups` | Points2D, LineStrips2D | With more than 3 bodies: rows with labels and bars, for the largest groups at an instant: their pieces and volumes [scene unit³], and with at most 64 bodies how these differ from the volumes of their bodies one by one. |
 //! | `/ranking/pairs` | Points2D, LineStrips2D | With more than 3 bodies: rows with labels, q and thresholds, for the pairs that change phase next. |
+//! | `/world/not_recorded` | Points3D | In a flight recorder's file: where no frames were kept, a label that says of which step the view is. |
 //! | `/world/points` | Ellipsoids3D, Points3D | The influence spheres of force points, while they act, and above them their names. |
 //! | `/world/springs/NAME` | LineStrips3D | The springs of a body, blue where they are shorter than at rest, red-orange where longer; with forces, and of at most 64 cells. |
 //! | `/world/trails` | LineStrips3D | The path of the centre of each free body, one segment per frame; not with more than 64 bodies. |
@@ -80,6 +82,7 @@
 //! | `/marks/q/KIND` | Scalars, SeriesPoints | Events as markers in plots of q. |
 //! | `/timings/STAGE` | Scalars | What a stage of the step or of the recording costs [ms per step]. |
 //! | `/timings/stacked/N_STAGE` | Scalars | The same, with the stages before it on the same thread; numbered from the top of the stack. |
+//! | `/ranking/energies/N` | Points2D, LineStrips2D | Rows with labels and bars: the scalars in a plot of energies at an instant, those that have not been 0 in all frames; those in a plot of one line follow those of the plot before it. |
 //! | `/timings/ranking` | Points2D, LineStrips2D | Rows with labels and bars: the share and the peak of each stage in the whole run. |
 //! | `/timings/speed` | Scalars | Steps per second. |
 //! | `/timings/lag` | Scalars | How far a run in real time is behind [ms]. |

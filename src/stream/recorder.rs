@@ -10,14 +10,16 @@ use std::{
     time::{Duration, Instant as Clock},
 };
 
+use glam::DVec3;
+
 use super::{
     blueprint::{self, Measured, Subject, Tab},
     checksums::Checksums,
     chunks::{Audience, Chunks},
     contract::{
         self, ABOUT, ACCURACY, ARROWS, BODY_EVENTS, Component, DIGEST, EVENTS, Entity, FAILED, FAILURE, INTEGRATOR,
-        MACHINE, MODEL, OVERRIDES, PAIR_PHASE, PROPERTIES, RECORDING_INFO, SCENE, SETTINGS, STAGE, STAGES, STEPS,
-        SURFACE_EVENTS, VERSION, WORLD, path_of,
+        MACHINE, MODEL, NOT_RECORDED, OVERRIDES, PAIR_PHASE, PROPERTIES, RECORDING_INFO, SCENE, SETTINGS, STAGE,
+        STAGES, STEPS, SURFACE_EVENTS, VERSION, WORLD, path_of,
     },
     extract::Extractor,
     flight::FlightRecorder,
@@ -27,7 +29,7 @@ use super::{
     parts::{
         FrameView, batch::BatchedBodies, bodies::SeparateBodies, body_forces::BodyForces, changes::Changes,
         forces::Forces, groups::GroupPlots, heat::Heat, lines::Lines, marks, merged, merged::MergedEntities,
-        numbers::FrameNumbers, pairs, pairs::PairPlots, planes, points::Points, spheres::SphereEntities,
+        numbers::FrameNumbers, pairs, pairs::PairPlots, planes, points::Points, recent, spheres::SphereEntities,
         springs::Springs, touching::Touching, trails::Trails,
     },
     series::Series,
@@ -42,8 +44,8 @@ use crate::{
     geometry::Vectors,
     observe::{Frame, Schema, Simulation, StageFrame, StepSummary, row::rows, verify},
     sdk::{
-        self, AnyValues, ApplicationId, AsComponents, LogMsg, Scalars, StoreId, StoreKind, TextDocument, TextLog,
-        Timeline, ViewCoordinates,
+        self, AnyValues, ApplicationId, AsComponents, LogMsg, Points3D, Scalars, StoreId, StoreKind, TextDocument,
+        TextLog, Timeline, ViewCoordinates,
         components::{MediaType, Scalar, Text},
     },
     text::counted,
@@ -79,8 +81,10 @@ pub struct Recorder {
     first: u64,
     /// Number of those frames that are in the recording.
     written: u64,
-    /// The first and the last of each range of them without a gap, of a flight recorder.
-    kept: Vec<[Instant; 2]>,
+    /// The ranges of them without a gap, of a flight recorder.
+    kept: Vec<Kept>,
+    /// Above the middle of all bodies in the last frame.
+    above: DVec3,
     /// The parts that show stages inside steps.
     stages: Option<StateParts>,
     /// Number of stages shown.
@@ -93,6 +97,14 @@ pub struct Recorder {
     /// Storage for the current step, reused.
     step: StepRecord,
     frame: Frame,
+}
+
+/// Frames that a flight recorder has written, all from the first to the last.
+struct Kept {
+    first: Instant,
+    last: Instant,
+    /// Where there is room for a label after them.
+    above: DVec3,
 }
 
 /// The parts of a frame.
@@ -191,6 +203,7 @@ impl Recorder {
             first: simulation.steps_taken(),
             written: 0,
             kept: Vec::new(),
+            above: DVec3::ZERO,
             stages: matches!(settings.detail, Detail::Stages { .. })
                 .then(|| StateParts::new(&schema, &settings, simulation.interrupt(), &mut chunks)),
             stage_count: 0,
@@ -269,7 +282,7 @@ impl Recorder {
             lines: parts.series.outlines().collect(),
             pairs: parts.pairs.told(&self.schema, focus.as_ref().map_or(0.0, |focus| focus.time)),
             focus: focus.filter(|_| self.flight.is_none()), // a flight recorder may have dropped it
-            kept: self.kept.first().zip(self.kept.last()).map(|(first, last)| [first[0].time, last[1].time]),
+            kept: self.kept.first().zip(self.kept.last()).map(|(first, last)| [first.first.time, last.last.time]),
             have_acted: parts.body_forces.as_ref().map_or(&[], BodyForces::have_acted),
         };
         blueprint::measured(&self.subject(simulation), tab, self.chunks.store(), &measured)
@@ -370,11 +383,17 @@ impl Recorder {
         let mut before: Option<&StageFrame> = None;
         for stage in stages {
             self.chunks.set_stage(Some(self.stage_count));
-            let bodies = self.schema.bodies.iter().zip(&stage.frame.bodies);
-            let largest = bodies.map(|(body, now)| now.max_displacement / body.radius).fold(0.0, f64::max);
-            let moved = before.map_or(0.0, |before| furthest_move(&self.schema, [&before.frame, &stage.frame]));
-            let moved = if moved > STILL { format!("moved {moved:.1e} R, ") } else { String::new() };
-            let line = format!("step {}: {} — {moved}displaced {largest:.4} R", at.step, stage.name);
+            let displacements = self.schema.bodies.iter().zip(&stage.frame.bodies);
+            let displacements = displacements.map(|(body, now)| now.max_displacement / body.radius);
+            let (displaced, largest) = largest(displacements);
+            let name = |body: usize| self.schema.bodies[body].name.as_str();
+            let moved = before.map(|before| furthest_move(&self.schema, [&before.frame, &stage.frame]));
+            let moved = match moved.filter(|(_, moved)| *moved > STILL) {
+                Some((body, moved)) => format!("largest move {} {moved:.1e} R, ", name(body)),
+                None => String::new(),
+            };
+            let displaced = format!("largest displacement {} {largest:.4} R", name(displaced));
+            let line = format!("step {}: {} — {moved}{displaced}", at.step, stage.name);
             before = Some(stage);
             // also by step, where it says when there are stages
             let when = at.time_point().with(Timeline::new_sequence(STAGE), self.stage_count as i64);
@@ -389,6 +408,10 @@ impl Recorder {
         let view = FrameView { schema: &self.schema, frame, at };
         if let Some(parts) = &mut self.parts {
             parts.log(view, self.frames, &mut self.chunks);
+            if self.flight.is_some() {
+                let [low, high] = view.bounds();
+                self.above = (0.5 * (low + high)).with_z(recent::label_height(view));
+            }
             self.frames += 1;
             self.written += u64::from(self.flight.is_none());
         }
@@ -440,7 +463,8 @@ impl Recorder {
                 self.chunks.send(gap);
             }
         }
-        if is_on || is_after {
+        // together they take less room than one by one
+        if is_on || is_after && (self.frames_after == 0 || flight.is_full()) {
             self.write_kept();
         }
     }
@@ -449,14 +473,38 @@ impl Recorder {
     fn write_kept(&mut self) {
         if let Some(flight) = &mut self.flight {
             if let Some([first, last]) = flight.range() {
-                match self.kept.last_mut().filter(|kept| first.step <= kept[1].step + self.settings.every) {
-                    Some(before) => before[1] = last,
-                    None => self.kept.push([first, last]),
+                let above = self.above;
+                match self.kept.last_mut().filter(|kept| first.step <= kept.last.step + self.settings.every) {
+                    Some(before) => (before.last, before.above) = (last, above),
+                    None => self.kept.push(Kept { first, last, above }),
                 }
             }
             let (chunks, frames) = flight.take();
             chunks.into_iter().for_each(|chunk| self.chunks.send(chunk));
             self.written += frames;
+        }
+    }
+
+    /// Labels what is in view between the ranges of a flight recorder's frames.
+    fn label_gaps(&mut self) {
+        let (every, dt) = (self.settings.every, self.schema.dt);
+        let style = Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.0)]);
+        let label = |place: DVec3, text: String| {
+            let label = style.clone().with_positions([place.as_vec3().to_array()]).with_labels([text]);
+            label.with_colors([palette::color(crate::colors::VERMILION)]).with_show_labels(true)
+        };
+        if let Some(kept) = self.kept.first().filter(|kept| kept.first.step > self.first) {
+            let start = Instant { step: self.first, time: self.first as f64 * dt };
+            let text = format!("no frames before step {}", kept.first.step);
+            self.chunks.log(NOT_RECORDED.path, start, &label(kept.above, text));
+        }
+        for Kept { first, last, above } in &self.kept {
+            self.chunks.log(NOT_RECORDED.path, *first, &Points3D::clear_fields());
+            let after = Instant { step: last.step + every, time: last.time + every as f64 * dt };
+            if after.step <= self.at.step {
+                let text = format!("no frame: this is step {}", last.step);
+                self.chunks.log(NOT_RECORDED.path, after, &label(*above, text));
+            }
         }
     }
 
@@ -490,23 +538,23 @@ impl Recorder {
             Frames::Last { on, .. } => !(on.is_empty() || self.has_failed && on.contains(&Trigger::Diverge)),
             _ => false,
         };
-        if !is_waiting {
+        if !is_waiting || self.frames_after > 0 {
             self.write_kept();
-            if let Some(parts) = &mut self.parts {
-                parts.series.extend_all(&mut self.chunks);
-                parts.numbers.log_ranking(&mut self.chunks);
-                if self.flight.is_none() {
-                    let level = parts.pairs.plotted().map(|[low, _]| low);
-                    let first = Instant { step: self.first, time: self.first as f64 * self.schema.dt };
-                    marks::log_ends([first, self.at], level, &mut self.chunks);
-                    let approaches = self.watch.approaches();
-                    let nearest = &approaches[..approaches.len().min(MOST_APPROACHES)];
-                    parts.pairs.log_approaches(&self.schema, nearest, &mut self.chunks);
-                }
+        }
+        if let Some(parts) = self.parts.as_mut().filter(|_| !is_waiting) {
+            parts.series.extend_all(&mut self.chunks);
+            parts.numbers.log_ranking(&mut self.chunks);
+            if self.flight.is_none() {
+                let level = parts.pairs.plotted().map(|[low, _]| low);
+                let first = Instant { step: self.first, time: self.first as f64 * self.schema.dt };
+                marks::log_ends([first, self.at], level, &mut self.chunks);
+                let approaches = self.watch.approaches();
+                let nearest = &approaches[..approaches.len().min(MOST_APPROACHES)];
+                parts.pairs.log_approaches(&self.schema, nearest, &mut self.chunks);
             }
         }
         let ranges: Vec<String> =
-            self.kept.iter().take(RANGES).map(|[first, last]| format!("{} to {}", first.step, last.step)).collect();
+            self.kept.iter().take(RANGES).map(|kept| format!("{} to {}", kept.first.step, kept.last.step)).collect();
         let more = if self.kept.len() > RANGES { " and others" } else { "" };
         let kept = match (&self.flight, ranges.is_empty()) {
             (None, _) => String::new(),
@@ -518,6 +566,7 @@ impl Recorder {
                 "**No frames**: what they are kept for did not happen. Ignore the 3D views.\n\n".to_owned()
             }
         };
+        self.label_gaps();
         let mut nearest = String::new();
         for (number, line) in self.approaches().iter().take(MOST_APPROACHES).enumerate() {
             let head = if number == 0 { "\nNearest without a change of phase:\n" } else { "" };
@@ -644,8 +693,13 @@ impl StateParts {
     }
 }
 
-/// The largest distance that a vertex is from where it was in the frame before [radii].
-fn furthest_move(schema: &Schema, frames: [&Frame; 2]) -> f64 {
+/// The first of the largest numbers, with its index.
+fn largest(numbers: impl Iterator<Item = f64>) -> (usize, f64) {
+    numbers.enumerate().fold((0, 0.0), |largest, of| if of.1 > largest.1 { of } else { largest })
+}
+
+/// The body with the vertex that is farthest from where it was in the frame before, and how far [radii].
+fn furthest_move(schema: &Schema, frames: [&Frame; 2]) -> (usize, f64) {
     let mut positions = [Vectors::default(), Vectors::default()];
     let bodies = schema.bodies.iter().zip(frames[0].bodies.iter().zip(&frames[1].bodies));
     let moved = bodies.map(|(body, (before, now))| {
@@ -656,7 +710,7 @@ fn furthest_move(schema: &Schema, frames: [&Frame; 2]) -> f64 {
         let moves = positions[0].iter().zip(positions[1].iter()).map(|(before, now)| (now - before + shift).length());
         moves.fold(0.0, f64::max) / body.radius
     });
-    moved.fold(0.0, f64::max)
+    largest(moved)
 }
 
 fn log_about(text: String, chunks: &mut Chunks) {

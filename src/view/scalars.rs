@@ -112,7 +112,7 @@ pub const fn momenta<S: Copy, R>([px, py, pz, lx, ly, lz]: [S; 6]) -> [Scalar<S,
 
 /// The energy of free bodies, and of those on paths by their masses.
 const TOTAL_OF_FREE: &[OfWorld] =
-    &[smooth("energy", "energy [mass·unit²/s²]", OF_FREE, |state| state.energy.total())];
+    &[smooth("energy", "total [mass·unit²/s²]", OF_FREE, |state| state.energy.total())];
 const OF_FREE: &str = "Energy [mass·unit²/s²] by kind";
 
 /// The energy of the deformation of bodies on paths, which have no masses [scene unit²/s²].
@@ -123,7 +123,7 @@ const DEFORMATION: &[OfWorld] = &[
 /// Their energy with that of the influence, which is thousands of times as large, mostly from vertices that no sphere
 /// reaches. What the paths do to it is not counted.
 const TOTAL_ON_PATHS: &[OfWorld] = &[
-    smooth("energy", "energy [unit²/s²]", ON_PATHS, |state| state.energy.total()),
+    smooth("energy", "total [unit²/s²]", ON_PATHS, |state| state.energy.total()),
     smooth("energy_influence", "influence", ON_PATHS, |state| state.energy.influence),
 ];
 const ON_PATHS: &str = "Total with influence [unit²/s²]";

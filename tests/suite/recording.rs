@@ -445,6 +445,8 @@ impl Run {
         self.verify_diagnostics();
         self.verify_timings();
         self.verify_volume();
+        self.verify_energies();
+        self.verify_groups();
     }
 
     /// Verifies that exactly the specified entities exist.
@@ -502,8 +504,9 @@ impl Run {
         if self.scene.bodies.len() > 3 {
             let forces = ["/ranking/displacements", "/strongest"].map(str::to_owned);
             entities.extend(forces.into_iter().filter(|_| self.settings.detail == Detail::Forces));
-            entities.push("/ranking/pairs".to_owned());
+            entities.extend(["/ranking/groups", "/ranking/pairs"].map(str::to_owned));
         }
+        entities.push("/ranking/energies/0".to_owned());
         entities.insert(0, "/marks/axis/ends".to_owned());
         entities.extend((!self.pairs().is_empty()).then(|| "/marks/q/ends".to_owned()));
         for event in self.events() {
@@ -1089,6 +1092,67 @@ impl Run {
         });
     }
 
+    /// Verifies that the energies listed are those plotted, but for those that were always 0.
+    fn verify_energies(&self) {
+        let ranking = self.track("/ranking/energies/0");
+        let lines = [("vibration", "energy_vibration"), ("elastic", "energy_elastic")];
+        let lines = lines.map(|(label, of)| (label, self.track(&format!("/diagnostics/{of}")), false));
+        let mut lines = Vec::from(lines);
+        self.walk_frames(|frame, world| {
+            let at = format!("step {}", world.steps_taken());
+            let rows = ranking.held[frame].texts("Points2D:labels");
+            let mut rows = rows.iter().filter(|row| !row.is_empty());
+            for (label, track, has_occurred) in &mut lines {
+                let value = track.held[frame].scalar().expect("a number");
+                *has_occurred |= value != 0.0;
+                if !*has_occurred {
+                    continue;
+                }
+                let (name, number) = rows.next().and_then(|row| row.split_once(' ')).expect("a row");
+                let number: f64 = number.parse().expect("a number");
+                assert!(name == *label && (number - value).abs() <= 1e-3 * value.abs(), "{at}: {number}, {value}");
+            }
+            let rest: Vec<_> = rows.collect();
+            assert!(rest.is_empty() || rest == ["all are 0"], "{at}: {rest:?}");
+        });
+    }
+
+    /// Verifies that the groups of more than a few bodies are listed with their volumes, and how these differ from those of
+    /// their bodies.
+    fn verify_groups(&self) {
+        if self.scene.bodies.len() <= 3 {
+            return;
+        }
+        let ranking = self.track("/ranking/groups");
+        let has_volume = self.scene.bodies.len() <= 64;
+        let volumes = has_volume.then(|| ["surfaces", "bodies"].map(|of| self.track(&format!("/volume/{of}"))));
+        self.walk_frames(|frame, world| {
+            let at = format!("step {}", world.steps_taken());
+            let mut expected: BTreeMap<usize, Vec<&str>> = BTreeMap::new();
+            for (group, body) in groups(world).into_iter().zip(&self.scene.bodies) {
+                expected.entry(group).or_default().push(&body.name);
+            }
+            let expected: BTreeSet<String> =
+                expected.into_values().filter(|names| names.len() > 1).map(|names| names.join("+")).collect();
+            let rows = ranking.held[frame].texts("Points2D:labels");
+            let rows: Vec<(&str, &str)> = rows.iter().filter_map(|row| row.split_once(": ")).collect();
+            assert_eq!(rows.len(), expected.len().min(8), "{at}");
+            let mut lost = 0.0;
+            for (names, what) in &rows {
+                assert!(names.contains(" and ") || expected.contains(*names), "{at}: {names}");
+                let (_, numbers) = what.split_once(", ").expect("pieces and numbers");
+                let (volume, percent) = numbers.split_once(", ").unwrap_or((numbers, "0 %"));
+                let volume: f64 = volume.parse().expect("a volume");
+                let percent: f64 = percent.trim_end_matches(" %").parse().expect("a percentage");
+                lost += volume / (1.0 + 0.01 * percent) - volume;
+            }
+            if let Some(tracks) = volumes.as_ref().filter(|_| rows.len() < 8) {
+                let [surfaces, bodies] = tracks.each_ref().map(|track| track.held[frame].scalar().expect("a volume"));
+                assert!((bodies - surfaces - lost).abs() <= 1e-3 * bodies, "{at}: {lost}");
+            }
+        });
+    }
+
     /// Verifies the values of each vertex: its displacement, the force on it, the influence that reaches it.
     fn verify_vertices(&self) {
         if self.settings.entities == Entities::Batch {
@@ -1217,6 +1281,33 @@ impl Run {
             assert!(is_there, "{of_event} at {}", event.time);
         }
         if self.scene.bodies.len() <= 8 {
+            let (track, mut last, mut age) = (self.track("/world/recent"), BTreeMap::new(), 0);
+            let mut frame = 0;
+            self.walk(|world| {
+                let events = &world.report().events;
+                if !events.is_empty() {
+                    (last, age) = (BTreeMap::new(), 0);
+                    last.extend(events.iter().map(|event| ((event.a as usize, event.b as usize), event.name())));
+                }
+                if !self.is_frame(world) {
+                    return;
+                }
+                age += 1;
+                let mut labels = track.held[frame].texts("Points3D:labels");
+                frame += 1;
+                let named = |((a, b), name): (&(usize, usize), &&str)| {
+                    let colon = if name.contains(' ') { ":" } else { "" };
+                    let [one, other] = [a, b].map(|&body| world.body(body));
+                    let sum = one.scene().radius + other.scene().radius;
+                    let q = one.centre().distance(other.centre()) / sum;
+                    format!("{name}{colon} {}; now q = {q:.3}", self.pair_name((*a, *b)))
+                };
+                let mut expected: Vec<String> = last.iter().filter(|_| age <= 24).map(named).collect();
+                labels.sort();
+                expected.sort();
+                assert!(expected.len() <= 4, "step {}", world.steps_taken());
+                assert_eq!(labels, expected, "step {}", world.steps_taken());
+            });
             return;
         }
         let (track, mut last) = (self.track("/recent/pair"), None);

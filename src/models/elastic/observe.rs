@@ -48,7 +48,7 @@ fn scalars(scene: &Scene) -> impl Iterator<Item = &'static Scalar> {
 }
 
 const STATE: &[Scalar] = &[
-    smooth("energy", "energy [mass·unit²/s²]", ENERGY, |simulation, _| {
+    smooth("energy", "total [mass·unit²/s²]", ENERGY, |simulation, _| {
         simulation.kinetic_energy() + simulation.elastic_energy()
     }),
     smooth("energy_vibration", "kinetic", ENERGY, |simulation, _| simulation.kinetic_energy()),

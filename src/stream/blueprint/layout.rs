@@ -68,8 +68,6 @@ pub struct Layout {
     next_id: u64,
     /// The plots of timings: whether of a recording, and their titles.
     pub timings: Vec<(String, bool, String)>,
-    /// The plot of the groups of many bodies.
-    pub groups: Option<String>,
     /// The plot of speed.
     pub speeds: Option<String>,
     /// All plots over time.
@@ -126,7 +124,6 @@ impl Layout {
             chunks: Chunks::new(store),
             next_id: 0,
             timings: Vec::new(),
-            groups: None,
             speeds: None,
             plots: Vec::new(),
             distances: Vec::new(),
@@ -269,7 +266,7 @@ impl Layout {
     }
 
     /// Rows with labels and bars.
-    pub fn ranking(&mut self, title: &str, Entity { path, .. }: &Entity) -> Part {
+    pub fn ranking(&mut self, title: &str, path: &str) -> Part {
         let [left, right, top, bottom] = ranking::BOUNDS;
         let range = datatypes::Range2D { x_range: [left, right].into(), y_range: [top, bottom].into() };
         self.view("2D", title, path, &[including(path)], &[("VisualBounds2D", &VisualBounds2D::new(range))])

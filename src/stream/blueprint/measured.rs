@@ -4,7 +4,6 @@ use super::{
     Subject, Tab,
     camera::{NARROW, WIDE, camera_past},
     layout::{Layout, family, including},
-    tabs::ENERGY,
 };
 use crate::{
     observe::schema::ScalarSchema,
@@ -14,13 +13,12 @@ use crate::{
     },
     stream::{
         contract::{
-            DIAGNOSTIC, Entity, GROUP_LINE, MARKS_AT_Q, MARKS_ON_AXIS, PAIR_CONTACT, PAIR_DISTANCE, PAIR_LEVEL,
-            PAIR_PHASE,
+            DIAGNOSTIC, Entity, MARKS_AT_Q, MARKS_ON_AXIS, PAIR_CONTACT, PAIR_DISTANCE, PAIR_LEVEL, PAIR_PHASE,
         },
         focus::Focus,
         palette,
         parts::{
-            numbers::Spread,
+            numbers::{Spread, is_energy},
             pairs::{self, Told},
         },
         series::Outline,
@@ -85,16 +83,6 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     if let Some(speeds) = layout.speeds.take().filter(|_| measured.fastest > 0.0) {
         layout.set_range(&speeds, readable([0.0, measured.fastest]));
     }
-    if let Some(groups) = layout.groups.take() {
-        // their entities are known only now
-        let is_size = |entity: &str| entity.starts_with(GROUP_LINE.family()) && entity.ends_with("/bodies");
-        let sizes: Vec<String> =
-            measured.lines.iter().filter(|(of, _)| is_size(of)).map(|(of, _)| including(of)).collect();
-        if !sizes.is_empty() {
-            layout.set_contents(&groups, sizes);
-            layout.log(&groups, &ViewBlueprint::update_fields().with_display_name("Bodies in each group"));
-        }
-    }
     if let Some([low, high]) = measured.distances {
         // an automatic axis would begin at 0
         for plot in layout.distances.clone() {
@@ -107,7 +95,6 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         measured.lines.iter().find(|(of, _)| *of == entity).and_then(|(_, outline)| outline.range)
     };
     let ranges = || subject.schema.scalars.iter().map(|scalar| (scalar, range_of(scalar)));
-    let is_energy = |plot: &str| plot.starts_with(ENERGY);
     let energies = ranges().filter(|(scalar, _)| is_energy(scalar.plot)).filter_map(|(_, range)| range);
     let exchanged = energies.map(|[low, high]| high - low).fold(0.0, f64::max);
     for (plot, name) in std::mem::take(&mut layout.scalars) {

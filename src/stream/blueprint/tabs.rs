@@ -9,7 +9,7 @@ use super::{
 };
 use crate::{
     colors,
-    observe::Schema,
+    observe::{Schema, schema::Threshold},
     sdk::{
         self, Mesh3D, Points3D,
         blueprint::{
@@ -21,9 +21,9 @@ use crate::{
     stream::{
         contract::{
             ABOUT, ACCURACY, ARROWS, BODY, BODY_FORCE, BODY_SCALAR, BODY_SURFACE, DEFORMING, DIAGNOSTIC, EVENTS,
-            Entity, FORCE, GROUP_LINE, INFLUENCE, LAG, LARGEST, LEGEND, MARKS_AT_Q, MERGED, MERGED_SURFACE, NAMES,
-            PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR, PLANE, POINTS,
-            RANKED_DISPLACEMENTS, RANKED_FORCES, RANKED_PAIRS, RANKED_STAGES, RECENT_NAMES, RECENT_PAIR,
+            Entity, FORCE, INFLUENCE, LAG, LARGEST, LEGEND, MARKS_AT_Q, MERGED, MERGED_SURFACE, NAMES, PAIR_CONTACT,
+            PAIR_DISTANCE, PAIR_GAP, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR, PLANE, POINTS,
+            RANKED_DISPLACEMENTS, RANKED_FORCES, RANKED_GROUPS, RANKED_PAIRS, RANKED_STAGES, RECENT_NAMES, RECENT_PAIR,
             RECENT_SPHERES, RESTING, RESULTANTS, SIM_TIME, SPEED, STAGE, STAGES, STEP, STRONGEST, TIMING, TOUCHING,
             TRAILS, VOLUME, WORLD,
         },
@@ -38,8 +38,8 @@ use crate::{
     },
 };
 
-/// How the names of plots of energies begin: they are shown large, beside the others.
-pub const ENERGY: &str = "Energy";
+/// The shares of the width of a plot of energies and of the numbers beside it.
+const ENERGY_SHARES: [f32; 2] = [1.5, 1.0];
 
 /// The title of plots of the stages of a step.
 const TIMINGS: &str = "Timings, ms per step: stages stacked";
@@ -99,7 +99,7 @@ impl Layout {
             if is_ranked(schema) {
                 // as many names would cover half of a small plot, and lanes of all pairs have no room
                 self.hide_legend(&parts[0]);
-                parts[1] = self.ranking(NEXT, &RANKED_PAIRS);
+                parts[1] = self.ranking(&next_title(schema), RANKED_PAIRS.path);
             }
             let shares = match schema.bodies.len() {
                 2 => [1.5, 0.5, 0.9, 1.0],
@@ -207,17 +207,18 @@ impl Layout {
         view
     }
 
-    /// The surfaces of groups, and the gap and overlap of pairs above their phases.
+    /// The surfaces of groups, and the gap and overlap of pairs above their phases; of more than a few bodies, which of them are
+    /// one now.
     fn surface_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         let view = self.surface_view((framing, NARROW), "One surface per group", schema, settings);
-        let mut parts = Vec::new();
+        let mut plots = Vec::new();
         if pairs::has_named_pairs(schema) {
             let measures = [
                 ("Gap [R of the smaller]", &PAIR_GAP),
                 ("Neck [R of the smaller]", &PAIR_NECK),
                 ("Overlap [R³ of the smaller]", &PAIR_OVERLAP),
             ];
-            let plots = measures.map(|(title, measure)| {
+            plots.extend(measures.map(|(title, measure)| {
                 let contents: Vec<String> = pairs::named(schema, measure).map(|line| including(&line)).collect();
                 let plot = self.plot(title, "/", &contents, Corner2D::RightTop);
                 if is_ranked(schema) {
@@ -225,23 +226,29 @@ impl Layout {
                 }
                 self.measures.push((plot.path.clone(), measure));
                 plot
-            });
-            parts.push(self.container(ContainerKind::Tabs, "Pairs", plots.into(), &[]));
+            }));
         }
         let title = "Contact (red-orange: joined, not touching; yellow: touching, not joined)";
         let mut contents: Vec<String> = pairs::named(schema, &PAIR_PHASE).map(|lane| format!("- {lane}")).collect();
         contents.push(family(&PAIR_PHASE));
         let contacts = self.lanes(title, PAIR_PHASE.family(), &contents);
         self.contacts.push(contacts.path.clone());
-        parts.push(contacts);
+        let mut parts = match is_ranked(schema) {
+            true => {
+                let title = match groups::has_volume(schema) {
+                    true => "Groups now: volume [unit³], and how it differs from its bodies one by one (dot)",
+                    false => "Groups now: volume [unit³]",
+                };
+                let ranking = self.ranking(title, RANKED_GROUPS.path);
+                plots.insert(0, contacts);
+                vec![ranking, self.container(ContainerKind::Tabs, "Pairs", plots, &[])]
+            }
+            false => vec![self.container(ContainerKind::Tabs, "Pairs", plots, &[]), contacts],
+        };
         if groups::has_volume(schema) {
             // no marks of events, which are at 0: a change of a hundredth is visible
             let title = "Volume [unit³]: merging loses what is between the lines";
             parts.push(self.time_series(title, "/", &[family(&VOLUME)], Corner2D::LeftBottom));
-        } else {
-            let plot = self.plot("Groups: volume, bodies, genus", "/", &[family(&GROUP_LINE)], Corner2D::RightTop);
-            self.groups = Some(plot.path.clone());
-            parts.push(plot);
         }
         parts.push(self.events());
         let shares = vec![1.0; parts.len()];
@@ -327,7 +334,7 @@ impl Layout {
             true => "Bodies with the largest net forces now [unit/s²]; dot: the strongest cause",
             false => "The strongest forces on bodies now [unit/s²]",
         };
-        let ranking = self.ranking(title, &RANKED_FORCES);
+        let ranking = self.ranking(title, RANKED_FORCES.path);
         let share = if is_ranked { 1.0 } else { schema.bodies.len() as f32 };
         let plots = self.container(ContainerKind::Vertical, "Strongest", vec![ranking, plots], &[1.2, share]);
         self.container(ContainerKind::Horizontal, "Forces", vec![causes, plots], &[1.6, 1.0])
@@ -395,7 +402,7 @@ impl Layout {
             return left;
         }
         let title = "Bodies with the largest displacements now: vertex [radii]";
-        let ranking = self.ranking(title, &RANKED_DISPLACEMENTS);
+        let ranking = self.ranking(title, RANKED_DISPLACEMENTS.path);
         self.container(ContainerKind::Horizontal, "Displacement", vec![left, ranking], &[1.8, 1.0])
     }
 
@@ -424,7 +431,7 @@ impl Layout {
         if !is_ranked(schema) {
             return self.container(ContainerKind::Vertical, "Pairs", parts, &[2.0, 1.0, 0.8]);
         }
-        let right = vec![self.ranking(NEXT, &RANKED_PAIRS), parts.remove(2)];
+        let right = vec![self.ranking(&next_title(schema), RANKED_PAIRS.path), parts.remove(2)];
         let left = self.container(ContainerKind::Vertical, "Over time", parts, &[1.0, 1.0]);
         let right = self.container(ContainerKind::Vertical, "Now", right, &[1.3, 1.0]);
         self.container(ContainerKind::Horizontal, "Pairs", vec![left, right], &[1.5, 1.0])
@@ -456,7 +463,7 @@ impl Layout {
         }
         let plots = self.container(ContainerKind::Vertical, "Over time", parts, &[1.6, 1.0, 1.0]);
         let title = "Where the time went: total; longest, its step. +: on other threads";
-        let ranking = self.ranking(title, &RANKED_STAGES);
+        let ranking = self.ranking(title, RANKED_STAGES.path);
         self.container(ContainerKind::Horizontal, "Timings", vec![plots, ranking], &[1.8, 1.0])
     }
 
@@ -489,24 +496,30 @@ impl Layout {
         plot
     }
 
-    /// Energies, what changed them, and the events that made them jump; the other scalars one at a time.
+    /// Energies and what changed them, each plot beside its numbers at the instant; the other scalars one at a time, beside the
+    /// events that made energies jump.
     fn energy_tab(&mut self, schema: &Schema) -> Part {
-        let (energies, others): (Vec<_>, Vec<_>) =
-            self.diagnostics(schema, usize::MAX).into_iter().partition(|(name, _)| name.starts_with(ENERGY));
-        // a model without energies shows its other scalars there
-        let (large, small) = if energies.is_empty() { (others, energies) } else { (energies, others) };
-        let [large, small]: [Vec<Part>; 2] =
-            [large, small].map(|plots| plots.into_iter().map(|(_, plot)| plot).collect());
-        // the first has most lines
-        let shares: Vec<f32> = (0..large.len()).map(|plot| if plot == 0 { 1.6 } else { 1.0 }).collect();
-        let left = self.container(ContainerKind::Vertical, "Energies", large, &shares);
-        let mut right = vec![self.lines("Events, and steps beyond the tolerance", EVENTS.path)];
-        if !small.is_empty() {
-            right.insert(0, self.container(ContainerKind::Tabs, "Others", small, &[]));
+        let ranked = numbers::energies(schema);
+        let is_ranked = |name: &str| ranked.iter().position(|(plot, _)| *plot == name);
+        let mut others = Vec::new();
+        let mut rows = Vec::new();
+        for (name, plot) in self.diagnostics(schema, usize::MAX) {
+            let Some(number) = is_ranked(name) else {
+                let first = if numbers::is_energy(name) { 0 } else { others.len() };
+                others.insert(first, plot);
+                continue;
+            };
+            self.hide_legend(&plot); // the ranking names the colours
+            let title = format!("Now: {}", name.split(';').next().unwrap_or(name));
+            let ranking = self.ranking(&title, &numbers::ranked_energies(number));
+            rows.push(self.container(ContainerKind::Horizontal, "Energies", vec![plot, ranking], &ENERGY_SHARES));
         }
-        let shares = vec![1.0; right.len()];
-        let right = self.container(ContainerKind::Vertical, "Beside them", right, &shares);
-        self.container(ContainerKind::Horizontal, "Energy", vec![left, right], &[1.2, 1.0])
+        let events = self.lines("Events, and steps beyond the tolerance", EVENTS.path);
+        // a model without energies has room for its other scalars
+        let kind = if rows.is_empty() { ContainerKind::Vertical } else { ContainerKind::Tabs };
+        let others = self.container(kind, "Others", others, &[]);
+        rows.push(self.container(ContainerKind::Horizontal, "Others", vec![others, events], &ENERGY_SHARES));
+        self.container(ContainerKind::Vertical, "Energy", rows, &[])
     }
 
     /// Plots of the schema's scalars, with their names.
@@ -545,7 +558,11 @@ impl Layout {
 }
 
 /// The title of the ranking of pairs.
-const NEXT: &str = "Pairs within reach that change phase next, if q goes on so";
+fn next_title(schema: &Schema) -> String {
+    let line = |threshold: &Threshold| format!("{} {}", threshold.name, colors::name(threshold.color));
+    let lines: Vec<String> = schema.thresholds.iter().map(line).collect();
+    format!("Next changes of phase, if q goes on so; dot: q, lines: {}", lines.join(", "))
+}
 
 /// The title of the view of everything.
 pub fn scene_title(schema: &Schema) -> &'static str {

@@ -1,22 +1,27 @@
 //! Plots of groups: volume, area and topology of the surface, and number of bodies; and of the volume of all surfaces. The
-//! first body of a group gives it its name.
+//! first body of a group gives it its name. With more than a few bodies, a ranking of the groups of an instant.
 
 use std::collections::BTreeMap;
 
-use super::{FrameView, pairs::has_named_pairs};
+use super::{
+    FrameView,
+    pairs::has_named_pairs,
+    ranking::{Mark, Ranking, Row, is_ranked},
+};
 use crate::{
     analysis::surface::Merged,
-    colors::GREY,
+    colors::{GREY, SILVER},
     geometry::{Vectors, mesh::signed_volume},
     observe::{Schema, surface::Group},
     sdk::{AnyValues, components::Text},
     stream::{
         chunks::Chunks,
-        contract::{BODIES, GROUP, GROUP_LINE, OVERLAPPING, VOLUME},
+        contract::{BODIES, GROUP, GROUP_LINE, OVERLAPPING, RANKED_GROUPS, VOLUME},
         palette,
         series::{Interpolation, LineId, Series},
         settings::MAX_BODY_ENTITIES,
     },
+    text::short,
 };
 
 /// The groups that have their own entities.
@@ -32,8 +37,9 @@ pub struct GroupPlots {
     of_bodies: Option<LineId>,
     /// Volume of each body at rest [scene unit³].
     at_rest: Vec<f64>,
-    /// Scratch storage, reused.
-    is_grouped: Vec<bool>,
+    /// The volumes of the bodies one by one, if they are plotted [scene unit³]; reused.
+    volumes: Vec<f64>,
+    ranking: Option<Ranking>,
 }
 
 struct GroupPlot {
@@ -91,8 +97,9 @@ impl GroupPlots {
             body.radius.powi(3) * enclosed(mesh.triangles(), mesh.positions())
         });
         let at_rest = at_rest.collect();
-        let (known, is_grouped) = (BTreeMap::new(), Vec::new());
-        GroupPlots { max_groups, known, overlapping: None, of_surfaces, of_bodies, at_rest, is_grouped }
+        let ranking = is_ranked(schema).then(|| Ranking::new(RANKED_GROUPS.path, chunks));
+        let (known, volumes) = (BTreeMap::new(), Vec::new());
+        GroupPlots { max_groups, known, overlapping: None, of_surfaces, of_bodies, at_rest, volumes, ranking }
     }
 
     /// Logs changed values.
@@ -107,6 +114,7 @@ impl GroupPlots {
             series.log(chunks, line, merged.overlapping as f64, at);
         }
         self.log_volume(view, merged, series, chunks);
+        self.log_ranking(view, merged, chunks);
         for (first, plot) in &mut self.known {
             let is_there = merged.groups.iter().any(|group| group.bodies.first() == Some(first));
             if !is_there && !plot.bodies.is_empty() {
@@ -144,26 +152,23 @@ impl GroupPlots {
         if self.of_surfaces.is_empty() {
             return;
         }
-        self.is_grouped.clear();
-        self.is_grouped.resize(self.at_rest.len(), false);
-        for &body in merged.groups.iter().flat_map(|group| &group.bodies) {
-            self.is_grouped[body] = true;
-        }
         let volumes =
             view.bodies().zip(&self.at_rest).map(|((body, now), at_rest)| match (now.is_absent, now.is_at_rest) {
                 (true, _) => 0.0,
                 (_, true) => *at_rest,
                 _ => enclosed(now.mesh_of(body).triangles(), &now.positions),
             });
-        let (size, mut sum) = (view.schema.variant_size(), 0.0);
+        self.volumes.clear();
+        self.volumes.extend(volumes);
+        let size = view.schema.variant_size();
         let mut sums = vec![0.0; self.of_surfaces.len()];
         for group in &merged.groups {
             sums[group.bodies[0] / size] += group.volume;
         }
-        for (body, (volume, is_grouped)) in volumes.zip(&self.is_grouped).enumerate() {
-            sums[body / size] += if *is_grouped { 0.0 } else { volume };
-            sum += volume;
+        for (body, (volume, is_merged)) in self.volumes.iter().zip(&merged.is_merged).enumerate() {
+            sums[body / size] += if *is_merged { 0.0 } else { *volume };
         }
+        let sum: f64 = self.volumes.iter().sum();
         if let Some(line) = self.of_bodies {
             series.log(chunks, line, sum, view.at);
         }
@@ -173,6 +178,50 @@ impl GroupPlots {
                 _ => series.interrupt(chunks, line, view.at),
             }
         }
+    }
+}
+
+impl GroupPlots {
+    /// Ranks the groups of an instant by their numbers of bodies and volumes, each beside the volume of its bodies one by one,
+    /// if that is known.
+    fn log_ranking(&self, view: FrameView<'_>, merged: &Merged, chunks: &mut Chunks) {
+        let Some(ranking) = &self.ranking else { return };
+        let mut groups: Vec<&Group> = merged.groups.iter().map(AsRef::as_ref).collect();
+        groups
+            .sort_by(|one, other| other.bodies.len().cmp(&one.bodies.len()).then(other.volume.total_cmp(&one.volume)));
+        let apart = |group: &Group| match self.volumes.is_empty() {
+            true => None,
+            false => Some(group.bodies.iter().map(|&body| self.volumes[body]).sum::<f64>()),
+        };
+        let largest = groups.iter().map(|group| apart(group).unwrap_or(0.0).max(group.volume)).fold(0.0, f64::max);
+        let rows = groups.iter().map(|group| {
+            let color = palette::of_body(view.schema, group.bodies[0]);
+            let mut marks = vec![(Mark::Bar(group.volume / largest), color)];
+            let mut label = format!("{}: ", names(view.schema, &group.bodies));
+            label += &match group.components {
+                1 => "one surface, ".to_owned(),
+                pieces => format!("{pieces} pieces, "),
+            };
+            label += &short(group.volume);
+            if let Some(apart) = apart(group) {
+                marks.push((Mark::Dot(apart / largest), SILVER));
+                label += &format!(", {:+.1} %", 100.0 * (group.volume / apart - 1.0));
+            }
+            Row { label, color, marks }
+        });
+        let none =
+            if merged.overlapping > 0 { "groups are drawn as overlapping meshes" } else { "no bodies are joined" };
+        ranking.log(rows, none, view.at, chunks);
+    }
+}
+
+/// The first bodies of a group, and how many others there are.
+fn names(schema: &Schema, bodies: &[usize]) -> String {
+    const NAMED: usize = 3;
+    let names: Vec<&str> = bodies.iter().take(NAMED).map(|&body| schema.bodies[body].name.as_str()).collect();
+    match bodies.len().saturating_sub(NAMED) {
+        0 => names.join("+"),
+        others => format!("{} and {others} more", names.join("+")),
     }
 }
 

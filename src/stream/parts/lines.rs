@@ -94,20 +94,19 @@ impl Lines {
         self.closest.extend(view.frame.pairs.iter().filter(is_shown));
         self.closest.sort_by(|x, y| x.q.total_cmp(&y.q));
         self.closest.truncate(self.max_lines);
-        // the viewer labels the first lines, as many as there are labels; a highlighted pair has its label there
+        // the viewer labels the first lines, as many as there are labels; highlighted pairs have theirs there
         self.recent.age();
-        let recent = self.recent.pair();
+        let recent: Vec<[usize; 2]> = self.recent.pairs().collect();
         let middle = |a: usize, b: usize| 0.5 * (view.frame.bodies[a].centre + view.frame.bodies[b].centre);
         let mut labels_in_space = Labels::new(view);
-        let mut most = MAX_LABELLED;
-        if let Some((a, b)) = recent {
+        for &[a, b] in &recent {
             labels_in_space.take(middle(a, b));
-            most -= 1;
         }
+        let most = MAX_LABELLED.saturating_sub(recent.len());
         let mut labelled = 0;
         for index in 0..self.closest.len() {
             let PairFrame { a, b, .. } = self.closest[index];
-            if recent != Some((a, b)) && labelled < most && labels_in_space.take(middle(a, b)) {
+            if !recent.contains(&[a, b]) && labelled < most && labels_in_space.take(middle(a, b)) {
                 self.closest[labelled..=index].rotate_right(1);
                 labelled += 1;
             }

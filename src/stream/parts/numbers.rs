@@ -4,22 +4,22 @@ use std::time::{Duration, Instant as Clock};
 
 use super::{
     FrameView,
-    ranking::{self, Mark, Row},
+    ranking::{self, Mark, Ranking, Row},
 };
 use crate::{
-    colors,
+    colors::{self, SILVER},
     observe::{Schema, schema::ScalarOf},
     sdk::Scalars,
     stream::{
         chunks::{Chunks, TrackId},
-        contract::{BODY_SCALAR, DIAGNOSTIC, LAG, RANKED_STAGES, SPEED, STACKED, TIMING},
+        contract::{BODY_SCALAR, DIAGNOSTIC, LAG, RANKED_ENERGIES, RANKED_STAGES, SPEED, STACKED, TIMING},
         instant::Instant,
         palette::{self, Rgb},
         series::{Interpolation, LineId, Series},
         settings::MAX_BODY_ENTITIES,
         step::StepRecord,
     },
-    text::significant,
+    text::{short, significant},
 };
 
 /// Additional stages in `/timings`: the cost of observation on the simulation thread.
@@ -37,6 +37,38 @@ pub fn timings(schema: &Schema) -> impl Iterator<Item = &'static str> {
     schema.stages.iter().copied().chain(OBSERVING).chain(RECORDING)
 }
 
+/// How the names of plots of energies begin.
+const ENERGY: &str = "Energy";
+
+/// Whether a plot is one of energies.
+pub fn is_energy(plot: &str) -> bool {
+    plot.starts_with(ENERGY)
+}
+
+/// The plots of energies, each with its scalars by their indices in the schema. A plot of one line belongs to that before it.
+pub fn energies(schema: &Schema) -> Vec<(&'static str, Vec<usize>)> {
+    let mut plots: Vec<(&'static str, Vec<usize>)> = Vec::new();
+    for (index, scalar) in schema.scalars.iter().enumerate().filter(|(_, scalar)| is_energy(scalar.plot)) {
+        match plots.iter_mut().find(|(plot, _)| *plot == scalar.plot) {
+            Some((_, scalars)) => scalars.push(index),
+            None => plots.push((scalar.plot, vec![index])),
+        }
+    }
+    let mut merged: Vec<(&'static str, Vec<usize>)> = Vec::new();
+    for (plot, scalars) in plots {
+        match merged.last_mut().filter(|_| scalars.len() == 1) {
+            Some((_, before)) => before.extend(scalars),
+            None => merged.push((plot, scalars)),
+        }
+    }
+    merged
+}
+
+/// The entity of the ranking of the `number`th of the [plots of energies](energies).
+pub fn ranked_energies(number: usize) -> String {
+    RANKED_ENERGIES.of(&[&number.to_string()])
+}
+
 /// Whether a stage does work: waiting for a slow disk or viewer is not part of the stacked cost of a step.
 pub fn is_work(stage: &str) -> bool {
     stage != WAIT
@@ -52,6 +84,8 @@ pub fn stacked(schema: &Schema, stage: &str) -> String {
 /// Scalars aggregated between frames.
 pub struct FrameNumbers {
     scalars: Vec<ScalarLine>,
+    /// Rankings of energies, by indices into `scalars`.
+    energies: Vec<(Ranking, Vec<usize>)>,
     /// Lines of the scalars of bodies, body by body.
     of_bodies: Vec<LineId>,
     timings: Vec<Timing>,
@@ -82,6 +116,10 @@ struct ScalarLine {
     id: LineId,
     of: ScalarOf,
     value: f64,
+    label: &'static str,
+    color: Rgb,
+    /// Whether it has been other than 0 in any frame.
+    has_occurred: bool,
 }
 
 /// A stage, the time spent on it since the last frame, and the distribution of that time over previous frames.
@@ -127,10 +165,15 @@ impl FrameNumbers {
             let entity = DIAGNOSTIC.of(&[scalar.name]);
             let shape = if scalar.is_smooth { Interpolation::Linear } else { Interpolation::Step };
             let place = schema.scalars[..i].iter().filter(|before| before.plot == scalar.plot).count();
-            Series::style(chunks, &entity, scalar.label, palette::line(place), 1.5, shape);
-            ScalarLine { id: series.line(chunks, &entity, shape), of: scalar.of, value: 0.0 }
+            let color = palette::line(place);
+            Series::style(chunks, &entity, scalar.label, color, 1.5, shape);
+            let id = series.line(chunks, &entity, shape);
+            ScalarLine { id, of: scalar.of, value: 0.0, label: scalar.label, color, has_occurred: false }
         });
         let scalars = scalars.collect();
+        let energies = energies(schema).into_iter().enumerate();
+        let energies = energies.map(|(number, (_, scalars))| (Ranking::new(&ranked_energies(number), chunks), scalars));
+        let energies = energies.collect();
         let of_bodies = schema.bodies.iter().take(MAX_BODY_ENTITIES).enumerate().flat_map(|(index, body)| {
             let rgb = palette::of_body(schema, index);
             schema.body_scalars.iter().map(move |scalar| (scalar, &body.name, rgb))
@@ -141,6 +184,7 @@ impl FrameNumbers {
         let speed = run_line(SPEED.path, "steps per second", colors::SKY_BLUE, chunks);
         FrameNumbers {
             scalars,
+            energies,
             of_bodies,
             timings,
             steps_since_sent: 0,
@@ -192,6 +236,12 @@ impl FrameNumbers {
         for (line, &of_state) in self.scalars.iter_mut().zip(&view.frame.scalars) {
             let value = if line.of == ScalarOf::State { of_state } else { std::mem::take(&mut line.value) };
             series.log(chunks, line.id, value, view.at);
+            line.has_occurred |= value != 0.0;
+        }
+        for (ranking, scalars) in &self.energies {
+            let lines = scalars.iter().map(|&index| (&self.scalars[index], view.frame.scalars[index]));
+            let rows = energy_rows(lines.filter(|(line, _)| line.has_occurred).collect());
+            ranking.log(rows.into_iter(), "all are 0", view.at, chunks);
         }
         for (&line, &value) in self.of_bodies.iter().zip(&view.frame.body_scalars) {
             series.log_or_interrupt(chunks, line, value, view.at);
@@ -334,6 +384,22 @@ impl Spread {
         let above = add(self.buckets.get(Spread::bucket(limit) + 1..).unwrap_or_default());
         (above.0, above.1 / add(&self.buckets).1.max(f64::MIN_POSITIVE))
     }
+}
+
+/// Bars to the left of the middle are of negative values.
+fn energy_rows(mut lines: Vec<(&ScalarLine, f64)>) -> Vec<Row> {
+    let largest = |of: &[(&ScalarLine, f64)]| of.iter().map(|(_, value)| value.abs()).fold(0.0, f64::max);
+    while lines.len() > ranking::ROWS {
+        let least = (0..lines.len()).min_by(|&one, &other| lines[one].1.abs().total_cmp(&lines[other].1.abs()));
+        lines.remove(least.unwrap_or(0));
+    }
+    let longest = largest(&lines).max(f64::MIN_POSITIVE);
+    let row = |(line, value): (&ScalarLine, f64)| {
+        let name = line.label.split(" [").next().unwrap_or(line.label);
+        let marks = vec![(Mark::Tick(0.5), SILVER), (Mark::Signed(value / longest), line.color)];
+        Row { label: format!("{name} {}", short(value)), color: line.color, marks }
+    };
+    lines.into_iter().map(row).collect()
 }
 
 fn run_line(entity: &str, name: &str, rgb: Rgb, chunks: &mut Chunks) -> TrackId {

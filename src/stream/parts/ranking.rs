@@ -56,6 +56,8 @@ pub struct Row {
 pub enum Mark {
     /// From the left end.
     Bar(f64),
+    /// From the middle, to the left if negative; 1 is half of the width.
+    Signed(f64),
     /// A disc.
     Dot(f64),
     /// Across the row, from the row above and to that below.
@@ -70,6 +72,7 @@ impl Mark {
         let x = |share: f64| (2.0 * WIDTH * share.clamp(0.0, 1.0) as f32).round() / 2.0;
         match self {
             Mark::Bar(to) => ([[0.0, y], [x(to).max(0.5), y]], 2.4),
+            Mark::Signed(to) => ([[x(0.5), y], [x(0.5 + 0.5 * to), y]], 2.4),
             Mark::Dot(at) => ([[x(at), y], [x(at) + 0.5, y]], 2.4),
             Mark::Tick(at) => ([[x(at), y - 0.5 * PITCH], [x(at), y + 0.5 * PITCH]], 0.4),
         }

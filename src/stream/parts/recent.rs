@@ -1,5 +1,8 @@
-//! The pair that had the last event: a thick line between its centres, labelled with the event. The label stands above all
-//! bodies, on a line that leads to the pair. Among many bodies, the pair is drawn once more, alone.
+//! The pairs that had the events of the last step with any: for each a thick line between its centres, labelled with the event.
+//! The label stands above all bodies, on a line that leads to the pair. Among many bodies only the pair of the last event,
+//! which is drawn once more, alone.
+
+use std::collections::VecDeque;
 
 use glam::DVec3;
 
@@ -21,8 +24,12 @@ use crate::{
 const FRAMES: u64 = 24;
 /// Interval between drawings of the pair alone, once its event is no longer recent [frames].
 const SELDOM: u64 = 8;
+/// Upper limit on the number of events of a step that are labelled; among many bodies, one is.
+const MOST: usize = 4;
 /// How far above all bodies the label is [diagonals of the box around them].
 const ABOVE: f64 = 0.14;
+/// The distance of two labels, in the same unit.
+const APART: f64 = 0.08;
 
 /// The height at which the label of an event stands [scene unit].
 pub fn label_height(view: FrameView<'_>) -> f64 {
@@ -35,29 +42,36 @@ pub fn is_drawn_alone(schema: &Schema) -> bool {
     schema.bodies.len() > MAX_LABELS
 }
 
-/// The pair of the last event.
+/// The pairs of the events of a step.
 pub struct Recent {
     track: TrackId,
-    event: Option<RecentEvent>,
-    /// Height of the label, above the bodies of the last frame [scene unit].
+    /// The last events of the last step with any, one per pair.
+    events: VecDeque<RecentEvent>,
+    /// Frames since they happened.
+    age: u64,
+    /// Height of the lowest label, above the bodies of the last frame, and the distance of two [scene unit].
     top: f64,
+    apart: f64,
     alone: Option<Alone>,
 }
 
 struct RecentEvent {
     pair: [usize; 2],
     label: String,
+    /// The end of the label: q at the event, or now.
+    q: String,
     color: Rgb,
-    /// Frames since it happened.
-    age: u64,
+    step: u64,
+    centres: [DVec3; 2],
 }
 
-/// Lines, their colours, and the label with its position.
+/// Lines, their colours, and labels with their positions and colours.
 #[derive(Default)]
 struct Rows {
     strips: Vec<[Float3; 2]>,
-    colors: Vec<u32>,
+    line_colors: Vec<u32>,
     places: Vec<Float3>,
+    colors: Vec<u32>,
     labels: Vec<String>,
 }
 
@@ -73,8 +87,8 @@ struct Alone {
 impl Recent {
     /// Logs static data.
     pub fn new(schema: &Schema, chunks: &mut Chunks) -> Recent {
-        // that between the centres, and that up to the label
-        let radii = [3.0, 1.0].map(sdk::Radius::new_ui_points);
+        // those between the centres, and those up to the labels
+        let radii = [3.0, 1.0].repeat(MOST).into_iter().map(sdk::Radius::new_ui_points);
         let lines = LineStrips3D::update_fields().with_radii(radii).with_show_labels(false);
         chunks.log_static(RECENT.path, &lines);
         let label = Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.0)]).with_show_labels(true);
@@ -88,8 +102,10 @@ impl Recent {
         ];
         Recent {
             track: chunks.track(RECENT.path, components),
-            event: None,
+            events: VecDeque::new(),
+            age: 0,
             top: f64::NEG_INFINITY,
+            apart: 0.0,
             alone: is_drawn_alone(schema).then(|| {
                 let clear = Mesh3D::update_fields().with_albedo_factor(palette::translucent([0xFF; 3]));
                 chunks.log_static(RECENT_PAIR.path, &clear);
@@ -109,65 +125,82 @@ impl Recent {
         }
     }
 
-    /// The pair, while its event is recent.
-    pub fn pair(&self) -> Option<(usize, usize)> {
-        self.event.as_ref().map(|RecentEvent { pair: [a, b], .. }| (*a, *b))
+    /// The pairs, while their events are recent.
+    pub fn pairs(&self) -> impl ExactSizeIterator<Item = [usize; 2]> {
+        self.events.iter().map(|event| event.pair)
     }
 
     /// Logs the events of a step at their exact times, each with the bodies of its pair after the step.
     pub fn events(&mut self, schema: &Schema, events: &[PairEvent], pairs: &[[BodyFrame; 2]], chunks: &mut Chunks) {
+        let most = if self.alone.is_some() { 1 } else { MOST };
         for (number, (event, bodies)) in events.iter().zip(pairs).enumerate() {
             let mut label = titled(event.name, &schema.pair_name(event.a, event.b));
-            if events.len() > 1 && self.alone.is_some() {
+            if events.len() > most {
                 label += &format!(", {} of {} in step {}", number + 1, events.len(), event.step);
             }
             let (pair, color) = ([event.a, event.b], schema.phases[event.to].color);
-            self.event = Some(RecentEvent { pair, label, color, age: 0 });
+            self.events.retain(|before| before.step == event.step && before.pair != pair);
+            if self.events.len() == most {
+                self.events.pop_front();
+            }
+            let (q, centres) = (format!(", q = {:.3}", event.q), bodies.each_ref().map(|body| body.centre));
+            self.events.push_back(RecentEvent { pair, label, q, color, step: event.step, centres });
+            self.age = 0;
             let at = Instant { step: event.step, time: event.time };
-            let q = format!(", q = {:.3}", event.q);
-            self.draw(schema, bodies.each_ref(), &q, at, chunks);
+            self.draw(schema, bodies.each_ref(), at, chunks);
         }
     }
 
-    /// Drops an event that is no longer recent.
+    /// Drops events that are no longer recent.
     pub fn age(&mut self) {
-        let is_kept = self.alone.is_some();
-        self.event.take_if(|event| event.age >= FRAMES && !is_kept);
+        if self.age >= FRAMES && self.alone.is_none() {
+            self.events.clear();
+        }
     }
 
     /// Logs changed values.
     pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
+        let FrameView { schema, frame, at } = view;
         self.top = label_height(view);
-        let Some(event) = &mut self.event else { return self.push(&Rows::default(), view.at, chunks) };
-        event.age += 1;
-        let bodies = event.pair.map(|body| &view.frame.bodies[body]);
-        let radii = event.pair.map(|body| view.schema.bodies[body].radius);
-        let q = bodies[0].centre.distance(bodies[1].centre) / (radii[0] + radii[1]);
-        self.draw(view.schema, bodies, &format!("; now q = {q:.3}"), view.at, chunks);
+        let [low, high] = view.bounds();
+        self.apart = APART * low.distance(high);
+        self.age += 1;
+        for event in &mut self.events {
+            event.centres = event.pair.map(|body| frame.bodies[body].centre);
+            let radii = event.pair.map(|body| schema.bodies[body].radius);
+            let q = event.centres[0].distance(event.centres[1]) / (radii[0] + radii[1]);
+            event.q = format!("; now q = {q:.3}");
+        }
+        match self.events.back().map(|last| last.pair) {
+            Some(pair) => self.draw(schema, pair.map(|body| &frame.bodies[body]), at, chunks),
+            None => self.push(&Rows::default(), at, chunks),
+        }
     }
 
-    fn draw(&mut self, schema: &Schema, bodies: [&BodyFrame; 2], q: &str, at: Instant, chunks: &mut Chunks) {
-        let Some(RecentEvent { pair, label, color: rgb, age }) = &self.event else { return };
-        let centres = bodies.map(|body| body.centre);
-        let middle = 0.5 * (centres[0] + centres[1]);
-        let place = middle.with_z(f64::max(self.top, middle.z));
-        let rows = Rows {
-            strips: vec![centres.map(|centre| centre.as_vec3().to_array()), callout::leader(middle, place)],
-            colors: vec![color(*rgb).to_u32()],
-            places: vec![place.as_vec3().to_array()],
-            labels: vec![format!("{label}{q}")],
-        };
-        if let Some(alone) = &mut self.alone
-            && (*age < FRAMES || age.is_multiple_of(SELDOM))
+    /// Draws the events; `bodies` are those of the last one.
+    fn draw(&mut self, schema: &Schema, bodies: [&BodyFrame; 2], at: Instant, chunks: &mut Chunks) {
+        let mut rows = Rows::default();
+        for (number, RecentEvent { label, q, color: rgb, centres, .. }) in self.events.iter().enumerate() {
+            let middle = 0.5 * (centres[0] + centres[1]);
+            let place = middle.with_z(f64::max(self.top + number as f64 * self.apart, middle.z));
+            rows.strips.extend([centres.map(|centre| centre.as_vec3().to_array()), callout::leader(middle, place)]);
+            rows.line_colors.extend([color(*rgb).to_u32(); 2]);
+            rows.places.push(place.as_vec3().to_array());
+            rows.colors.push(color(*rgb).to_u32());
+            rows.labels.push(format!("{label}{q}"));
+        }
+        if let (Some(alone), Some(RecentEvent { pair, color, centres, .. })) = (&mut self.alone, self.events.back())
+            && (self.age < FRAMES || self.age.is_multiple_of(SELDOM))
         {
             let radius = pair.map(|body| schema.bodies[body].radius).into_iter().fold(0.0, f64::max);
-            alone.log(schema, (*pair, *rgb), bodies, (middle, radius), at, chunks);
+            alone.log(schema, (*pair, *color), bodies, (0.5 * (centres[0] + centres[1]), radius), at, chunks);
         }
         self.push(&rows, at, chunks);
     }
 
     fn push(&self, rows: &Rows, at: Instant, chunks: &mut Chunks) {
-        chunks.push_changed(self.track, at, &[&rows.strips, &rows.colors, &rows.places, &rows.colors, &rows.labels]);
+        let Rows { strips, line_colors, places, colors, labels } = rows;
+        chunks.push_changed(self.track, at, &[strips, line_colors, places, colors, labels]);
     }
 }
 
