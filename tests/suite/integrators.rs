@@ -565,6 +565,36 @@ fn carpet() -> Scene {
     scene(&text)
 }
 
+/// An explicit scheme evaluates forces at the ends of steps: what begins to act at one acts in the step before, whether or not
+/// the body was at rest, and is no divergence.
+#[test]
+fn a_push_that_begins_at_the_end_of_a_step_acts_alike_on_all_bodies() {
+    let body = "[[body]]\nname = \"a\"\nradius = 1.0\nshape = { sphere = { stacks = 3, slices = 4 } }\nmotion = { fixed = [0, 0, 0] }\n";
+    let push = |strength: &str, start: f64| {
+        format!(
+            "[[push]]\nbody = \"a\"\ndirection = [0, 0, -1]\nstrength = {strength}\nstart = {start}\nduration = 0.1\n"
+        )
+    };
+    let point = "[[point]]\nname = \"p\"\nmotion = { fixed = [0, 0, 1.5] }\nradius = 1.0\nact = \"attract\"\nalpha = 400.0\nstart = 0.24\n";
+    for integrator in ["euler", "verlet", "rk4"] {
+        let end = |more: &str| {
+            let mut world = world(&format!("dt = 0.02\nduration = 1.0\nintegrator = \"{integrator}\"\n{body}{more}"));
+            world.run(50).expect("no divergence");
+            (0..world.body(0).vertex_count()).map(|i| world.body(0).displacement(i)).collect::<Vec<_>>()
+        };
+        let plane = "[[plane]]\nnormal = [0, 0, 1]\noffset = -99.0\n";
+        for acts in [push("60.0", 0.24), point.to_owned()] {
+            let alone = end(&acts);
+            assert!(alone.iter().any(|x| x.length() > 1e-3), "{integrator}");
+            // a body that is awake already, and the other solver
+            for other in [end(&format!("{acts}{}", push("1e-9", 0.1))), end(&format!("{acts}{plane}"))] {
+                let apart = alone.iter().zip(&other).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
+                assert!(apart < 1e-9, "{integrator}: {apart} {acts}");
+            }
+        }
+    }
+}
+
 #[test]
 fn the_number_of_threads_changes_no_bit() {
     for integrator in [Integrator::Exponential, Integrator::Rk4] {

@@ -22,6 +22,7 @@ use crate::{
 use super::PHASES;
 
 /// The data of a step that all bodies share.
+#[derive(Clone, Copy)]
 pub struct StepContext<'a> {
     /// The scene.
     pub scene: &'a Scene,
@@ -158,6 +159,13 @@ impl StepContext<'_> {
         let own = self.events.iter().filter(|event| event.a == index || event.b == index);
         breaks.extend(own.map(|event| event.time));
         self.add_jumps(sources.iter().copied().chain([index as u32]), pushes, breaks);
+    }
+
+    /// Whether something that acts on a body jumps at time `t` [s], but for phases.
+    pub fn jumps_at(&self, t: f64, sources: impl Iterator<Item = u32>, pushes: &[Push]) -> bool {
+        let mut jumps = Vec::new();
+        StepContext { start: t, end: t, ..*self }.add_jumps(sources, pushes, &mut jumps);
+        !jumps.is_empty()
     }
 
     /// Appends the instants in the step at which one of these bodies or force points jumps, or a push [s], and sorts all.
@@ -352,11 +360,11 @@ impl Part<'_> {
     }
 
     /// Like [`Part::at`], but averaged over the part: the acceleration of its own motion is the change of velocity,
-    /// including jumps.
+    /// including jumps inside; for that at its start there is [`Part::kick`].
     pub fn averaged(&self, now: &mut Instantaneous) {
         let middle = 0.5 * (self.start + self.end);
         self.at(middle, now);
-        let (first, last) = (self.path.at(self.start), self.path.at(self.end));
+        let (first, last) = (self.path.at(self.start), self.path.before(self.end));
         let length = self.end - self.start;
         let still = Kinematics { velocity: DVec3::ZERO, acceleration: DVec3::ZERO, ..first };
         let mean = Kinematics {

@@ -342,9 +342,19 @@ impl Body {
                 around.breaks(self.index, &self.sources, &self.pushes, &mut breaks);
                 self.statistics.step_limit = f64::INFINITY;
                 self.statistics.strain = 0.0;
-                for (number, ends) in breaks.windows(2).enumerate() {
+                let sources = self.sources.iter().copied().chain([self.index as u32]);
+                let mut jumps = around.jumps_at(around.start, sources, &self.pushes)
+                    || around.events.iter().any(|event| event.time == around.start);
+                for ends in breaks.windows(2) {
                     let part = around.part(path, self.index, &self.sources, &self.pushes, [ends[0], ends[1]]);
-                    self.take_explicit(around, &part, number > 0, &planes, &mut now, interrupt);
+                    self.take_explicit(
+                        around,
+                        &part,
+                        std::mem::replace(&mut jumps, true),
+                        &planes,
+                        &mut now,
+                        interrupt,
+                    );
                     if self.failure.is_some() {
                         break;
                     }
@@ -373,11 +383,12 @@ impl Body {
         self.update_state(around);
     }
 
+    /// Advances a lattice by a part of a step; `jumps` says whether forces are discontinuous at its start.
     fn take_explicit(
         &mut self,
         around: &StepContext<'_>,
         part: &Part<'_>,
-        is_later: bool,
+        jumps: bool,
         planes: &[Plane],
         now: &mut Instantaneous,
         interrupt: Option<&'static AtomicBool>,
@@ -387,8 +398,8 @@ impl Body {
         let Springs { lattice, motion } = &mut **springs;
         let (scene, length) = (around.scene, part.end - part.start);
         let kick = part.kick();
-        if is_later || kick != DVec3::ZERO || around.events.iter().any(|event| event.time == part.start) {
-            motion.accelerations.clear(); // forces are discontinuous here
+        if jumps || kick != DVec3::ZERO {
+            motion.accelerations.clear();
         }
         if kick != DVec3::ZERO {
             motion.kick(kick);
@@ -448,6 +459,7 @@ impl Body {
     }
 
     fn take_implicit(&mut self, around: &StepContext<'_>, part: &Part<'_>, planes: &[Plane], now: &mut Instantaneous) {
+        self.kick(part.kick());
         let Body { matter, mesh, cells, directions, contact, index, rest, x, u, .. } = self;
         let Matter::Fem(finite) = matter else { return };
         let Finite { element, stepper, motion, forces, .. } = &mut **finite;
@@ -475,6 +487,15 @@ impl Body {
             }
         }
         finite.step(x, u);
+    }
+
+    /// Adds a velocity to the nodes of finite elements [scene unit/s].
+    pub fn kick(&mut self, by: DVec3) {
+        let Matter::Fem(finite) = &mut self.matter else { return };
+        if by != DVec3::ZERO {
+            finite.motion.velocities.iter_mut().for_each(|velocity| *velocity += by);
+            finite.element.free.iter().for_each(|&node| self.u[node as usize] += by);
+        }
     }
 
     /// Tears a lattice where it is overloaded.

@@ -51,13 +51,13 @@ use crate::{
     observe::{PairEvent, StepFailure},
     parallel,
     scene::{
-        FreeMotion, Integrator, Model, Path, Plane, Point, Scene,
+        FreeMotion, Integrator, Model, Path, Plane, Scene,
         path::{Bounds, Given, Kinematics},
     },
     sim::{
         Event,
         events::{PairPaths, Search},
-        terms,
+        terms::{self, carry},
         work::{Tally, Work},
     },
 };
@@ -80,6 +80,8 @@ pub struct Free {
     pub rotation: DQuat,
     /// Angular velocity of Q [rad/s].
     pub spin: DVec3,
+    /// When both were fitted [s].
+    fitted: f64,
     /// Positions of the nodes relative to the centre [scene unit], `[node_count]`; finite elements only.
     positions: Vec<DVec3>,
     /// Velocities of the nodes relative to the centre [scene unit/s], `[node_count]`; finite elements only.
@@ -124,6 +126,7 @@ impl Free {
             acceleration: DVec3::ZERO,
             rotation: DQuat::IDENTITY,
             spin,
+            fitted: 0.0,
             positions: own(&|l| *l),
             velocities: own(&|l| spin.cross(*l)),
         }
@@ -132,6 +135,17 @@ impl Free {
     /// Allocated memory [bytes].
     pub fn memory(&self) -> usize {
         (self.positions.capacity() + self.velocities.capacity()) * size_of::<DVec3>()
+    }
+
+    /// The rotation at time `t` [s] if it goes on turning as it did at the start of the step.
+    fn turned(&self, t: f64) -> DQuat {
+        let turn = self.spin * (t - self.fitted);
+        let angle = turn.length();
+        if angle == 0.0 {
+            return self.rotation;
+        }
+        let (sin, cos) = libm::sincos(0.5 * angle);
+        DQuat::from_xyzw(turn.x * sin / angle, turn.y * sin / angle, turn.z * sin / angle, cos) * self.rotation
     }
 
     /// Upper bound of the distance that the centre moves within some time [scene unit].
@@ -280,13 +294,11 @@ impl Elastic {
     fn take_explicit(&mut self, part: [f64; 2], is_first: bool) -> Result<(), StepFailure> {
         let [start, end] = part;
         let step = self.step + 1;
-        let jumps = |push: &crate::scene::Push| push.start == start || push.end() == start;
-        let switches = |point: &Point| point.start == start || point.end() == start;
-        let is_smooth = !self.scene.pushes.iter().any(jumps) && !self.scene.points.iter().any(switches);
-        let mut is_known = is_first && is_smooth;
         self.find_sources(start, end);
         let Elastic { scene, bodies, phases, .. } = self;
         let around = StepContext { scene, phases, events: &[], start, end, step };
+        let all = 0..(scene.bodies.len() + scene.points.len()) as u32;
+        let mut is_known = is_first && !around.jumps_at(start, all, &scene.pushes);
         let (mut limit, mut stiffest, mut springs) = (f64::INFINITY, 0, 0);
         for body in bodies.iter_mut() {
             let planes = near(&scene.planes, body.placed.unwrap_or_default().centre, body.reach);
@@ -393,6 +405,12 @@ impl Elastic {
             self.check_interrupt()?;
             let (ends, h) = ([at(number), at(number + 1)], (end - start) / divided as f64);
             self.find_sources(ends[0], ends[1]);
+            for body in &mut self.bodies {
+                let described = &self.scene.bodies[body.index];
+                if let Some(path) = described.path() {
+                    body.kick(carry::kick(&described.material, path, ends[0]));
+                }
+            }
             // only velocities determine the middle, not the accelerations of the last step
             self.bodies
                 .iter_mut()
@@ -415,7 +433,7 @@ impl Elastic {
                     break;
                 }
             }
-            for_each_body(&mut self.bodies, |body| body.step_implicit(h));
+            for_each_body(&mut self.bodies, |body| body.step_implicit(ends[0], h));
             for free in self.bodies.iter_mut().filter_map(|body| body.free.as_mut()) {
                 (free.centre, free.velocity) = (free.after(h), free.velocity + free.acceleration * h);
             }
@@ -599,7 +617,7 @@ impl Body {
             mass: around.scene.bodies[*index].mass,
             held: &lattice.held,
             place,
-            rotation: free.as_ref().map(|free| free.rotation),
+            rotation: free.as_ref().map(|free| free.turned(t)),
             min_stop: *contact * h,
         };
         let outside = |_: f64, positions: &[DVec3], velocities: &[DVec3], into: &mut [DVec3]| {
@@ -652,7 +670,7 @@ impl Body {
             mass: around.scene.bodies[*index].mass,
             held: &finite.held,
             place,
-            rotation: free.as_ref().map(|free| free.rotation),
+            rotation: free.as_ref().map(|free| free.turned(ends[0] + 0.5 * (ends[1] - ends[0]))),
             min_stop: *contact * h,
         };
         let (mut loads, mut middle) = (std::mem::take(&mut acted.loads), std::mem::take(&mut acted.places));
@@ -674,11 +692,11 @@ impl Body {
         self.now = now;
     }
 
-    /// Takes a step of finite elements with the forces evaluated before.
-    fn step_implicit(&mut self, h: f64) {
+    /// Takes a step of finite elements from `t` [s] with the forces evaluated before.
+    fn step_implicit(&mut self, t: f64, h: f64) {
         let Body { matter, free, acted, rest, x, u, .. } = self;
         let Matter::Fem(finite) = matter else { return };
-        let Some(Free { positions, velocities, rotation, .. }) = free else {
+        let Some(Free { positions, velocities, rotation, fitted, .. }) = free else {
             let Finite { element, forces, .. } = &mut **finite;
             let masses = &element.masses;
             forces.clear();
@@ -701,7 +719,7 @@ impl Body {
         for ((place, l), m) in acted.places.iter().zip(rest.iter()).zip(masses) {
             fit += outer(*place * *m, *l);
         }
-        *rotation = best_rotation(fit, *rotation);
+        (*rotation, *fitted) = (best_rotation(fit, *rotation), t + 0.5 * h);
         let axes = DMat3::from_quat(*rotation);
         let back = axes.transpose();
         forces.clear();
@@ -756,6 +774,9 @@ impl Body {
             self.recentre();
         }
         self.fit();
+        if let Some(free) = &mut self.free {
+            free.fitted = around.end;
+        }
         if matches!(self.matter, Matter::Fem(_)) {
             self.strain(around, centre);
         }

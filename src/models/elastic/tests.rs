@@ -175,6 +175,52 @@ fn sharp_turns_kick_the_nodes() {
     }
 }
 
+/// Second order with a jump on the boundary of a step: of a force, of the acceleration or of the velocity of the path; of pushes
+/// on a body that spins as well. The nodes of a body at rest do not move before the jump.
+#[test]
+fn jumps_on_boundaries_of_steps_keep_the_order() {
+    let at_rest = "motion = { fixed = [0, 0, 0] }";
+    let push = "[[push]]\nbody = 'a'\ndirection = [0, 0, 1]\nstrength = 5.0\n";
+    let spline = "motion = { keyframes = [[0.1, 0, 0, 0], [0.3, 0.4, 0, 0], [0.9, 0, 0, 0]] }";
+    let corner = "motion = { keyframes = { keys = [[0, 0, 0, 0], [0.1, 0, 0, 0], [0.9, 0.8, 0, 0]], interpolation = 'linear' } }";
+    let free = "motion = { free = { from = [0, 0, 0], spin = [3, 0, 0] } }";
+    let far_plane = "\n[[plane]]\nnormal = [0, 0, 1]\noffset = -99.0\n";
+    for (what, body, is_smooth) in [
+        ("a push begins", format!("{at_rest}\n{push}start = 0.1\nduration = 9.0"), false),
+        ("a push ends", format!("{at_rest}\n{push}start = 0.0\nduration = 0.1"), true),
+        (
+            "a point acts",
+            format!(
+                "{at_rest}\n[[point]]\nname = 'p'\nmotion = {{ fixed = [0.6, 0, 0] }}\nradius = 0.5\nact = 'attract'\nstart = 0.1"
+            ),
+            false,
+        ),
+        ("a spline begins", spline.to_owned(), false),
+        ("a path turns", corner.to_owned(), false),
+        ("a spline begins, coupled", format!("{spline}{far_plane}"), false),
+        ("a path turns, coupled", format!("{corner}{far_plane}"), false),
+        ("a spinning body is pushed", format!("{free}\n{push}start = 0.1\nduration = 0.1"), true),
+    ] {
+        for (model, integrator) in [(Model::Lattice, Integrator::Verlet), (Model::Fem, Integrator::Exponential)] {
+            let end = |dt: f64| {
+                let scene = single(model, &format!("dt = {dt:?}"), &body);
+                let mut simulation = start(&Scene { integrator, ..scene });
+                run(&mut simulation, (0.1 / dt).round() as u64);
+                let moved = simulation.bodies[0].x.iter().any(|x| *x != DVec3::ZERO);
+                assert!(is_smooth || !moved, "{model}, {what}: moves before");
+                run(&mut simulation, (0.2 / dt).round() as u64);
+                simulation.bodies[0].x.clone()
+            };
+            let states = [1.0 / 200.0, 1.0 / 400.0, 1.0 / 800.0].map(end);
+            let difference =
+                |a: &[DVec3], b: &[DVec3]| a.iter().zip(b).map(|(a, b)| a.distance(*b)).fold(0.0, f64::max);
+            let ratio = difference(&states[0], &states[1]) / difference(&states[1], &states[2]);
+            assert!((3.0..6.0).contains(&ratio), "{model}, {what}: {ratio}");
+            assert!(states[2].iter().any(|x| x.length() > 1e-3), "{model}, {what}");
+        }
+    }
+}
+
 /// An explicit scheme at a dt beyond the limit diverges, and reports the limit; the default divides dt.
 #[test]
 fn instability_is_reported() {

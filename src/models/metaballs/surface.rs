@@ -143,33 +143,55 @@ fn gap(balls: &[Ball]) -> f64 {
     }
 }
 
-/// The radius of the circle with the area of the thinnest cross-section of the first two balls, which are joined
-/// [scene unit]; exact without other balls.
+/// The radius of the circle with the area of a cross-section of the first two balls, which are joined [scene unit]: without
+/// other balls the thinnest between the centres, with others that through the saddle between them.
 fn neck(balls: &[Ball]) -> f64 {
     const DIRECTIONS: u32 = 16;
+    const SECTIONS: u32 = 32;
     let (a, b) = (&balls[0], &balls[1]);
     let Some(along) = (b.centre - a.centre).try_normalize() else { return f64::max(a.radius, b.radius) };
-    let waist = || {
-        // without a saddle: where both densities are equal, or the smaller ball is within the larger
-        let excess = |r: f64| {
-            let at = a.centre + r * along;
-            a.density(at) - b.density(at)
-        };
-        a.centre + root(0.0, a.centre.distance(b.centre), excess) * along
-    };
-    let middle = Saddle::between(balls).map_or_else(waist, |saddle| saddle.place);
     let (u, v) = along.any_orthonormal_pair();
     let support = f64::max(a.support(), b.support());
-    let alone = balls.len() == 2;
-    let directions = if alone { 1 } else { DIRECTIONS };
-    let squares = (0..directions).map(|k| {
-        let (sin, cos) = libm::sincos(std::f64::consts::TAU * f64::from(k) / f64::from(directions));
-        let direction = cos * u + sin * v;
-        let excess = |r: f64| density_of(balls, middle + r * direction) - 1.0;
-        let r = root(0.0, support, excess);
-        r * r
-    });
-    (squares.sum::<f64>() / f64::from(directions)).sqrt()
+    let radius = |middle: DVec3, directions: u32| {
+        let squares = (0..directions).map(|k| {
+            let (sin, cos) = libm::sincos(std::f64::consts::TAU * f64::from(k) / f64::from(directions));
+            let direction = cos * u + sin * v;
+            let excess = |r: f64| density_of(balls, middle + r * direction) - 1.0;
+            let r = root(0.0, support, excess);
+            r * r
+        });
+        (squares.sum::<f64>() / f64::from(directions)).sqrt()
+    };
+    if let (true, Some(saddle)) = (balls.len() > 2, Saddle::between(balls)) {
+        return radius(saddle.place, DIRECTIONS);
+    }
+    // two balls are symmetric about the line of their centres
+    let distance = a.centre.distance(b.centre);
+    let at = |r: f64| radius(a.centre + r * along, 1);
+    let width = distance / f64::from(SECTIONS);
+    let thinnest = (0..=SECTIONS).map(|k| (at(f64::from(k) * width), k)).min_by(|x, y| x.0.total_cmp(&y.0));
+    let middle = thinnest.map_or(0.0, |(_, k)| f64::from(k) * width);
+    golden_section([f64::max(0.0, middle - width), f64::min(distance, middle + width)], at)
+}
+
+/// The smallest value of a function with one minimum in an interval, to half of a double's digits in the place.
+fn golden_section([mut low, mut high]: [f64; 2], of: impl Fn(f64) -> f64) -> f64 {
+    const GOLDEN: f64 = 0.618_033_988_749_894_9;
+    const TIMES: usize = 40;
+    let mut places = [high - GOLDEN * (high - low), low + GOLDEN * (high - low)];
+    let mut values = places.map(&of);
+    for _ in 0..TIMES {
+        if values[0] < values[1] {
+            (high, places[1], values[1]) = (places[1], places[0], values[0]);
+            places[0] = high - GOLDEN * (high - low);
+            values[0] = of(places[0]);
+        } else {
+            (low, places[0], values[0]) = (places[0], places[1], values[1]);
+            places[1] = low + GOLDEN * (high - low);
+            values[1] = of(places[1]);
+        }
+    }
+    [of(low), values[0], values[1], of(high)].into_iter().fold(f64::INFINITY, f64::min)
 }
 
 /// The two bodies of a group with the largest densities at a point.

@@ -282,6 +282,34 @@ fn vertices_are_on_the_surface_and_move_with_it() {
     assert!(seen > 1000, "{seen}");
 }
 
+/// The neck of two balls of different sizes is the thinnest section across the line of their centres.
+#[test]
+fn the_neck_is_the_thinnest_section() {
+    for distance in [1.95, 1.9, 1.85, 1.7] {
+        let scene = scene(&format!(
+            "duration = 1\n[influence]\nreach = 1.5\n[[body]]\nname = 'a'\nradius = 0.5\nmotion = {{ fixed = [0, 0, 0] }}\n\
+             [[body]]\nname = 'b'\nradius = 1.4\nmotion = {{ fixed = [{distance}, 0, 0] }}\n"
+        ));
+        let balls = Metaballs::new(&scene, Options::default()).unwrap();
+        let (schema, mut frame) = (balls.schema(), Frame::default());
+        balls.observe(Want::ALL, &mut frame);
+        let measures = Merger::new(&schema, None).merge(&schema, &frame, &[[0, 1]]).pairs[0].unwrap();
+        // f(r) = (1 − r²/r_e²)³, and the threshold is its value at r = R
+        let density = |s: f64, h: f64| {
+            let of = |radius: f64, along: f64| {
+                let reach = 1.5 * radius;
+                let of = |r2: f64| f64::max(0.0, 1.0 - r2 / (reach * reach)).powi(3);
+                of(along * along + h * h) / of(radius * radius)
+            };
+            of(0.5, s) + of(1.4, distance - s)
+        };
+        let section = |s: f64| (1..).map(|k| f64::from(k) * 1e-4).find(|&h| density(s, h) < 1.0).unwrap();
+        let thinnest = (0..=2000).map(|k| section(distance * f64::from(k) / 2000.0)).fold(f64::INFINITY, f64::min);
+        let neck = 0.5 * measures.neck;
+        assert!((neck - thinnest).abs() < 2e-4, "{distance}: {neck} {thinnest}");
+    }
+}
+
 #[test]
 fn groups_are_drawn_as_one_surface() {
     let scene = scene(TWO);

@@ -35,7 +35,7 @@ use self::{
 };
 use super::{
     body::{BodyView, Solved},
-    integrator::exponential,
+    integrator::{explicit::Scheme, exponential},
     neighbours::later_neighbours,
     report::{Failure, Shortfall, Stage, StepReport, Stopwatch, Strain, Toil},
     solver::{Setting, Starts, Step, Takeover},
@@ -249,9 +249,14 @@ impl Prescribed {
         })
     }
 
-    /// Wakes the bodies on which something begins to act before the end of the step.
+    /// Wakes the bodies on which something begins to act before the end of the step, or for an explicit scheme, which evaluates
+    /// the forces there, at its end.
     fn wake_acted_on(&mut self, step: &Step<'_>) {
-        while let Some(body) = self.starts.next_before(step.span.end) {
+        let end = match Scheme::of(step.setting.scene.integrator) {
+            Some(_) => step.span.end.next_up(),
+            None => step.span.end,
+        };
+        while let Some(body) = self.starts.next_before(end) {
             self.wake(step.setting, body);
         }
     }
