@@ -92,9 +92,9 @@ pub(super) fn live(program: Program<'_>, arguments: Arguments) -> Result<(), Fai
         match arguments.watch.then(|| run::changed(&mut text, path)).flatten() {
             Some(Ok(scene)) => match overridden(scene) {
                 Ok(scene) => live.replace(experiment(scene)),
-                Err(failure) => live.report(&Problem::new(failure.to_string())),
+                Err(failure) => live.report(Problem::new(failure.to_string())),
             },
-            Some(Err(why)) => live.report(&Problem::new(why)),
+            Some(Err(why)) => live.report(Problem::new(why)),
             None => (),
         }
     }

@@ -84,8 +84,8 @@ impl Live {
     }
 
     /// Shows a problem beside the last good run.
-    pub fn report(&self, problem: &change::Problem) {
-        self.runs.feed.problem(problem);
+    pub fn report(&self, problem: change::Problem) {
+        self.runs.report(problem);
     }
 }
 

@@ -15,6 +15,8 @@ const CURVES: usize = 16;
 /// Upper limit on the pairs among which they are chosen: the first that come within reach. Bounds the memory of a scene
 /// of many bodies to a hundred megabytes.
 const CANDIDATES: usize = 4096;
+/// Largest number of instants at which thresholds are looked up.
+const MAX_LEVELS: u64 = 2000;
 /// Largest number of values in a curve.
 const POINTS: u64 = 2000;
 
@@ -36,11 +38,13 @@ pub struct Outline {
     pub simulated_ms: f64,
     /// Why the run ended early.
     pub failure: Option<String>,
+    /// What else pages show as wrong.
+    problem: Option<Problem>,
 }
 
 impl Outline {
-    /// An empty outline.
-    pub fn new(schema: Schema) -> Outline {
+    /// An empty outline; pages show `problem` beside it.
+    pub fn new(schema: Schema, problem: Option<Problem>) -> Outline {
         Outline {
             every: schema.steps.div_ceil(POINTS).max(1),
             schema,
@@ -51,6 +55,7 @@ impl Outline {
             steps: 0,
             simulated_ms: 0.0,
             failure: None,
+            problem,
         }
     }
 
@@ -112,8 +117,19 @@ impl Outline {
         let mut levels: Vec<Value> = Vec::new();
         for &(&[a, b], _) in &pairs {
             for (index, threshold) in schema.thresholds.iter().enumerate() {
-                let Some(q) = schema.level(index, [a, b], 0.0).filter(|&q| q > 0.0) else { continue };
-                let level = json!({ "label": threshold.label, "q": q, "color": hex(threshold.color) });
+                let level = |step: u64| schema.level(index, [a, b], step as f64 * schema.dt).filter(|&q| q > 0.0);
+                // from which step on it is how large: an edit changes it
+                let mut lines: Vec<(u64, Option<f64>)> = vec![(0, level(0))];
+                for step in (1..=schema.steps.min(MAX_LEVELS)).map(|k| k * schema.steps.div_ceil(MAX_LEVELS).max(1)) {
+                    let q = level(step);
+                    if lines.last().is_some_and(|(_, last)| *last != q) && step <= schema.steps {
+                        lines.push((step, q));
+                    }
+                }
+                if lines.iter().all(|(_, q)| q.is_none()) {
+                    continue;
+                }
+                let level = json!({ "label": threshold.label, "lines": lines, "color": hex(threshold.color) });
                 if !levels.contains(&level) {
                     levels.push(level);
                 }
@@ -132,7 +148,8 @@ impl Outline {
             "events": events,
             "levels": levels,
             "plots": pairs.into_iter().map(plot).collect::<Vec<Value>>(),
-            "problem": self.failure.clone().map(Problem::new),
+            "problem": self.failure.clone().map(Problem::new).or_else(|| self.problem.clone()),
+            "warnings": schema.warnings,
         })
     }
 }

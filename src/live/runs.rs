@@ -45,6 +45,8 @@ const MAX_RECORDS: usize = 1024;
 const PATIENCE: Duration = Duration::from_millis(300);
 /// Bodies of larger scenes cannot be poked: a list of more names is no choice.
 const MAX_POKED: usize = 1000;
+/// Upper limit on the files that are asked for and not yet saved.
+const MAX_SAVES: usize = 16;
 /// Upper limit on the numbers that are tried for the name of a saved file.
 const NAMES: usize = 10_000;
 
@@ -67,12 +69,14 @@ struct Wanted {
     number: u64,
     /// Whether it has begun.
     has_begun: bool,
-    /// What is to be saved.
-    save: Option<Save>,
+    /// What is to be saved, in the order of the requests, each with the change that it had on the page.
+    saves: VecDeque<(Save, Arc<dyn Experiment>, Change)>,
     /// Whether it is being saved: changes wait.
     is_saving: bool,
     /// The parameter whose thresholds are asked for.
     thresholds: Option<String>,
+    /// What is wrong with a scene file that could not be read: the experiment is that of the file before.
+    problem: Option<Problem>,
     has_ended: bool,
 }
 
@@ -111,9 +115,10 @@ impl Runs {
             change: Change::default(),
             number: 1,
             has_begun: false,
-            save: None,
+            saves: VecDeque::new(),
             is_saving: false,
             thresholds: None,
+            problem: None,
             has_ended: false,
         };
         Runs { feed, wanted: Mutex::new(wanted), wake: Condvar::new(), interrupt, save, recordings: Mutex::default() }
@@ -165,6 +170,7 @@ impl Runs {
             branches.retain(|branch| !branch.values.is_empty());
             *poke = poke.take().filter(|poke| bodies.iter().any(|body| body.name == poke.body));
             wanted.experiment = experiment;
+            wanted.problem = None;
             self.feed.send("scene", scene);
         });
     }
@@ -175,10 +181,21 @@ impl Runs {
         self.wake.notify_all();
     }
 
-    /// Asks for a file.
+    /// Asks for a file of what is asked for now; not if as many are waiting as somebody would ask for.
     pub fn save(&self, what: Save) {
-        lock(&self.wanted).save = Some(what);
+        let mut wanted = lock(&self.wanted);
+        if wanted.saves.len() < MAX_SAVES {
+            let of = (what, Arc::clone(&wanted.experiment), wanted.change.clone());
+            wanted.saves.push_back(of);
+        }
+        drop(wanted);
         self.wake.notify_all();
+    }
+
+    /// Shows a problem beside the runs, until there is [another experiment](Runs::replace).
+    pub fn report(&self, problem: Problem) {
+        self.feed.problem(&problem);
+        lock(&self.wanted).problem = Some(problem);
     }
 
     /// Ends [`Runs::work`].
@@ -186,13 +203,22 @@ impl Runs {
         self.want(|wanted| wanted.has_ended = true);
     }
 
-    /// Runs what is asked for, until [`Runs::end`].
+    /// Runs what is asked for, until [`Runs::end`]. A change that is invalid does not end the run before it.
     pub fn work(&self) {
+        let mut unfinished: Option<Arc<dyn Experiment>> = None;
         while let Some((job, experiment, change, number)) = self.next_job() {
             let varied = experiment.varied(&change.variation());
             let varied = varied.map_err(|invalid| Problem { key: invalid.key, text: invalid.text });
-            let done = match job {
-                Job::Run => varied.and_then(|varied| self.run(&*varied, number, change.cursor)),
+            let (varied, problem) = match job {
+                Job::Run => match varied {
+                    Ok(varied) => (Some(varied), lock(&self.wanted).problem.clone()),
+                    Err(problem) => {
+                        if self.is_current(number) {
+                            self.feed.problem(&problem);
+                        }
+                        (unfinished.take(), Some(problem))
+                    }
+                },
                 Job::Save(what) => {
                     let saved = varied.and_then(|varied| self.save_now(&*varied, what));
                     lock(&self.wanted).is_saving = false;
@@ -206,9 +232,13 @@ impl Runs {
                     continue;
                 }
             };
+            let Some(varied) = varied else { continue };
+            let done = self.run(&*varied, number, change.cursor, problem);
+            let is_current = self.is_current(number);
+            unfinished = (!is_current).then_some(varied);
             // an outdated run ends with an error where a model cannot be interrupted halfway
             if let Err(problem) = done
-                && self.is_current(number)
+                && is_current
             {
                 self.feed.problem(&problem);
             }
@@ -223,17 +253,18 @@ impl Runs {
                 return None;
             }
             let job = if !wanted.has_begun {
-                Some(Job::Run)
-            } else if let Some(what) = wanted.save.take() {
-                Some(Job::Save(what))
+                Some((Job::Run, Arc::clone(&wanted.experiment), wanted.change.clone()))
+            } else if let Some((what, experiment, change)) = wanted.saves.pop_front() {
+                Some((Job::Save(what), experiment, change))
             } else {
-                wanted.thresholds.take().map(Job::Thresholds)
+                let job = wanted.thresholds.take().map(Job::Thresholds);
+                job.map(|job| (job, Arc::clone(&wanted.experiment), wanted.change.clone()))
             };
-            if let Some(job) = job {
+            if let Some((job, experiment, change)) = job {
                 wanted.has_begun = true;
                 wanted.is_saving = matches!(job, Job::Save(_));
                 self.interrupt.store(false, Ordering::Relaxed);
-                return Some((job, Arc::clone(&wanted.experiment), wanted.change.clone(), wanted.number));
+                return Some((job, experiment, change, wanted.number));
             }
             wanted = self.wake.wait(wanted).unwrap_or_else(PoisonError::into_inner);
         }
@@ -247,7 +278,7 @@ impl Runs {
     fn mark(&self, experiment: &dyn Experiment, change: &Change, number: u64, key: String) {
         let is_waited_for = || {
             let wanted = lock(&self.wanted);
-            wanted.number == number && wanted.save.is_none() && wanted.thresholds.is_none()
+            wanted.number == number && wanted.saves.is_empty() && wanted.thresholds.is_none()
         };
         match thresholds::find(experiment, &change.variation(), &key, &is_waited_for) {
             Some(marks) => self.feed.send("marks", json!({ "number": number, "key": key, "marks": marks })),
@@ -258,8 +289,15 @@ impl Runs {
     }
 
     /// Runs an experiment twice: for its events and curves, which are sent at once, and to record it. Runs are
-    /// reproducible to the bit, and the first is short: nothing is drawn. An outdated run ends early.
-    fn run(&self, experiment: &dyn Experiment, number: u64, cursor: u64) -> Result<(), Problem> {
+    /// reproducible to the bit, and the first is short: nothing is drawn. An outdated run ends early. Pages show `problem`
+    /// beside it.
+    fn run(
+        &self,
+        experiment: &dyn Experiment,
+        number: u64,
+        cursor: u64,
+        problem: Option<Problem>,
+    ) -> Result<(), Problem> {
         let start = Clock::now();
         let mut reported = start;
         let mut report = |doing, step, steps| {
@@ -270,7 +308,7 @@ impl Runs {
         };
         let mut simulation = experiment.start().map_err(Problem::new)?;
         let settings = Settings::of(experiment);
-        let mut outline = Outline::new(simulation.schema());
+        let mut outline = Outline::new(simulation.schema(), problem);
         let mut frame = Frame::default();
         let (mut at_cursor, mut summary) = (Frame::default(), StepSummary::default());
         simulation.observe(Want::default(), &mut frame);

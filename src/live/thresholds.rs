@@ -10,6 +10,9 @@ const SAMPLES: usize = 24;
 /// A value at which the outcome changes is found to this fraction of the parameter's range.
 const RESOLUTION: f64 = 1e-4;
 
+/// Upper limit on the outcomes that are looked for between two neighbouring samples.
+const MAX_BETWEEN: usize = 8;
+
 /// A value at which the outcome changes.
 #[derive(Serialize)]
 pub struct Mark {
@@ -19,7 +22,8 @@ pub struct Mark {
 }
 
 /// Finds the values of a parameter, in its range, at which the outcome of a run changes: by bisection, wherever it
-/// differs between two of `SAMPLES` values. `None` if `is_current` says that nobody waits for them any more.
+/// differs between two of `SAMPLES` values. There are none of a parameter that does not exist. `None` if `is_current` says that
+/// nobody waits for them any more.
 pub fn find(
     experiment: &dyn Experiment,
     variation: &Variation,
@@ -27,7 +31,10 @@ pub fn find(
     is_current: &dyn Fn() -> bool,
 ) -> Option<Vec<Mark>> {
     let parameters = experiment.parameters();
-    let [low, high] = parameters.iter().find(|parameter| parameter.key == key)?.range;
+    let Some([low, high]) = parameters.iter().find(|parameter| parameter.key == key).map(|parameter| parameter.range)
+    else {
+        return Some(Vec::new());
+    };
     let outcome = |value: f64| {
         let mut variation = variation.clone();
         variation.values.insert(key.to_owned(), value);
@@ -38,17 +45,25 @@ pub fn find(
     let mut marks = Vec::new();
     for pair in samples.windows(2) {
         let [(a, Outcome::Ended(below)), (b, Outcome::Ended(above))] = pair else { continue };
-        let (mut a, mut b, mut above) = (*a, *b, above.clone());
-        while *below != above && b - a > RESOLUTION * (high - low) {
+        let (mut a, mut below) = (*a, below.clone());
+        // ends of intervals that are still to be searched, the nearest last, each with its outcome
+        let mut ends = vec![(*b, above.clone())];
+        while let Some((b, above)) = ends.last().cloned() {
+            if below == above || b - a <= RESOLUTION * (high - low) || ends.len() > MAX_BETWEEN {
+                if below != above {
+                    marks.push(Mark { value: 0.5 * (a + b), below, above: above.clone() });
+                }
+                (a, below) = (b, above);
+                ends.pop();
+                continue;
+            }
             let middle = 0.5 * (a + b);
             match outcome(middle)? {
-                Outcome::Ended(found) if found == *below => a = middle,
-                Outcome::Ended(found) => (b, above) = (middle, found),
-                Outcome::None => above.clone_from(below),
+                Outcome::Ended(found) if found == below => a = middle,
+                Outcome::Ended(found) if found == above => ends.last_mut()?.0 = middle,
+                Outcome::Ended(found) => ends.push((middle, found)),
+                Outcome::None => break,
             }
-        }
-        if *below != above {
-            marks.push(Mark { value: 0.5 * (a + b), below: below.clone(), above });
         }
     }
     Some(marks)

@@ -198,8 +198,8 @@ impl Scene {
 /// A scene that can be varied.
 pub struct Template<'a> {
     source: Source<'a>,
+    /// Without its meshes, which have been read.
     document: DeTable<'a>,
-    files: Files<'a>,
     meshes: Meshes<'a>,
     base: Scene,
 }
@@ -220,8 +220,11 @@ impl<'a> Template<'a> {
             };
             let (mut document, mut meshes) = (source.document()?, Meshes::beside(files));
             let base = read_document(&source, &document, &mut meshes)?;
-            document.remove("mesh"); // already read
-            Ok(Template { source, document, files, meshes, base })
+            if let Some(tables) = document.remove("mesh") {
+                let tables = toml::Table::from_iter([("mesh".to_owned(), owned(tables.get_ref()))]);
+                meshes.carry(&toml::to_string(&tables).unwrap_or_default());
+            }
+            Ok(Template { source, document, meshes, base })
         })
     }
 
@@ -258,13 +261,10 @@ impl<'a> Template<'a> {
     ) -> Result<String, SceneError> {
         let settings = written(settings);
         let document = self.varied(&settings)?;
-        read_document(&self.source, &document, &mut self.meshes.clone())?;
+        let mut meshes = self.meshes.clone();
+        read_document(&self.source, &document, &mut meshes)?;
         let text = toml::to_string(&table(&document)).map_err(|error| self.error(String::new(), error.to_string()))?;
-        // embeds the meshes, because the text may be read without their files
-        let mut meshes = Meshes::beside(self.files);
-        let source = Source { text: &text, file: self.source.file };
-        let parsed = source.document().and_then(|document| read_document(&source, &document, &mut meshes));
-        Ok(if parsed.is_ok() { meshes.carried_by(&text) } else { text })
+        Ok(meshes.carried_by(&text)) // it may be read without the files
     }
 
     /// The document with these values.

@@ -160,6 +160,108 @@ fn a_wrong_value_keeps_the_run_and_says_what_is_right() {
     feed.run(4);
 }
 
+/// The run of the last valid change goes on to its end, beside what is wrong with the newest.
+#[test]
+fn a_wrong_value_does_not_cut_the_run_before_it_short() {
+    let page = Page::open(&Scene::builtin("crowd").expect("built in").source);
+    let mut feed = page.feed();
+    assert_eq!(page.post("change", r#"{"values": {"material.omega": 13}}"#), 200);
+    feed.next("open", |message| message["number"] == 2);
+    assert_eq!(page.post("change", r#"{"values": {"material.omega": 13, "influence.split_at": 0.5}}"#), 200);
+    let run = feed.run(3);
+    assert!(run["problem"]["text"].as_str().is_some_and(|text| text.contains("split_at")), "{}", run["problem"]);
+    feed.next("frames", |message| message["number"] == 3);
+    let file = page.dir.path().join("read.rrd");
+    std::fs::write(&file, page.get("first/3.rrd").2).unwrap();
+    let recorded = Recorded::open(&file).expect("a recording");
+    assert!(matches!(replay::verify(&recorded, |_| true), Ok(replay::Verdict::Identical)));
+    assert_eq!(recorded.last(), 240);
+}
+
+/// A save has what was asked for when it was requested, however many follow.
+#[test]
+fn every_save_has_the_change_of_its_time() {
+    let page = Page::two();
+    let mut feed = page.feed();
+    feed.next("frames", |_| true);
+    for (omega, number) in [(14, 2), (20, 3)] {
+        assert_eq!(page.post("change", &format!(r#"{{"values": {{"material.omega": {omega}}}}}"#)), 200);
+        assert_eq!(page.post("save", r#"{"what": "scene"}"#), 204);
+        assert_eq!(page.post("save", r#"{"what": "recording"}"#), 204);
+        feed.next("frames", |message| message["number"] == number);
+    }
+    feed.next("saved", |message| message["text"].as_str().is_some_and(|text| text.contains("page-2.rrd")));
+    for (name, omega) in [("page", 14.0), ("page-2", 20.0)] {
+        let scene = Scene::load(&page.dir.path().join(format!("{name}.toml"))).expect("a scene");
+        assert_eq!(scene.bodies[0].material.omega, omega);
+        assert!(page.dir.path().join(format!("{name}.rrd")).is_file());
+    }
+}
+
+/// Whatever its name, a scene keeps the meshes that it came with.
+#[test]
+fn a_changed_scene_keeps_its_own_meshes() {
+    let tetrahedron = "v 0 0 0\nv 3 0 0\nv 0 3 0\nv 0 0 3\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n";
+    let text = Scene::without_meshes(&Scene::builtin("mesh").expect("built in").source).to_owned();
+    let dir = Dir::new();
+    std::fs::write(dir.path().join("mesh.toml"), &text).unwrap();
+    for file in ["knot.obj", "rock.obj", "block.obj", "star.obj"] {
+        std::fs::write(dir.path().join(file), tetrahedron).unwrap();
+    }
+    let own = Scene::load(&dir.path().join("mesh.toml")).expect("a scene");
+    let page = Page::open(&own.source);
+    let mut feed = page.feed();
+    feed.run(1);
+    assert_eq!(page.post("change", r#"{"values": {"material.omega": 11}}"#), 200);
+    feed.run(2);
+    assert_eq!(page.post("save", r#"{"what": "scene"}"#), 204);
+    feed.next("saved", |_| true);
+    let saved = Scene::load(&page.dir.path().join("page.toml")).expect("a scene");
+    assert_eq!(saved.vertex_count(), own.vertex_count());
+    assert_ne!(saved.vertex_count(), Scene::builtin("mesh").unwrap().vertex_count());
+    assert_eq!(saved.bodies[0].material.omega, 11.0);
+}
+
+/// A parameter that is gone has no thresholds, which is an answer.
+#[test]
+fn thresholds_of_what_is_unknown_are_none() {
+    let page = Page::two();
+    let mut feed = page.feed();
+    feed.next("frames", |_| true);
+    assert_eq!(page.post("thresholds", r#"{"key": "nonsense"}"#), 204);
+    let marks = feed.next("marks", |message| message["key"] == "nonsense");
+    assert!(marks["marks"].as_array().is_some_and(Vec::is_empty), "{marks}");
+}
+
+/// Neighbouring marks agree on the outcome between them.
+#[test]
+fn marks_leave_out_no_outcome_that_was_seen() {
+    let page = Page::open(&Scene::builtin("collide").expect("built in").source);
+    let mut feed = page.feed();
+    feed.next("frames", |_| true);
+    assert_eq!(page.post("thresholds", r#"{"key": "influence.alpha"}"#), 204);
+    let marks = feed.next("marks", |_| true);
+    let marks = marks["marks"].as_array().expect("marks");
+    assert!(marks.len() > 2, "{marks:?}");
+    for pair in marks.windows(2) {
+        assert_eq!(pair[0]["above"], pair[1]["below"], "{marks:?}");
+    }
+}
+
+/// What is wrong with a watched file stays on the page until it is mended.
+#[test]
+fn a_problem_of_the_file_stays_beside_runs() {
+    let page = Page::two();
+    let mut feed = page.feed();
+    feed.run(1);
+    page.live.report(meldscope::live::change::Problem::new("the file is broken"));
+    assert_eq!(page.post("change", r#"{"values": {"influence.alpha": 7}}"#), 200);
+    assert_eq!(feed.run(2)["problem"]["text"], "the file is broken");
+    let scene = Scene::builtin("two").unwrap();
+    page.live.replace(Arc::new(SceneRun { scene, options: sim::Options::default() }));
+    assert!(feed.run(3)["problem"].is_null());
+}
+
 #[test]
 fn of_many_changes_the_last_is_answered() {
     let page = Page::two();

@@ -108,8 +108,8 @@ const handlers = {
     if (message.number !== run?.number) before = pinned ?? run;
     else if (pinned?.number === run.number) pinned = before = message; // the same run again, with what its surfaces do
     run = message;
-    say(`run ${message.number}: ${message.outcome}; simulated in ${message.simulated_ms.toFixed(1)} ms`);
-    showProblem(message.problem ?? null);
+    say(`run ${message.number}: ${message.outcome}; simulated in ${message.simulated_ms.toFixed(1)} ms${warned()}`);
+    showProblem(message.problem ?? mistyped);
     showEvents();
     showPlot();
   },
@@ -120,16 +120,21 @@ const handlers = {
   frames(message) {
     if (run?.number !== message.number) return;
     const which = message.every > 1 ? `, of late every ${message.every} steps` : "";
-    say(`run ${message.number}: ${run.outcome}; simulated in ${run.simulated_ms.toFixed(1)} ms, ${message.frames} frames in ${message.ms.toFixed(0)} ms${which}`);
+    say(`run ${message.number}: ${run.outcome}; simulated in ${run.simulated_ms.toFixed(1)} ms, ${message.frames} frames in ${message.ms.toFixed(0)} ms${which}${warned()}`);
   },
   marks: ({ number, key, marks }) => number >= asked && !isSending && !isBranching && showMarks(key, marks),
   problem: (problem) => showProblem(problem),
   saved: ({ text }) => ($("saved").textContent = text),
 };
 
+// What is valid but probably not intended in the scene of the run on screen.
+const warned = () => run.warnings.map((warning) => `; warning: ${warning}`).join("");
+
 function say(text) {
   $("status").textContent = text;
 }
+
+let mistyped = null; // what is wrong with the text of a field
 
 function showProblem(problem) {
   for (const wrong of document.querySelectorAll(".parameter.wrong")) wrong.classList.remove("wrong");
@@ -151,6 +156,7 @@ function valueOf(parameter) {
 }
 
 function change(parameter, value) {
+  if (mistyped?.key === parameter.key) mistyped = null;
   if (isBranching && parameter.can_branch) {
     branches.at(-1).values.delete(parameter.key);
     if (value !== valueOf(parameter)) branches.at(-1).values.set(parameter.key, value);
@@ -250,7 +256,10 @@ function slider(parameter) {
   track.addEventListener("change", () => isBranching || post("thresholds", { key: parameter.key }));
   exact.addEventListener("change", () => {
     const value = Number(exact.value.trim());
-    if (exact.value.trim() === "" || !Number.isFinite(value)) return showProblem({ key: parameter.key, text: `${parameter.key}: "${exact.value}" is not a number` });
+    if (exact.value.trim() === "" || !Number.isFinite(value)) {
+      mistyped = { key: parameter.key, text: `${parameter.key}: "${exact.value}" is not a number` };
+      return showProblem(mistyped);
+    }
     change(parameter, value);
   });
   reset.addEventListener("click", () => change(parameter, parameter.value));
@@ -283,23 +292,30 @@ function showLegend() {
 
 // ---------------------------------------------------------------------------------------------------------------- changes
 
-// The changed values as tables of a scene file.
+// The changed values as tables of a scene file. A vector is written whole.
 function asToml() {
   const tables = new Map();
+  const vectors = new Set();
   for (const [key, value] of values) {
     const { group } = rows.get(key)?.parameter ?? { group: "" };
-    const [path, name] = [key.replace(/\.?[^.]*$/, ""), key.replace(/^.*\./, "")];
+    const [, whole, component] = key.match(/^(.*?)(\[\d+\])?$/);
+    if (component && vectors.has(whole)) continue;
+    if (component) vectors.add(whole);
+    const [path, name] = [whole.replace(/\.?[^.]*$/, ""), whole.replace(/^.*\./, "")];
     const kind = path.replace(/[.[].*$/, "");
     const isItem = kind !== path;
     const inner = isItem ? path.replace(/^[^.]*\.?[^.]*\.?/, "") : "";
     const header = path === "" ? "" : isItem ? `[[${kind}]]  # ${group}` : `[${path}]`;
+    const of = (axis) => values.get(`${whole}[${axis}]`) ?? rows.get(`${whole}[${axis}]`)?.parameter.value ?? 0;
     if (!tables.has(header)) tables.set(header, []);
-    tables.get(header).push(`${inner && kind === "body" ? `${inner}.` : ""}${name} = ${value}`);
+    tables.get(header).push(`${inner && kind === "body" ? `${inner}.` : ""}${name} = ${component ? `[${[0, 1, 2].map(of).join(", ")}]` : value}`);
   }
-  const changed = [...tables].map(([header, lines]) => [header, ...lines].filter((line) => line !== "").join("\n"));
+  // keys without a table are at the top of a scene
+  const sorted = [...tables].sort(([one], [other]) => Number(one !== "") - Number(other !== ""));
+  const changed = sorted.map(([header, lines]) => [header, ...lines].filter((line) => line !== "").join("\n"));
   if (poke) {
     const [act, name] = poke.strength < 0 ? ["repel", "beta"] : ["attract", "alpha"];
-    changed.push(`[[point]]\nname = "poke"\nmotion = { fixed = [${poke.at.map(shown).join(", ")}] }\nradius = ${shown(poke.radius)}\nact = "${act}"\n${name} = ${shown(Math.abs(poke.strength))}\nbodies = ["${poke.body}"]`);
+    changed.push(`[[point]]\nname = "poke"\nmotion = { fixed = [${poke.at.join(", ")}] }\nradius = ${poke.radius}\nact = "${act}"\n${name} = ${Math.abs(poke.strength)}\nbodies = ["${poke.body}"]`);
   }
   for (const { time, values } of branches) {
     if (values.size > 0) changed.push(`[[edit]]\ntime = ${time}\nset = { ${[...values].map(([key, value]) => `"${key}" = ${value}`).join(", ")} }`);
@@ -309,7 +325,9 @@ function asToml() {
 
 function showChanges() {
   $("toml").textContent = asToml();
-  $("flags").textContent = [...values].map(([key, value]) => `--set ${key}=${value}`).join(" ");
+  const hasMore = poke !== null || branches.some(({ values }) => values.size > 0);
+  const flags = [...values].map(([key, value]) => `--set ${key}=${value}`).join(" ");
+  $("flags").textContent = hasMore ? `${flags} (no flag sets branches and pokes: save the scene)`.trim() : flags;
   $("reset").disabled = values.size === 0 && branches.length === 0 && poke === null;
   $("branches").replaceChildren(
     ...branches.map((branch) => {
@@ -356,7 +374,12 @@ $("reset").addEventListener("click", () => {
   send();
 });
 
-for (const what of ["scene", "recording"]) $(`save-${what}`).addEventListener("click", () => post("save", { what }));
+// The server saves the change that it knows: the last one may still be on its way.
+async function save(what) {
+  while (isSending) await new Promise((resolve) => setTimeout(resolve, 10));
+  await post("save", { what });
+}
+for (const what of ["scene", "recording"]) $(`save-${what}`).addEventListener("click", () => save(what));
 
 $("pin").addEventListener("click", () => {
   if (!run) return;
@@ -434,7 +457,7 @@ function showPlot() {
   const { width, height } = plot.getBoundingClientRect();
   const [left, right, top, bottom] = [LEFT, RIGHT, 8, 18];
   const all = [...run.plots, ...(before && before !== run ? before.plots : [])];
-  const numbers = [...all.flatMap((line) => line.q.filter((q) => q !== null)), ...run.levels.map((level) => level.q)];
+  const numbers = [...all.flatMap((line) => line.q.filter((q) => q !== null)), ...run.levels.flatMap(({ lines }) => lines.map(([, q]) => q).filter((q) => q !== null))];
   if (numbers.length === 0) return plot.replaceChildren(draw("text", { x: left, y: height / 2 }, "no pair comes within reach"));
   const least = Math.min(...numbers), most = Math.max(...numbers);
   const [low, high] = [Math.max(0, least - 0.06 * (most - least)), most + 0.06 * (most - least)];
@@ -452,9 +475,14 @@ function showPlot() {
   const parts = [];
   for (const q of ticks(low, high, 4)) parts.push(draw("line", { class: "grid", x1: left, x2: width - right, y1: y(q), y2: y(q) }), draw("text", { x: left - 4, y: y(q) + 3, "text-anchor": "end" }, shown(q)));
   for (const t of ticks(0, scene.steps * scene.dt, 6)) parts.push(draw("text", { x: x(t / scene.dt), y: height - 5, "text-anchor": "middle" }, `${shown(t)} s`));
-  for (const { label, q, color } of run.levels.slice(0, 12)) {
-    parts.push(draw("line", { class: "threshold", x1: left, x2: width - right, y1: y(q), y2: y(q), stroke: color }));
-    parts.push(draw("text", { x: width - right - 2, y: y(q) - 3, "text-anchor": "end", fill: color }, `${label} ${shown(q)}`));
+  for (const { label, lines, color } of run.levels.slice(0, 12)) {
+    // an edit changes it from a step on
+    lines.forEach(([step, q], index) => {
+      if (q === null) return;
+      const end = x(lines[index + 1]?.[0] ?? scene.steps);
+      parts.push(draw("line", { class: "threshold", x1: x(step), x2: end, y1: y(q), y2: y(q), stroke: color }));
+      parts.push(draw("text", { x: end - 2, y: y(q) - 3, "text-anchor": "end", fill: color }, `${label} ${shown(q)}`));
+    });
   }
   for (const { time } of branches) parts.push(draw("line", { class: "plotted-branch", x1: x(time / scene.dt), x2: x(time / scene.dt), y1: top, y2: height - bottom }));
   if (before && before !== run) for (const line of before.plots) parts.push(draw("path", { class: "before", d: path(line) }));

@@ -88,6 +88,11 @@ impl<'a> Meshes<'a> {
         Ok(Shape::Mesh(loaded.mesh))
     }
 
+    /// Adds these tables, which the text of the scene had, to those that are embedded in it.
+    pub fn carry(&mut self, tables: &str) {
+        self.text.insert_str(0, tables);
+    }
+
     /// The text of a scene with its meshes embedded.
     pub fn carried_by(&self, text: &str) -> String {
         if self.text.is_empty() { text.to_owned() } else { format!("{text}{MARK}{}", self.text) }
