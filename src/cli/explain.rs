@@ -10,6 +10,7 @@ use super::{
     print, print_lines,
     program::Program,
     progress::{Progress, Work},
+    warn,
 };
 use crate::{
     analysis::{Approaches, surface::Merger},
@@ -51,7 +52,9 @@ pub fn explain(program: Program<'_>, arguments: &Arguments) -> Result<(), Failur
     } else {
         let subject = program.subject(&arguments.subject, &Overrides::default())?;
         let simulation = subject.experiment(Some(&interrupt::STOP)).start().map_err(Failure::Input)?;
-        let last = simulation.schema().steps;
+        let schema = simulation.schema();
+        warn(&schema);
+        let last = schema.steps;
         (simulation, last)
     };
     if arguments.step > last {

@@ -16,7 +16,7 @@ use super::{
     print,
     program::Program,
     progress::{Progress, Work},
-    say,
+    say, warn,
 };
 use crate::{
     analysis::{surface::Merger, touch::Touches},
@@ -149,7 +149,9 @@ pub fn export(program: Program<'_>, arguments: Arguments) -> Result<(), Failure>
         let has_stepped = run.valid_step().map_err(|failure| {
             let written =
                 folder.as_ref().map(|folder| format!("; {} contains the steps up to here", folder.path.display()));
-            Failure::Run(format!("{failure}{}", written.unwrap_or_default()))
+            let is_tabled = events.is_some() || !tables.is_empty();
+            let tabled = is_tabled.then(|| format!("; no table is written: --to {step} ends before"));
+            Failure::Run(format!("{failure}{}{}", written.unwrap_or_default(), tabled.unwrap_or_default()))
         })?;
         if !has_stepped {
             break;
@@ -196,7 +198,9 @@ fn source(program: Program<'_>, arguments: &Arguments) -> Result<Source, Failure
     if let Some(scene) = subject.scene() {
         expense::announce(scene, None)?;
     }
-    let last = subject.schema().steps;
+    let schema = subject.schema();
+    warn(&schema);
+    let last = schema.steps;
     let simulation = subject.experiment(None).start().map_err(Failure::Input)?;
     Ok(Source { run: Run::new(simulation, Some(last)), last, recorded: None })
 }

@@ -41,7 +41,7 @@ use clap::{
 };
 
 use crate::{
-    observe::Experiment,
+    observe::{Experiment, Schema},
     recording::{
         ReadError,
         existing::{self, Existing},
@@ -341,6 +341,11 @@ fn say_note(note: Option<String>) {
     if let Some(note) = note {
         say(&format!("note: {note}"));
     }
+}
+
+/// Prints what is valid but probably not intended in an experiment.
+fn warn(schema: &Schema) {
+    schema.warnings.iter().for_each(|warning| say(&format!("warning: {warning}")));
 }
 
 /// A parser for an argument that selects one of `all` by name; the help lists the names.

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use super::{export, print_lines};
 use crate::{
-    models::elastic,
+    models::{elastic, metaballs},
     observe::surface::Finding,
     scene::{
         self,
@@ -137,12 +137,13 @@ fn tables() -> String {
     section("Pairs within reach (`meldscope export --pairs`)", &export::tables::PAIRS);
     section("Bodies (`meldscope export --bodies`)", &export::tables::BODIES);
     let mut scalars: Vec<Column> = export::tables::SCALARS.into();
-    for scalar in scalars::all() {
-        let about = format!("{}: {}", scalar.plot, scalar.label);
-        match scalars.iter_mut().find(|known| known.name == scalar.name) {
+    let of_worlds = scalars::all().map(|scalar| [scalar.name, scalar.plot, scalar.label]);
+    for [name, plot, label] in of_worlds.chain(elastic::all_scalars()).chain(metaballs::SCALARS) {
+        let about = format!("{plot}: {label}");
+        match scalars.iter_mut().find(|known| known.name == name) {
             Some(known) if known.about.split("; or ").any(|known| known == about) => {}
             Some(known) => known.about = format!("{}; or {about}", known.about).into(),
-            None => scalars.push(Column { about: about.into(), ..Column::new(scalar.name, table::Kind::Float, "") }),
+            None => scalars.push(Column { about: about.into(), ..Column::new(name, table::Kind::Float, "") }),
         }
     }
     section("Scalars (`meldscope export --scalars`), those that the scene has", &scalars);

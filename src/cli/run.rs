@@ -76,7 +76,7 @@ pub struct Arguments {
     /// Number of steps, instead of the scene's duration; 0: run until Ctrl-C.
     #[arg(long, value_name = "N", help_heading = "Scene")]
     steps: Option<u64>,
-    /// Record every Nth step [default: 1, or the smallest N that keeps the file of a large scene below 200 MB].
+    /// Record every Nth step [default: 1, or for a large scene an N with which the file is expected below 200 MB].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "What to record")]
     every: Option<u64>,
     /// Level of detail of each frame. `stages` also records the states within each step, or those from FROM to TO; it
@@ -169,7 +169,8 @@ pub fn run(program: Program<'_>, mut arguments: Arguments) -> Result<(), Failure
     interrupt::raise_stop()?; // there is nothing to save before this point
     interrupt::end_before_first_step()?;
     let sinks = Sinks::open(&destinations).map_err(sink_failure)?;
-    say_note(note);
+    let waits = matches!(&settings.frames, Frames::Last { on, .. } if !on.is_empty());
+    say_note(note.map(|note| if waits { format!("{note}, if an --on event occurs") } else { note }));
 
     let mut console = Console::new(&arguments);
     if destinations.save.is_some() || arguments.stdout {

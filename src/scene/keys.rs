@@ -495,7 +495,14 @@ pub(super) static PAIRS: [Key; 1] = [key(
 
 pub(super) static PLANES: [Key; 5] = [
     key("normal", Kind::Direction, Required, "Direction towards the free side."),
-    number("offset", ANY, "scene unit", [-5.0, 5.0], Number(0.0), "normal · r of its points."),
+    number(
+        "offset",
+        ANY,
+        "scene unit",
+        [-5.0, 5.0],
+        Number(0.0),
+        "Distance of its points from the origin along the normal.",
+    ),
     number(
         "stiffness",
         NON_NEGATIVE,

@@ -85,7 +85,7 @@
 //!
 //! [[plane]]                     # acts on the vertices of all bodies
 //! normal = [0, 0, 1]            # towards the free side
-//! offset = 0.0                  # normal · r of its points, scene unit [0]
+//! offset = 0.0                  # distance of its points from the origin along the normal, scene unit [0]
 //! stiffness = 4000.0            # 1/s² [4000]; beyond (5 omega radius/depth)² vertices may turn a free body inside out
 //! friction = 0.0                # [0]
 //! slip = 0.01                   # speed below which friction fades, scene unit/s [0.01]

@@ -81,6 +81,7 @@ const NAME: Text = Text {
     accepts: |text| (1..=60).contains(&text.chars().count()) && !text.chars().any(char::is_control),
 };
 const COUNT: Kind = Kind::Integer([1, u32::MAX]);
+const AXIS_COUNT: Kind = Kind::Integer([2, u32::MAX]);
 const MEASURE_FORM: &str = "an array of \"displacement\" and \"surfaces\"";
 const VALUES_FORM: &str = "an array of numbers or of strings";
 const VALUE_FORM: &str = "a number or a string";
@@ -136,7 +137,7 @@ static AXES: [Key; 7] = [
     ),
     key("from", Kind::Number(ANY), Fallback::Required, "First value."),
     key("to", Kind::Number(ANY), Fallback::Required, "Last value."),
-    key("count", COUNT, Fallback::Required, "Number of values on a grid."),
+    key("count", AXIS_COUNT, Fallback::Required, "Number of values on a grid."),
     key("scale", Kind::Word(|| words(&SCALES)), Fallback::Word("linear"), "Spacing of the values."),
     key(
         "values",
@@ -329,6 +330,10 @@ fn read(path: &Path, file: &str) -> Result<String, SceneError> {
 fn parse(text: &str, file: &str, home: Home<'_>) -> Result<Sweep, SceneError> {
     let source = Source { text, file };
     let document = source.document()?;
+    if document.get("axis").is_none() && ["body", "grid"].iter().any(|name| document.get(*name).is_some()) {
+        let help = format!("a sweep has scene = {file:?}, and an [[axis]] for each key that varies");
+        return Err(SceneError::plain(file, format!("{file} is a scene, not a sweep")).with_help(help));
+    }
     let root = Table::root(&source, &document, &SWEEP)?;
     let [axis_array, set_array] = ["axis", "set"].map(|name| root.get(name));
     let Some(axis_array) = axis_array else {
@@ -364,6 +369,11 @@ fn parse(text: &str, file: &str, home: Home<'_>) -> Result<Sweep, SceneError> {
         }
     }
     let set = set_tables.iter().map(read_set).collect::<Result<Vec<_>, _>>()?;
+    for (table, (key, _)) in set_tables.iter().zip(&set) {
+        if axes.iter().any(|axis| axis.key == *key) {
+            return Err(table.error("key", "expected a key that no [[axis]] has".to_owned()));
+        }
+    }
     let measures = read_measures(root.get("measures"))?;
     let color = read_color(root.get("color"), measures)?;
     let jumps = read_jumps(root.get("jump"), measures)?;
@@ -462,9 +472,6 @@ fn read_axis(table: &Table<'_>, sampling: Sampling) -> Result<Axis, SceneError> 
         }
         _ => 2,
     };
-    if count < 2 {
-        return Err(table.error("count", format!("expected 2 or more, found {count}")));
-    }
     Ok(Axis { key, name, values: Values::Range { from, to, count, scale } })
 }
 

@@ -218,7 +218,7 @@ mass = 2
 
 Edit: nothing set
 set = {}
-> bad.toml:7:7: edit[0].set: expected a table of keys and values such as { "influence.merge_at" = 1.1 }, found a table
+> bad.toml:7:7: edit[0].set: expected a table of keys and values such as { "influence.merge_at" = 1.1 }, found an empty one
 
 Edit: no time
 set = { "influence.alpha" = 1 }
@@ -244,6 +244,14 @@ set = { "influence.alpha" = -2 }
 Edit: thresholds that contradict each other
 set = { "influence.merge_at" = 1.3 }
 > bad.toml:7:32: edit[0].set."influence.merge_at": expected a number of at most split_at (1.15 by default), found 1.3 (influence.merge_at after this edit); give split_at, too
+
+Edit: a misspelled key
+set = { "influence.merge_att" = 1.1 }
+> bad.toml:7:33: edit[0].set."influence.merge_att": expected a number of influence: alpha, beta, reach, merge_at, split_at, core_at, core_width; found influence.merge_att; did you mean "merge_at"?; an edit changes no shape, mass, motion, push, dt, duration or tolerance
+
+Edit: a misspelled table
+set = { "bdy.ball.omega" = 3 }
+> bad.toml:7:28: edit[0].set."bdy.ball.omega": expected a number of influence, material, gravity, or a body, grid, pair, plane or point; found bdy.ball.omega; did you mean "body"?; an edit changes no shape, mass, motion, push, dt, duration or tolerance
 
 Edit: nobody
 set = { "body.bal.omega" = 3 }

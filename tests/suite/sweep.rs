@@ -118,6 +118,12 @@ fn broken_sweeps_are_rejected_with_their_position() {
         ),
         (&format!("{axis}{axis}"), "axis[1].key: expected a key that no other axis has"),
         (
+            &format!("{axis}[[set]]\nkey = 'influence.alpha'\nvalue = 4\n"),
+            "set[0].key: expected a key that no [[axis]] has",
+        ),
+        (&axis.replace("count = 3", "count = 1"), "axis[0].count: expected an integer from 2 to 4294967295, found 1"),
+        ("[[body]]\nname = 'a'\n", "s.toml is a scene, not a sweep; a sweep has scene = "),
+        (
             &format!("[[set]]\nkey = 'dt'\nvalue = -1\n{axis}"),
             "s.toml:4:9: set[0].value: dt: expected a number between",
         ),

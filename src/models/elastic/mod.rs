@@ -40,7 +40,7 @@ use crate::{
 };
 use act::StepContext;
 use body::Body;
-pub use observe::schema;
+pub use observe::{all_scalars, schema};
 
 /// The core of a body that is held [radii].
 const CORE: f64 = 0.5;

@@ -47,6 +47,12 @@ fn scalars(scene: &Scene) -> impl Iterator<Item = &'static Scalar> {
     [STATE, momenta, SUBSTEPS, of_model, of_tearing].into_iter().flatten()
 }
 
+/// Name, plot and label of the scalars of all scenes.
+pub fn all_scalars() -> impl Iterator<Item = [&'static str; 3]> {
+    let all = [STATE, &MOMENTA, SUBSTEPS, SPRINGS, TENSION, CUT, SPLIT].into_iter().flatten();
+    all.map(|scalar| [scalar.name, scalar.plot, scalar.label])
+}
+
 const STATE: &[Scalar] = &[
     smooth("energy", "total [mass·unit²/s²]", ENERGY, |simulation, _| {
         simulation.kinetic_energy() + simulation.elastic_energy()

@@ -319,7 +319,7 @@ impl Simulation for Metaballs {
         summary.timings.clear();
         summary.timings.extend([paths, self.finding]);
         summary.scalars.clear();
-        summary.scalars.resize(SCALARS, 0.0);
+        summary.scalars.resize(SCALARS.len(), 0.0);
         summary.shortfall = None;
     }
 
@@ -409,8 +409,13 @@ impl Simulation for Metaballs {
     }
 }
 
-/// Number of scalars.
-const SCALARS: usize = 3;
+/// Name, plot and label of each scalar.
+pub const SCALARS: [[&str; 3]; 3] = [
+    ["max_displacement", "Displacement", "largest displacement [radii]"],
+    ["components", COUNTS, "pieces of the surface"],
+    ["pairs_in_one", COUNTS, "pairs that are one surface"],
+];
+const COUNTS: &str = "Counts";
 
 /// The schema of a scene's metaballs.
 pub fn schema(scene: &Scene) -> Schema {
@@ -429,14 +434,7 @@ pub fn schema(scene: &Scene) -> Schema {
         ),
         terms: vec![net],
         labels: vec!["no force"],
-        scalars: vec![
-            ScalarSchema {
-                plot: "Displacement",
-                ..ScalarSchema::new("max_displacement", "largest displacement [radii]", ScalarOf::State)
-            },
-            count("components", "pieces of the surface"),
-            count("pairs_in_one", "pairs that are one surface"),
-        ],
+        scalars: SCALARS.map(scalar).into(),
         stages: vec!["paths", "contacts"],
         surfaces: kernels(scene)
             .map_or_else(|_| OwnSurfaces::default(), |kernels| OwnSurfaces::new(LevelSet { kernels })),
@@ -445,8 +443,8 @@ pub fn schema(scene: &Scene) -> Schema {
     }
 }
 
-fn count(name: &'static str, label: &'static str) -> ScalarSchema {
-    ScalarSchema { plot: "Counts", is_smooth: false, ..ScalarSchema::new(name, label, ScalarOf::State) }
+fn scalar([name, plot, label]: [&'static str; 3]) -> ScalarSchema {
+    ScalarSchema { plot, is_smooth: plot != COUNTS, ..ScalarSchema::new(name, label, ScalarOf::State) }
 }
 
 /// Warnings about parts of a scene that have no effect here.

@@ -11,6 +11,7 @@ use crate::scene::{
     keys::{self, EDIT_FORM, Kind, Section},
     template::{KeyPath, owned, replace},
 };
+use crate::text::did_you_mean;
 
 /// Limit on the number of tables.
 const MAX_EDITS: usize = 100;
@@ -41,8 +42,10 @@ pub(super) fn read(
     edited.remove("mesh"); // already read
     let mut edits = Vec::with_capacity(tables.len());
     for (time, set) in &in_order {
-        let entries: Vec<(&str, Value<'_>)> =
-            set.entries().filter(|entries| entries.len() > 0).ok_or_else(|| set.unexpected(EDIT_FORM))?.collect();
+        let entries: Vec<(&str, Value<'_>)> = set.entries().ok_or_else(|| set.unexpected(EDIT_FORM))?.collect();
+        if entries.is_empty() {
+            return Err(set.error(format!("expected {EDIT_FORM}, found an empty one")));
+        }
         let mut lines = Vec::with_capacity(entries.len());
         for (name, value) in &entries {
             let path = editable(name, value)?;
@@ -107,11 +110,16 @@ fn editable(name: &str, value: &Value<'_>) -> Result<KeyPath, SceneError> {
     }
     let numbers = numbers_beside(&path);
     if !numbers.iter().flatten().any(|number| names.last() == Some(number)) {
+        let tables = ["influence", "material", "gravity", "body", "grid", "pair", "plane", "point"];
+        let hint = match &numbers {
+            Some(numbers) => did_you_mean(names.last().unwrap_or(&""), numbers.iter().copied()),
+            None => did_you_mean(names.first().unwrap_or(&""), tables.into_iter()),
+        };
         let of = match numbers {
             Some(numbers) => format!("{}: {}", names[0], numbers.join(", ")),
             None => "influence, material, gravity, or a body, grid, pair, plane or point".to_owned(),
         };
-        let message = format!("expected a number of {of}; found {name}");
+        let message = format!("expected a number of {of}; found {name}{hint}");
         return Err(value
             .error(message)
             .with_help("an edit changes no shape, mass, motion, push, dt, duration or tolerance"));

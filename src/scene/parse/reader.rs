@@ -120,8 +120,10 @@ impl<'a> Table<'a> {
         // the tree is sorted by name
         let Some(key) = unknown.min_by_key(|key| key.span().start) else { return Ok(self) };
         let name = key.get_ref().as_ref();
-        let homes: Vec<&str> =
-            sections().filter(|section| accepts(section, name)).map(|section| section.home).collect();
+        // a key of a scene, in a scene
+        let is_of_scene = sections().any(|section| std::ptr::eq(section, known));
+        let homes = sections().filter(|section| is_of_scene && accepts(section, name));
+        let homes: Vec<&str> = homes.map(|section| section.home).collect();
         let names: Vec<&str> = known.all().map(|key| key.name).collect();
         let hint = if !homes.is_empty() {
             format!("; \"{name}\" belongs {}", homes.join(" or "))
