@@ -85,7 +85,7 @@ def check(page, folder):
     start = time.time()
     until(page, FOLLOWS, 60)
     drag = time.time() - start
-    last = page.evaluate("run.levels.find(level => level.label.startsWith('merge')).q")
+    last = page.evaluate("run.levels.find(level => level.label.startsWith('merge')).lines[0][1]")
     assert abs(last - (0.97 + 0.002 * 99)) < 1e-9, last
 
     page.evaluate(f"seek({int(page.locator(MERGE).get_attribute('data-step')) + 20})")

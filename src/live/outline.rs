@@ -38,12 +38,12 @@ pub struct Outline {
     pub simulated_ms: f64,
     /// Why the run ended early.
     pub failure: Option<String>,
-    /// What else pages show as wrong.
+    /// What is wrong with the change for which the run stands in.
     problem: Option<Problem>,
 }
 
 impl Outline {
-    /// An empty outline; pages show `problem` beside it.
+    /// An empty outline of a run; of one that stands in for a change that is invalid, with what is wrong with that.
     pub fn new(schema: Schema, problem: Option<Problem>) -> Outline {
         Outline {
             every: schema.steps.div_ceil(POINTS).max(1),
@@ -86,8 +86,9 @@ impl Outline {
         self.instants += 1;
     }
 
-    /// What is sent to pages; `contacts` are known once the run is recorded.
-    pub fn answer(&self, number: u64, contacts: Option<&[SurfaceEvent]>) -> Value {
+    /// What is sent to pages; `contacts` are known once the run is recorded. `of_file` is what is wrong with a scene file that
+    /// has changed meanwhile.
+    pub fn answer(&self, number: u64, contacts: Option<&[SurfaceEvent]>, of_file: Option<Problem>) -> Value {
         let schema = &self.schema;
         let events = rows(&self.events, contacts.unwrap_or_default(), &self.bodies).into_iter().map(|row| {
             let pair = row.pair().map(|([a, b], _)| schema.pair_name(a, b));
@@ -148,7 +149,8 @@ impl Outline {
             "events": events,
             "levels": levels,
             "plots": pairs.into_iter().map(plot).collect::<Vec<Value>>(),
-            "problem": self.failure.clone().map(Problem::new).or_else(|| self.problem.clone()),
+            "problem": self.failure.clone().map(Problem::new).or_else(|| self.problem.clone()).or(of_file),
+            "is_repeated": self.problem.is_some(),
             "warnings": schema.warnings,
         })
     }

@@ -96,6 +96,12 @@ enum Job {
     Thresholds(String),
 }
 
+/// A run that was interrupted: the experiment that was changed, and what it became.
+struct Unfinished {
+    experiment: Arc<dyn Experiment>,
+    changed: Arc<dyn Experiment>,
+}
+
 /// A body that a force point can act on, at the start.
 #[derive(Serialize)]
 struct Body {
@@ -181,21 +187,26 @@ impl Runs {
         self.wake.notify_all();
     }
 
-    /// Asks for a file of what is asked for now; not if as many are waiting as somebody would ask for.
-    pub fn save(&self, what: Save) {
+    /// Asks for a file of what is asked for now.
+    ///
+    /// # Errors
+    /// As many are waiting as somebody would ask for.
+    pub fn save(&self, what: Save) -> Result<(), Problem> {
         let mut wanted = lock(&self.wanted);
-        if wanted.saves.len() < MAX_SAVES {
-            let of = (what, Arc::clone(&wanted.experiment), wanted.change.clone());
-            wanted.saves.push_back(of);
+        if wanted.saves.len() >= MAX_SAVES {
+            return Err(Problem::new(format!("{MAX_SAVES} files are still to be saved: ask again later")));
         }
+        let of = (what, Arc::clone(&wanted.experiment), wanted.change.clone());
+        wanted.saves.push_back(of);
         drop(wanted);
         self.wake.notify_all();
+        Ok(())
     }
 
     /// Shows a problem beside the runs, until there is [another experiment](Runs::replace).
     pub fn report(&self, problem: Problem) {
+        lock(&self.wanted).problem = Some(problem.clone());
         self.feed.problem(&problem);
-        lock(&self.wanted).problem = Some(problem);
     }
 
     /// Ends [`Runs::work`].
@@ -203,45 +214,52 @@ impl Runs {
         self.want(|wanted| wanted.has_ended = true);
     }
 
-    /// Runs what is asked for, until [`Runs::end`]. A change that is invalid does not end the run before it.
+    /// Runs what is asked for, until [`Runs::end`].
     pub fn work(&self) {
-        let mut unfinished: Option<Arc<dyn Experiment>> = None;
+        let mut unfinished = None;
         while let Some((job, experiment, change, number)) = self.next_job() {
-            let varied = experiment.varied(&change.variation());
-            let varied = varied.map_err(|invalid| Problem { key: invalid.key, text: invalid.text });
-            let (varied, problem) = match job {
-                Job::Run => match varied {
-                    Ok(varied) => (Some(varied), lock(&self.wanted).problem.clone()),
-                    Err(problem) => {
-                        if self.is_current(number) {
-                            self.feed.problem(&problem);
-                        }
-                        (unfinished.take(), Some(problem))
-                    }
-                },
+            match job {
+                Job::Run => self.answer(&experiment, &change, number, &mut unfinished),
                 Job::Save(what) => {
-                    let saved = varied.and_then(|varied| self.save_now(&*varied, what));
+                    let saved = varied(&*experiment, &change).and_then(|varied| self.save_now(&*varied, what));
                     lock(&self.wanted).is_saving = false;
                     if let Err(problem) = &saved {
                         self.feed.problem(problem);
                     }
-                    continue;
                 }
-                Job::Thresholds(key) => {
-                    self.mark(&*experiment, &change, number, key);
-                    continue;
-                }
-            };
-            let Some(varied) = varied else { continue };
-            let done = self.run(&*varied, number, change.cursor, problem);
-            let is_current = self.is_current(number);
-            unfinished = (!is_current).then_some(varied);
-            // an outdated run ends with an error where a model cannot be interrupted halfway
-            if let Err(problem) = done
-                && is_current
-            {
-                self.feed.problem(&problem);
+                Job::Thresholds(key) => self.mark(&*experiment, &change, number, key),
             }
+        }
+    }
+
+    /// Runs a change. One that is invalid does not end the run before it: if that was `unfinished`, it is made again, beside
+    /// the problem.
+    fn answer(
+        &self,
+        experiment: &Arc<dyn Experiment>,
+        change: &Change,
+        number: u64,
+        unfinished: &mut Option<Unfinished>,
+    ) {
+        let before = unfinished.take().filter(|before| Arc::ptr_eq(&before.experiment, experiment));
+        let (changed, problem) = match varied(&**experiment, change) {
+            Ok(changed) => (changed, None),
+            Err(problem) => {
+                if self.is_current(number) {
+                    self.feed.problem(&problem);
+                }
+                let Some(Unfinished { changed, .. }) = before else { return };
+                (changed, Some(problem))
+            }
+        };
+        let done = self.run(&*changed, number, change.cursor, problem);
+        let is_current = self.is_current(number);
+        *unfinished = (!is_current).then(|| Unfinished { experiment: Arc::clone(experiment), changed });
+        // an outdated run ends with an error where a model cannot be interrupted halfway
+        if let Err(problem) = done
+            && is_current
+        {
+            self.feed.problem(&problem);
         }
     }
 
@@ -289,8 +307,8 @@ impl Runs {
     }
 
     /// Runs an experiment twice: for its events and curves, which are sent at once, and to record it. Runs are
-    /// reproducible to the bit, and the first is short: nothing is drawn. An outdated run ends early. Pages show `problem`
-    /// beside it.
+    /// reproducible to the bit, and the first is short: nothing is drawn. An outdated run ends early. If it
+    /// stands in for a change that is invalid, pages show that `problem` beside it.
     fn run(
         &self,
         experiment: &dyn Experiment,
@@ -309,6 +327,7 @@ impl Runs {
         let mut simulation = experiment.start().map_err(Problem::new)?;
         let settings = Settings::of(experiment);
         let mut outline = Outline::new(simulation.schema(), problem);
+        let of_file = || lock(&self.wanted).problem.clone();
         let mut frame = Frame::default();
         let (mut at_cursor, mut summary) = (Frame::default(), StepSummary::default());
         simulation.observe(Want::default(), &mut frame);
@@ -333,7 +352,7 @@ impl Runs {
             simulation.observe(settings.want(), &mut at_cursor);
         }
         outline.simulated_ms = 1e3 * start.elapsed().as_secs_f64();
-        self.feed.send("run", outline.answer(number, None));
+        self.feed.send("run", outline.answer(number, None, of_file()));
 
         let start = Clock::now();
         let mut simulation = experiment.start().map_err(Problem::new)?;
@@ -379,7 +398,7 @@ impl Runs {
         writer.write(&recorder.take())?;
         drop(writer);
         if self.is_current(number) {
-            self.feed.send("run", outline.answer(number, Some(&contacts)));
+            self.feed.send("run", outline.answer(number, Some(&contacts), of_file()));
             let ms = 1e3 * start.elapsed().as_secs_f64();
             self.feed.send("frames", recorded(number, recorder.written(), ms, every));
         }
@@ -424,6 +443,11 @@ impl Runs {
         self.feed.send("saved", json!({ "text": text }));
         Ok(())
     }
+}
+
+/// The experiment with a change.
+fn varied(experiment: &dyn Experiment, change: &Change) -> Result<Arc<dyn Experiment>, Problem> {
+    experiment.varied(&change.variation()).map_err(|invalid| Problem { key: invalid.key, text: invalid.text })
 }
 
 /// A path like this one that is free, because saving replaces nothing: `name.rrd`, `name-2.rrd` …

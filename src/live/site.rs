@@ -63,10 +63,7 @@ impl Page {
                 self.runs.find_thresholds(key);
                 None
             }),
-            "save" => read(&body).map(|ToSave { what }| {
-                self.runs.save(what);
-                None
-            }),
+            "save" => read(&body).and_then(|ToSave { what }| self.runs.save(what).map(|()| None)),
             _ => return text(StatusCode::NOT_FOUND, "there is no such request"),
         };
         match done {

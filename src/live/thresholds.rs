@@ -10,8 +10,8 @@ const SAMPLES: usize = 24;
 /// A value at which the outcome changes is found to this fraction of the parameter's range.
 const RESOLUTION: f64 = 1e-4;
 
-/// Upper limit on the outcomes that are looked for between two neighbouring samples.
-const MAX_BETWEEN: usize = 8;
+/// Upper limit on the number of runs: where outcomes are chaotic, each of them has more between its neighbours.
+const MAX_RUNS: usize = 256;
 
 /// A value at which the outcome changes.
 #[derive(Serialize)]
@@ -35,34 +35,41 @@ pub fn find(
     else {
         return Some(Vec::new());
     };
-    let outcome = |value: f64| {
+    let mut runs = 0;
+    let mut outcome = |value: f64| {
+        runs += 1;
         let mut variation = variation.clone();
         variation.values.insert(key.to_owned(), value);
-        outcome(experiment, &variation, is_current)
+        Some((outcome(experiment, &variation, is_current)?, runs >= MAX_RUNS))
     };
     let at = |k: usize| low + (high - low) * k as f64 / (SAMPLES - 1) as f64;
-    let samples = (0..SAMPLES).map(|k| Some((at(k), outcome(at(k))?))).collect::<Option<Vec<_>>>()?;
-    let mut marks = Vec::new();
+    let samples = (0..SAMPLES).map(|k| Some((at(k), outcome(at(k))?.0))).collect::<Option<Vec<_>>>()?;
+    let (mut marks, mut is_enough) = (Vec::new(), false);
     for pair in samples.windows(2) {
         let [(a, Outcome::Ended(below)), (b, Outcome::Ended(above))] = pair else { continue };
         let (mut a, mut below) = (*a, below.clone());
         // ends of intervals that are still to be searched, the nearest last, each with its outcome
         let mut ends = vec![(*b, above.clone())];
-        while let Some((b, above)) = ends.last().cloned() {
-            if below == above || b - a <= RESOLUTION * (high - low) || ends.len() > MAX_BETWEEN {
+        while let Some((b, above)) = ends.pop() {
+            if below == above || is_enough || b - a <= RESOLUTION * (high - low) {
                 if below != above {
                     marks.push(Mark { value: 0.5 * (a + b), below, above: above.clone() });
                 }
                 (a, below) = (b, above);
-                ends.pop();
                 continue;
             }
             let middle = 0.5 * (a + b);
-            match outcome(middle)? {
-                Outcome::Ended(found) if found == below => a = middle,
-                Outcome::Ended(found) if found == above => ends.last_mut()?.0 = middle,
-                Outcome::Ended(found) => ends.push((middle, found)),
-                Outcome::None => break,
+            let found;
+            (found, is_enough) = outcome(middle)?;
+            match found {
+                Outcome::Ended(found) if found == below => {
+                    a = middle;
+                    ends.push((b, above));
+                }
+                Outcome::Ended(found) if found == above => ends.push((middle, above)),
+                Outcome::Ended(found) => ends.extend([(b, above), (middle, found)]),
+                // nothing is known in between
+                Outcome::None => (a, below) = (b, above),
             }
         }
     }

@@ -105,7 +105,7 @@ const handlers = {
   },
   run(message) {
     if (run && message.number < run.number) return;
-    if (message.number !== run?.number) before = pinned ?? run;
+    if (message.number !== run?.number) before = message.is_repeated ? before : (pinned ?? run);
     else if (pinned?.number === run.number) pinned = before = message; // the same run again, with what its surfaces do
     run = message;
     say(`run ${message.number}: ${message.outcome}; simulated in ${message.simulated_ms.toFixed(1)} ms${warned()}`);
@@ -171,6 +171,7 @@ function clearMarks(except) {
 }
 
 function showSliders() {
+  mistyped = null;
   const groups = new Map();
   for (const parameter of scene.parameters) {
     if (!groups.has(parameter.group)) groups.set(parameter.group, []);
@@ -249,7 +250,10 @@ function slider(parameter) {
   const show = () => {
     const value = valueOf(parameter);
     track.value = value;
-    if (document.activeElement !== exact) exact.value = shown(value);
+    if (document.activeElement !== exact) {
+      exact.value = shown(value);
+      if (mistyped?.key === parameter.key) mistyped = null;
+    }
     row.classList.toggle("changed", value !== parameter.value);
   };
   track.addEventListener("input", () => change(parameter, Number(track.value)));
@@ -301,18 +305,18 @@ function asToml() {
     const [, whole, component] = key.match(/^(.*?)(\[\d+\])?$/);
     if (component && vectors.has(whole)) continue;
     if (component) vectors.add(whole);
-    const [path, name] = [whole.replace(/\.?[^.]*$/, ""), whole.replace(/^.*\./, "")];
-    const kind = path.replace(/[.[].*$/, "");
-    const isItem = kind !== path;
-    const inner = isItem ? path.replace(/^[^.]*\.?[^.]*\.?/, "") : "";
-    const header = path === "" ? "" : isItem ? `[[${kind}]]  # ${group}` : `[${path}]`;
+    const path = whole.replace(/\.?[^.]*$/, "");
+    // an item of an array by its name or number, and the path inside it
+    const item = path.match(/^([^.[]+)(\[\d+\]|\.[^.]+)/);
+    const table = item ? item[0] : path;
+    const name = whole.slice(table.length).replace(/^\./, "");
+    if (!tables.has(table)) tables.set(table, [table === "" ? "" : item ? `[[${item[1]}]]  # ${group}` : `[${path}]`]);
     const of = (axis) => values.get(`${whole}[${axis}]`) ?? rows.get(`${whole}[${axis}]`)?.parameter.value ?? 0;
-    if (!tables.has(header)) tables.set(header, []);
-    tables.get(header).push(`${inner && kind === "body" ? `${inner}.` : ""}${name} = ${component ? `[${[0, 1, 2].map(of).join(", ")}]` : value}`);
+    tables.get(table).push(`${name} = ${component ? `[${[0, 1, 2].map(of).join(", ")}]` : value}`);
   }
   // keys without a table are at the top of a scene
   const sorted = [...tables].sort(([one], [other]) => Number(one !== "") - Number(other !== ""));
-  const changed = sorted.map(([header, lines]) => [header, ...lines].filter((line) => line !== "").join("\n"));
+  const changed = sorted.map(([, lines]) => lines.filter((line) => line !== "").join("\n"));
   if (poke) {
     const [act, name] = poke.strength < 0 ? ["repel", "beta"] : ["attract", "alpha"];
     changed.push(`[[point]]\nname = "poke"\nmotion = { fixed = [${poke.at.join(", ")}] }\nradius = ${poke.radius}\nact = "${act}"\n${name} = ${Math.abs(poke.strength)}\nbodies = ["${poke.body}"]`);
@@ -325,9 +329,8 @@ function asToml() {
 
 function showChanges() {
   $("toml").textContent = asToml();
-  const hasMore = poke !== null || branches.some(({ values }) => values.size > 0);
-  const flags = [...values].map(([key, value]) => `--set ${key}=${value}`).join(" ");
-  $("flags").textContent = hasMore ? `${flags} (no flag sets branches and pokes: save the scene)`.trim() : flags;
+  $("flags").textContent = [...values].map(([key, value]) => `--set ${key}=${value}`).join(" ");
+  $("unflagged").hidden = poke === null && branches.every(({ values }) => values.size === 0);
   $("reset").disabled = values.size === 0 && branches.length === 0 && poke === null;
   $("branches").replaceChildren(
     ...branches.map((branch) => {
