@@ -150,7 +150,7 @@ pub fn export(program: Program<'_>, arguments: Arguments) -> Result<(), Failure>
             let written =
                 folder.as_ref().map(|folder| format!("; {} contains the steps up to here", folder.path.display()));
             let is_tabled = events.is_some() || !tables.is_empty();
-            let tabled = is_tabled.then(|| format!("; no table is written: --to {step} ends before"));
+            let tabled = is_tabled.then(|| format!("; no table was written: --to {step} stops before this step"));
             Failure::Run(format!("{failure}{}{}", written.unwrap_or_default(), tabled.unwrap_or_default()))
         })?;
         if !has_stepped {

@@ -222,7 +222,8 @@ impl<'a> Template<'a> {
             let base = read_document(&source, &document, &mut meshes)?;
             if let Some(tables) = document.remove("mesh") {
                 let tables = toml::Table::from_iter([("mesh".to_owned(), owned(tables.get_ref()))]);
-                meshes.carry(&toml::to_string(&tables).unwrap_or_default());
+                let text = toml::to_string(&tables);
+                meshes.carry(&text.map_err(|error| SceneError::plain(file, error.to_string()))?);
             }
             Ok(Template { source, document, meshes, base })
         })

@@ -161,15 +161,21 @@ impl StepContext<'_> {
         self.add_jumps(sources.iter().copied().chain([index as u32]), pushes, breaks);
     }
 
-    /// Whether something that acts on a body jumps at time `t` [s], but for phases.
-    pub fn jumps_at(&self, t: f64, sources: impl Iterator<Item = u32>, pushes: &[Push]) -> bool {
+    /// Whether a path, a force point or a push jumps at time `t` [s].
+    pub fn jumps_at(&self, t: f64) -> bool {
         let mut jumps = Vec::new();
-        StepContext { start: t, end: t, ..*self }.add_jumps(sources, pushes, &mut jumps);
+        StepContext { start: t, end: t, ..*self }.add_all_jumps(&mut jumps);
         !jumps.is_empty()
     }
 
+    /// Appends the instants in the step at which any body, force point or push jumps [s], and sorts all.
+    pub fn add_all_jumps(&self, breaks: &mut Vec<f64>) {
+        let all = 0..(self.scene.bodies.len() + self.scene.points.len()) as u32;
+        self.add_jumps(all, &self.scene.pushes, breaks);
+    }
+
     /// Appends the instants in the step at which one of these bodies or force points jumps, or a push [s], and sorts all.
-    pub fn add_jumps(&self, sources: impl Iterator<Item = u32>, pushes: &[Push], breaks: &mut Vec<f64>) {
+    fn add_jumps(&self, sources: impl Iterator<Item = u32>, pushes: &[Push], breaks: &mut Vec<f64>) {
         Span { start: self.start, end: self.end }.jumps_of(self.scene, sources, breaks);
         breaks.extend(pushes.iter().flat_map(|push| [push.start, push.end()]));
         breaks.retain(|&time| (self.start..=self.end).contains(&time));

@@ -325,8 +325,8 @@ impl Body {
         }
     }
 
-    /// Takes the step.
-    pub fn advance(&mut self, around: &StepContext<'_>, interrupt: Option<&'static AtomicBool>) {
+    /// Takes the step; `jumps` says whether forces are discontinuous at its start.
+    pub fn advance(&mut self, around: &StepContext<'_>, mut jumps: bool, interrupt: Option<&'static AtomicBool>) {
         self.statistics.substeps = 0;
         self.tears.clear();
         self.failure = None;
@@ -342,9 +342,6 @@ impl Body {
                 around.breaks(self.index, &self.sources, &self.pushes, &mut breaks);
                 self.statistics.step_limit = f64::INFINITY;
                 self.statistics.strain = 0.0;
-                let sources = self.sources.iter().copied().chain([self.index as u32]);
-                let mut jumps = around.jumps_at(around.start, sources, &self.pushes)
-                    || around.events.iter().any(|event| event.time == around.start);
                 for ends in breaks.windows(2) {
                     let part = around.part(path, self.index, &self.sources, &self.pushes, [ends[0], ends[1]]);
                     self.take_explicit(

@@ -256,8 +256,7 @@ impl Elastic {
                 let Elastic { scene, phases, step, .. } = &*self;
                 let around = StepContext { scene, phases, events: &[], start, end, step: *step + 1 };
                 let mut breaks = vec![start, end];
-                let all = 0..(scene.bodies.len() + scene.points.len()) as u32;
-                around.add_jumps(all, &scene.pushes, &mut breaks);
+                around.add_all_jumps(&mut breaks);
                 for (number, ends) in breaks.windows(2).enumerate() {
                     self.take_explicit([ends[0], ends[1]], number == 0)?;
                 }
@@ -297,8 +296,7 @@ impl Elastic {
         self.find_sources(start, end);
         let Elastic { scene, bodies, phases, .. } = self;
         let around = StepContext { scene, phases, events: &[], start, end, step };
-        let all = 0..(scene.bodies.len() + scene.points.len()) as u32;
-        let mut is_known = is_first && !around.jumps_at(start, all, &scene.pushes);
+        let mut is_known = is_first && !around.jumps_at(start);
         let (mut limit, mut stiffest, mut springs) = (f64::INFINITY, 0, 0);
         for body in bodies.iter_mut() {
             let planes = near(&scene.planes, body.placed.unwrap_or_default().centre, body.reach);

@@ -236,7 +236,8 @@ impl Elastic {
         let Elastic { scene, bodies, phases, events, options, step, .. } = self;
         let around = StepContext { scene, phases, events, start, end, step: *step + 1 };
         let nodes: usize = bodies.iter().filter(|body| !body.sleeps(&around)).map(Body::node_count).sum();
-        parallel::over(nodes >= PARALLEL_NODES, bodies, |_, body| body.advance(&around, options.interrupt));
+        let jumps = around.jumps_at(start) || events.iter().any(|event| event.time == start);
+        parallel::over(nodes >= PARALLEL_NODES, bodies, |_, body| body.advance(&around, jumps, options.interrupt));
         // that of the first body, whichever thread finished first
         self.failure = bodies.iter_mut().find_map(|body| body.failure.take());
         if self.failure.as_ref().is_some_and(|failure| !failure.is_whole_step()) {

@@ -195,6 +195,13 @@ fn jumps_on_boundaries_of_steps_keep_the_order() {
             ),
             false,
         ),
+        (
+            "a source jumps away",
+            format!(
+                "{at_rest}\n[[body]]\nname = 'b'\nradius = 0.5\nmotion = {{ keyframes = {{ keys = [[0, 0.9, 0, 0], [0.1, 50, 0, 0]], interpolation = 'hold' }} }}"
+            ),
+            true,
+        ),
         ("a spline begins", spline.to_owned(), false),
         ("a path turns", corner.to_owned(), false),
         ("a spline begins, coupled", format!("{spline}{far_plane}"), false),

@@ -17,8 +17,8 @@
 //! δ ← δ + h v,   u ← 2v − u
 //! ```
 //!
-//! It is second order, but where a path turns sharply inside a step: there the mean acceleration acts, an error of first order.
-//! It conserves the energy of an undamped body and has no step limit. A is constant as long as the
+//! It is second order, except where a path turns sharply inside a step: the mean acceleration acts there, an error of first
+//! order. It conserves the energy of an undamped body and has no step limit. A is constant as long as the
 //! body's topology is, so it is factored once, as 2.1.2 proposes for K (Hirota and Kaneko; Cotin et al.). That makes
 //! the method fast, but rules out tearing: where stress exceeds a limit, the body is only reported to [would
 //! tear](Element::tensions).

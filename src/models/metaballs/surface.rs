@@ -165,9 +165,10 @@ fn neck(balls: &[Ball]) -> f64 {
     if let (true, Some(saddle)) = (balls.len() > 2, Saddle::between(balls)) {
         return radius(saddle.place, DIRECTIONS);
     }
-    // two balls are symmetric about the line of their centres
     let distance = a.centre.distance(b.centre);
-    let at = |r: f64| radius(a.centre + r * along, 1);
+    // two balls are symmetric about the line of their centres
+    let directions = if balls.len() == 2 { 1 } else { DIRECTIONS };
+    let at = |r: f64| radius(a.centre + r * along, directions);
     let width = distance / f64::from(SECTIONS);
     let thinnest = (0..=SECTIONS).map(|k| (at(f64::from(k) * width), k)).min_by(|x, y| x.0.total_cmp(&y.0));
     let middle = thinnest.map_or(0.0, |(_, k)| f64::from(k) * width);

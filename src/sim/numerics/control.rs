@@ -71,9 +71,9 @@ pub const INTERPOLATED: f64 = 1e-8;
 
 /// Shortest time for which a body must be slow before it rests [s], as in game engines (Box2D: `b2_timeToSleep`).
 pub const SLOW_TIME: f64 = 0.5;
-/// Larger tolerances than this do not let bodies rest any sooner [radii/s], nor do steps of fixed length: the negligible share
-/// is three per cent of the radius in a second (Jolt: `mPointVelocitySleepThreshold`, 0.03 m/s; Box2D: 0.05 m/s). Motion lost
-/// by resting is an error that shorter steps do not reduce.
+/// Bodies rest no sooner with a larger tolerance than this, or with steps of fixed length [radii/s]: `NEGLIGIBLE` of it is three
+/// per cent of the radius in a second (Jolt: `mPointVelocitySleepThreshold`, 0.03 m/s; Box2D: 0.05 m/s). Motion lost by resting
+/// is an error that shorter steps do not reduce.
 pub const MAX_SLOW_TOLERANCE: f64 = 0.3;
 
 // Rounding, which decides no accuracy

@@ -236,8 +236,8 @@ impl Layout {
         let mut parts = match is_ranked(schema) {
             true => {
                 let title = match groups::has_volume(schema) {
-                    true => "Groups now: volume [unit³], and how it differs from its bodies one by one (dot)",
-                    false => "Groups now: volume [unit³]",
+                    true => "Groups now: pieces, volume [unit³], and against its bodies one by one (dot)",
+                    false => "Groups now: pieces, volume [unit³]",
                 };
                 let ranking = self.ranking(title, RANKED_GROUPS.path);
                 plots.insert(0, contacts);
@@ -561,7 +561,7 @@ impl Layout {
 fn next_title(schema: &Schema) -> String {
     let line = |threshold: &Threshold| format!("{} {}", threshold.name, colors::name(threshold.color));
     let lines: Vec<String> = schema.thresholds.iter().map(line).collect();
-    format!("Next changes of phase, if q goes on so; dot: q, lines: {}", lines.join(", "))
+    format!("Next changes of phase at this rate; dot: q; {}", lines.join(", "))
 }
 
 /// The title of the view of everything.

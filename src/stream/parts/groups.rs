@@ -21,7 +21,7 @@ use crate::{
         series::{Interpolation, LineId, Series},
         settings::MAX_BODY_ENTITIES,
     },
-    text::short,
+    text::{counted, short},
 };
 
 /// The groups that have their own entities.
@@ -198,11 +198,7 @@ impl GroupPlots {
             let color = palette::of_body(view.schema, group.bodies[0]);
             let mut marks = vec![(Mark::Bar(group.volume / largest), color)];
             let mut label = format!("{}: ", names(view.schema, &group.bodies));
-            label += &match group.components {
-                1 => "one surface, ".to_owned(),
-                pieces => format!("{pieces} pieces, "),
-            };
-            label += &short(group.volume);
+            label += &format!("{}, {}", counted(group.components as u64, "piece"), short(group.volume));
             if let Some(apart) = apart(group) {
                 marks.push((Mark::Dot(apart / largest), SILVER));
                 label += &format!(", {:+.1} %", 100.0 * (group.volume / apart - 1.0));
@@ -215,13 +211,14 @@ impl GroupPlots {
     }
 }
 
-/// The first bodies of a group, and how many others there are.
+/// The names of the bodies of a group, as far as there is room beside a bar, or the first and the number of others.
 fn names(schema: &Schema, bodies: &[usize]) -> String {
-    const NAMED: usize = 3;
-    let names: Vec<&str> = bodies.iter().take(NAMED).map(|&body| schema.bodies[body].name.as_str()).collect();
-    match bodies.len().saturating_sub(NAMED) {
-        0 => names.join("+"),
-        others => format!("{} and {others} more", names.join("+")),
+    const ROOM: usize = 16;
+    let name = |body: &usize| schema.bodies[*body].name.as_str();
+    let all = bodies.iter().map(name).collect::<Vec<&str>>().join("+");
+    match bodies {
+        [first, others @ ..] if all.len() > ROOM => format!("{}+{}", name(first), others.len()),
+        _ => all,
     }
 }
 

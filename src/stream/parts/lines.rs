@@ -95,7 +95,7 @@ impl Lines {
         self.closest.sort_by(|x, y| x.q.total_cmp(&y.q));
         self.closest.truncate(self.max_lines);
         // the viewer labels the first lines, as many as there are labels; highlighted pairs have theirs there
-        self.recent.age();
+        self.recent.forget_old();
         let recent: Vec<[usize; 2]> = self.recent.pairs().collect();
         let middle = |a: usize, b: usize| 0.5 * (view.frame.bodies[a].centre + view.frame.bodies[b].centre);
         let mut labels_in_space = Labels::new(view);

@@ -152,7 +152,7 @@ impl Recent {
     }
 
     /// Drops events that are no longer recent.
-    pub fn age(&mut self) {
+    pub fn forget_old(&mut self) {
         if self.age >= FRAMES && self.alone.is_none() {
             self.events.clear();
         }
