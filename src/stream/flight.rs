@@ -19,6 +19,9 @@ const MAX_BYTES: u64 = 1 << 30;
 /// Size of a chunk of several frames that is written [bytes].
 const CHUNK_BYTES: u64 = 1 << 20;
 
+/// Size of frames that are written together, while all are to be written [bytes].
+const ENOUGH_BYTES: u64 = 16 << 20;
+
 /// The last frames of a run.
 pub(super) struct FlightRecorder {
     /// Upper limit on the number of frames kept, ≥ 1.
@@ -76,9 +79,9 @@ impl FlightRecorder {
         ended
     }
 
-    /// Whether the next frame may drop one.
+    /// Whether the frames that are kept are as many as can be, or enough to be written together.
     pub fn is_full(&self) -> bool {
-        self.frames.len() >= self.max_frames || self.bytes >= self.max_bytes
+        self.frames.len() >= self.max_frames || self.bytes >= u64::min(ENOUGH_BYTES, self.max_bytes / 2)
     }
 
     /// The instants of the first and the last frame that are kept now.
@@ -193,5 +196,26 @@ mod tests {
         assert!(flight.note().is_some_and(|note| note.contains("--keep 4000000000")));
         let (_, frames) = flight.take();
         assert!((2..=12).contains(&frames), "{frames}");
+    }
+
+    /// Frames that are all to be written are never dropped, and wait for no more than are worth writing together.
+    #[test]
+    fn frames_to_be_written_do_not_fill_the_memory() {
+        let mut flight = FlightRecorder { max_bytes: 100_000, ..FlightRecorder::new(4_000_000_000) };
+        let mut written = 0;
+        for step in 0..1000 {
+            let at = TimePoint::default().with(crate::sdk::Timeline::new_sequence("step"), step as i64);
+            let values = Scalars::new((0..1000).map(f64::from));
+            flight.push(Chunk::builder("many").with_archetype_auto_row(at, &values).build().unwrap());
+            flight.end_frame(Instant { step, time: 0.0 });
+            if flight.is_full() {
+                let (chunks, frames) = flight.take();
+                // one chunk has the rows of all
+                assert_eq!((chunks.len(), chunks[0].num_rows() as u64), (1, frames));
+                written += frames;
+            }
+        }
+        assert_eq!(written + flight.take().1, 1000);
+        assert_eq!(flight.note(), None);
     }
 }

@@ -1496,6 +1496,18 @@ fn a_flight_recorder_writes_frames_after_its_trigger() {
     // lines end where the frame after the window is dropped
     assert_eq!(frames, (merge - 2..=merge + 6).collect::<Vec<_>>());
     run(&dir, &["replay", "x.rrd"]).succeeded();
+    // more frames after an event than are kept, another event among them, and the end of the run before the last of them
+    let kept = |keep: &str, on: &str, more: &[&str]| {
+        run(&dir, &[&["run", "two", "--save", "x.rrd", "--keep", keep, "--on", on][..], more].concat()).succeeded();
+        let recording = Recording::open(&dir.file("x.rrd"));
+        let frames = recording.changes("/timings/speed").iter().map(|row| row.step).collect::<Vec<_>>();
+        run(&dir, &["replay", "x.rrd"]).succeeded();
+        frames.into_iter().filter(|step| *step > 0).collect::<Vec<_>>()
+    };
+    let is_in = |frames: &[i64], range: std::ops::RangeInclusive<i64>| range.clone().all(|step| frames.contains(&step));
+    assert!(is_in(&kept("2+40", "merge", &[]), 83..=124));
+    assert!(is_in(&kept("5+120", "merge,split", &[]), 80..=300));
+    assert!(is_in(&kept("30+50", "merge", &["--steps", "100"]), 55..=100));
     // of two windows, the panel says where there is nothing; the names of a group end with it
     run(&dir, &["run", "two", "--save", "x.rrd", "--keep", "3", "--on", "merge,split"]).succeeded();
     let recording = Recording::open(&dir.file("x.rrd"));
