@@ -388,15 +388,15 @@ impl Spread {
 
 /// Bars to the left of the middle are of negative values.
 fn energy_rows(mut lines: Vec<(&ScalarLine, f64)>) -> Vec<Row> {
-    let largest = |of: &[(&ScalarLine, f64)]| of.iter().map(|(_, value)| value.abs()).fold(0.0, f64::max);
     while lines.len() > ranking::ROWS {
         let least = (0..lines.len()).min_by(|&one, &other| lines[one].1.abs().total_cmp(&lines[other].1.abs()));
         lines.remove(least.unwrap_or(0));
     }
-    let longest = largest(&lines).max(f64::MIN_POSITIVE);
+    let longest = lines.iter().map(|(_, value)| value.abs()).fold(f64::MIN_POSITIVE, f64::max);
     let row = |(line, value): (&ScalarLine, f64)| {
         let name = line.label.split(" [").next().unwrap_or(line.label);
-        let marks = vec![(Mark::Tick(0.5), SILVER), (Mark::Signed(value / longest), line.color)];
+        let share = if value.is_finite() { value / longest } else { 0.0 };
+        let marks = vec![(Mark::Tick(0.5), SILVER), (Mark::Signed(share), line.color)];
         Row { label: format!("{name} {}", short(value)), color: line.color, marks }
     };
     lines.into_iter().map(row).collect()
