@@ -83,8 +83,8 @@ pub struct Recorder {
     written: u64,
     /// The ranges of them without a gap, of a flight recorder.
     kept: Vec<Kept>,
-    /// Above the middle of all bodies in the last frame.
-    above: DVec3,
+    /// Below the middle of all bodies in the last frame.
+    below: DVec3,
     /// The parts that show stages inside steps.
     stages: Option<StateParts>,
     /// Number of stages shown.
@@ -104,7 +104,7 @@ struct Kept {
     first: Instant,
     last: Instant,
     /// Where there is room for a label after them.
-    above: DVec3,
+    below: DVec3,
 }
 
 /// The parts of a frame.
@@ -203,7 +203,7 @@ impl Recorder {
             first: simulation.steps_taken(),
             written: 0,
             kept: Vec::new(),
-            above: DVec3::ZERO,
+            below: DVec3::ZERO,
             stages: matches!(settings.detail, Detail::Stages { .. })
                 .then(|| StateParts::new(&schema, &settings, simulation.interrupt(), &mut chunks)),
             stage_count: 0,
@@ -410,7 +410,7 @@ impl Recorder {
             parts.log(view, self.frames, &mut self.chunks);
             if self.flight.is_some() {
                 let [low, high] = view.bounds();
-                self.above = (0.5 * (low + high)).with_z(recent::label_height(view));
+                self.below = (0.5 * (low + high)).with_z(low.z - (recent::label_height(view) - high.z));
             }
             self.frames += 1;
             self.written += u64::from(self.flight.is_none());
@@ -473,10 +473,10 @@ impl Recorder {
     fn write_kept(&mut self) {
         if let Some(flight) = &mut self.flight {
             if let Some([first, last]) = flight.range() {
-                let above = self.above;
+                let below = self.below;
                 match self.kept.last_mut().filter(|kept| first.step <= kept.last.step + self.settings.every) {
-                    Some(before) => (before.last, before.above) = (last, above),
-                    None => self.kept.push(Kept { first, last, above }),
+                    Some(before) => (before.last, before.below) = (last, below),
+                    None => self.kept.push(Kept { first, last, below }),
                 }
             }
             let (chunks, frames) = flight.take();
@@ -485,25 +485,30 @@ impl Recorder {
         }
     }
 
-    /// Labels what is in view between the ranges of a flight recorder's frames.
+    /// Labels where a flight recorder has no frames. The state in the frame before each range is known: what was dropped last.
     fn label_gaps(&mut self) {
         let (every, dt) = (self.settings.every, self.schema.dt);
+        let at = |step: u64| Instant { step, time: step as f64 * dt };
         let style = Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.0)]);
         let label = |place: DVec3, text: String| {
             let label = style.clone().with_positions([place.as_vec3().to_array()]).with_labels([text]);
             label.with_colors([palette::color(crate::colors::VERMILION)]).with_show_labels(true)
         };
-        if let Some(kept) = self.kept.first().filter(|kept| kept.first.step > self.first) {
-            let start = Instant { step: self.first, time: self.first as f64 * dt };
-            let text = format!("no frames before step {}", kept.first.step);
-            self.chunks.log(NOT_RECORDED.path, start, &label(kept.above, text));
-        }
-        for Kept { first, last, above } in &self.kept {
-            self.chunks.log(NOT_RECORDED.path, *first, &Points3D::clear_fields());
-            let after = Instant { step: last.step + every, time: last.time + every as f64 * dt };
-            if after.step <= self.at.step {
-                let text = format!("no frame: this is step {}", last.step);
-                self.chunks.log(NOT_RECORDED.path, after, &label(*above, text));
+        let Some(below) = self.kept.first().map(|kept| kept.below) else { return };
+        let mut gap = (self.first, below);
+        let ends = self.kept.iter().map(|kept| (kept.first.step, Some(kept))).chain([(self.at.step + 1 + every, None)]);
+        for (next, kept) in ends {
+            let (from, below) = gap;
+            let to = next.saturating_sub(every);
+            if from < to {
+                let text = format!("no frames of steps {from} to {}", to - 1);
+                self.chunks.log(NOT_RECORDED.path, at(from), &label(below, text));
+                if to <= self.at.step {
+                    self.chunks.log(NOT_RECORDED.path, at(to), &Points3D::clear_fields());
+                }
+            }
+            if let Some(Kept { last, below, .. }) = kept {
+                gap = (last.step + every, *below);
             }
         }
     }

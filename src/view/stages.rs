@@ -50,12 +50,17 @@ pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
     stages
 }
 
-/// Adds the states at the phase changes of a step of a coupled scene. Returns the name of the last stage.
+/// Adds the states at the phase changes of a step of a coupled scene, without forces. Returns the name of the last stage.
 fn events_of_free_bodies(ends: [&Frame; 2], world: &World, max: usize, stages: &mut Vec<StageFrame>) -> String {
     let (events, schema) = (&world.report().events, Simulation::schema(world));
     let all: Vec<usize> = (0..world.body_count()).collect();
+    let mut pairs = ends[0].pairs.clone();
     for event in events.iter().take(max) {
-        let mut frame = Frame { pairs: ends[0].pairs.clone(), ..Frame::default() };
+        let is_its = |pair: &&mut PairFrame| [pair.a, pair.b] == [event.a as usize, event.b as usize];
+        if let Some(pair) = pairs.iter_mut().find(is_its) {
+            (pair.phase, pair.q) = (event.to as usize, event.q);
+        }
+        let mut frame = Frame { pairs: pairs.clone(), ..Frame::default() };
         state_within(world, &schema, ends, event.time, &all, &mut frame);
         stages.push(StageFrame { name: name_of(event, world), frame });
     }

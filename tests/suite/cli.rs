@@ -1513,6 +1513,12 @@ fn a_flight_recorder_writes_frames_after_its_trigger() {
     let recording = Recording::open(&dir.file("x.rrd"));
     let about = recording.fixed("/about").text("TextDocument:text");
     assert!(about.starts_with("**Frames: only of steps 82 to 84, 197 to 199.**"), "{about}");
+    // of the frame before each window, the state is known
+    let gaps = recording.changes("/world/not_recorded");
+    let gaps: Vec<(i64, String)> = gaps.iter().map(|row| (row.step, row.texts("Points3D:labels").concat())).collect();
+    let gap = |from: i64, to: i64| (from, format!("no frames of steps {from} to {to}"));
+    let none = |step: i64| (step, String::new());
+    assert_eq!(gaps, [gap(0, 80), none(81), gap(85, 195), none(196), gap(200, 300)]);
     let groups: Vec<Vec<String>> = recording.changes("/groups/a").iter().map(|row| row.texts("bodies")).collect();
     assert_eq!(groups, [vec!["a".to_owned(), "b".to_owned()], vec![]]);
     let error = run(&dir, &["run", "two", "--keep", "3+5"]).failed(2);

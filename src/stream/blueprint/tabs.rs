@@ -561,7 +561,7 @@ impl Layout {
 fn next_title(schema: &Schema) -> String {
     let line = |threshold: &Threshold| format!("{} {}", threshold.name, colors::name(threshold.color));
     let lines: Vec<String> = schema.thresholds.iter().map(line).collect();
-    format!("Next changes of phase at this rate; dot: q; {}", lines.join(", "))
+    format!("Next phase changes if q goes on; {}", lines.join(", "))
 }
 
 /// The title of the view of everything.

@@ -118,6 +118,8 @@ struct ScalarLine {
     value: f64,
     label: &'static str,
     color: Rgb,
+    /// Its first value.
+    first: Option<f64>,
     /// Whether it has been other than 0 in any frame.
     has_occurred: bool,
 }
@@ -168,7 +170,7 @@ impl FrameNumbers {
             let color = palette::line(place);
             Series::style(chunks, &entity, scalar.label, color, 1.5, shape);
             let id = series.line(chunks, &entity, shape);
-            ScalarLine { id, of: scalar.of, value: 0.0, label: scalar.label, color, has_occurred: false }
+            ScalarLine { id, of: scalar.of, value: 0.0, label: scalar.label, color, first: None, has_occurred: false }
         });
         let scalars = scalars.collect();
         let energies = energies(schema).into_iter().enumerate();
@@ -236,6 +238,7 @@ impl FrameNumbers {
         for (line, &of_state) in self.scalars.iter_mut().zip(&view.frame.scalars) {
             let value = if line.of == ScalarOf::State { of_state } else { std::mem::take(&mut line.value) };
             series.log(chunks, line.id, value, view.at);
+            line.first.get_or_insert(value);
             line.has_occurred |= value != 0.0;
         }
         for (ranking, scalars) in &self.energies {
@@ -386,20 +389,26 @@ impl Spread {
     }
 }
 
-/// Bars to the left of the middle are of negative values.
+/// Values that are less than rounding leaves of the largest are shown as 0.
+const ROUNDING: f64 = 1e-15;
+
+/// Bars to the left of the middle are of negative values. The first row also has its value at the start.
 fn energy_rows(mut lines: Vec<(&ScalarLine, f64)>) -> Vec<Row> {
     while lines.len() > ranking::ROWS {
         let least = (0..lines.len()).min_by(|&one, &other| lines[one].1.abs().total_cmp(&lines[other].1.abs()));
         lines.remove(least.unwrap_or(0));
     }
     let longest = lines.iter().map(|(_, value)| value.abs()).fold(f64::MIN_POSITIVE, f64::max);
-    let row = |(line, value): (&ScalarLine, f64)| {
+    let row = |(number, (line, value)): (usize, (&ScalarLine, f64))| {
         let name = line.label.split(" [").next().unwrap_or(line.label);
+        let first = line.first.filter(|first| number == 0 && *first != 0.0);
+        let first = first.map_or(String::new(), |first| format!(", at first {}", short(first)));
+        let value = if value.abs() < ROUNDING * longest { 0.0 } else { value };
         let share = if value.is_finite() { value / longest } else { 0.0 };
         let marks = vec![(Mark::Tick(0.5), SILVER), (Mark::Signed(share), line.color)];
-        Row { label: format!("{name} {}", short(value)), color: line.color, marks }
+        Row { label: format!("{name} {}{first}", short(value)), color: line.color, marks }
     };
-    lines.into_iter().map(row).collect()
+    lines.into_iter().enumerate().map(row).collect()
 }
 
 fn run_line(entity: &str, name: &str, rgb: Rgb, chunks: &mut Chunks) -> TrackId {
