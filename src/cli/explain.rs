@@ -10,7 +10,7 @@ use super::{
     print, print_lines,
     program::Program,
     progress::{Progress, Work},
-    warn,
+    say, warnings,
 };
 use crate::{
     analysis::{Approaches, surface::Merger},
@@ -53,7 +53,7 @@ pub fn explain(program: Program<'_>, arguments: &Arguments) -> Result<(), Failur
         let subject = program.subject(&arguments.subject, &Overrides::default())?;
         let simulation = subject.experiment(Some(&interrupt::STOP)).start().map_err(Failure::Input)?;
         let schema = simulation.schema();
-        warn(&schema);
+        warnings(&schema).iter().for_each(|line| say(line));
         let last = schema.steps;
         (simulation, last)
     };

@@ -16,7 +16,7 @@ use super::{
     print,
     program::Program,
     progress::{Progress, Work},
-    say, warn,
+    say, warnings,
 };
 use crate::{
     analysis::{surface::Merger, touch::Touches},
@@ -199,7 +199,7 @@ fn source(program: Program<'_>, arguments: &Arguments) -> Result<Source, Failure
         expense::announce(scene, None)?;
     }
     let schema = subject.schema();
-    warn(&schema);
+    warnings(&schema).iter().for_each(|line| say(line));
     let last = schema.steps;
     let simulation = subject.experiment(None).start().map_err(Failure::Input)?;
     Ok(Source { run: Run::new(simulation, Some(last)), last, recorded: None })

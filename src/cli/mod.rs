@@ -343,9 +343,9 @@ fn say_note(note: Option<String>) {
     }
 }
 
-/// Prints what is valid but probably not intended in an experiment.
-fn warn(schema: &Schema) {
-    schema.warnings.iter().for_each(|warning| say(&format!("warning: {warning}")));
+/// What is valid but probably not intended in an experiment, as lines.
+fn warnings(schema: &Schema) -> Vec<String> {
+    schema.warnings.iter().map(|warning| format!("warning: {warning}")).collect()
 }
 
 /// A parser for an argument that selects one of `all` by name; the help lists the names.

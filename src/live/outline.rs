@@ -15,7 +15,7 @@ const CURVES: usize = 16;
 /// Upper limit on the pairs among which they are chosen: the first that come within reach. Bounds the memory of a scene
 /// of many bodies to a hundred megabytes.
 const CANDIDATES: usize = 4096;
-/// Largest number of instants at which thresholds are looked up.
+/// Largest number of instants at which thresholds that change are looked up.
 const MAX_LEVELS: u64 = 2000;
 /// Largest number of values in a curve.
 const POINTS: u64 = 2000;
@@ -116,14 +116,15 @@ impl Outline {
         pairs.truncate(CURVES);
         pairs.sort_by_key(|pair| pair.0);
         let mut levels: Vec<Value> = Vec::new();
+        let instants = if schema.own_levels.is_changing() { schema.steps.min(MAX_LEVELS) } else { 0 };
         for &(&[a, b], _) in &pairs {
             for (index, threshold) in schema.thresholds.iter().enumerate() {
                 let level = |step: u64| schema.level(index, [a, b], step as f64 * schema.dt).filter(|&q| q > 0.0);
                 // from which step on it is how large: an edit changes it
                 let mut lines: Vec<(u64, Option<f64>)> = vec![(0, level(0))];
-                for step in (1..=schema.steps.min(MAX_LEVELS)).map(|k| k * schema.steps.div_ceil(MAX_LEVELS).max(1)) {
+                for step in (1..=instants).map(|k| k * schema.steps / instants) {
                     let q = level(step);
-                    if lines.last().is_some_and(|(_, last)| *last != q) && step <= schema.steps {
+                    if lines.last().is_some_and(|(_, last)| *last != q) {
                         lines.push((step, q));
                     }
                 }

@@ -35,23 +35,21 @@ pub fn find(
     else {
         return Some(Vec::new());
     };
-    let mut runs = 0;
-    let mut outcome = |value: f64| {
-        runs += 1;
+    let outcome = |value: f64| {
         let mut variation = variation.clone();
         variation.values.insert(key.to_owned(), value);
-        Some((outcome(experiment, &variation, is_current)?, runs >= MAX_RUNS))
+        outcome(experiment, &variation, is_current)
     };
     let at = |k: usize| low + (high - low) * k as f64 / (SAMPLES - 1) as f64;
-    let samples = (0..SAMPLES).map(|k| Some((at(k), outcome(at(k))?.0))).collect::<Option<Vec<_>>>()?;
-    let (mut marks, mut is_enough) = (Vec::new(), false);
+    let samples = (0..SAMPLES).map(|k| Some((at(k), outcome(at(k))?))).collect::<Option<Vec<_>>>()?;
+    let (mut marks, mut runs) = (Vec::new(), SAMPLES);
     for pair in samples.windows(2) {
         let [(a, Outcome::Ended(below)), (b, Outcome::Ended(above))] = pair else { continue };
         let (mut a, mut below) = (*a, below.clone());
         // ends of intervals that are still to be searched, the nearest last, each with its outcome
         let mut ends = vec![(*b, above.clone())];
         while let Some((b, above)) = ends.pop() {
-            if below == above || is_enough || b - a <= RESOLUTION * (high - low) {
+            if below == above || runs >= MAX_RUNS || b - a <= RESOLUTION * (high - low) {
                 if below != above {
                     marks.push(Mark { value: 0.5 * (a + b), below, above: above.clone() });
                 }
@@ -59,9 +57,8 @@ pub fn find(
                 continue;
             }
             let middle = 0.5 * (a + b);
-            let found;
-            (found, is_enough) = outcome(middle)?;
-            match found {
+            runs += 1;
+            match outcome(middle)? {
                 Outcome::Ended(found) if found == below => {
                     a = middle;
                     ends.push((b, above));

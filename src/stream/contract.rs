@@ -188,7 +188,7 @@ entities! {
     STACKED = "/timings/stacked/N_STAGE" ["Scalars"]
         "The same, with the stages before it on the same thread; numbered from the top of the stack.";
     RANKED_ENERGIES = "/ranking/energies/N" ["Points2D, LineStrips2D"]
-        "Rows with labels and bars: the scalars in a plot of energies at an instant, those that have not been 0 in all frames; those in a plot of one line follow those of the plot before it.";
+        "Rows with labels and bars: the scalars in a plot of energies at an instant, those that have not been 0 in all frames; those in a plot of one line follow those of the plot before it, and the first has its value at the start beside it.";
     RANKED_STAGES = "/timings/ranking" ["Points2D, LineStrips2D"]
         "Rows with labels and bars: the share and the peak of each stage in the whole run.";
     SPEED = "/timings/speed" ["Scalars"]

@@ -82,7 +82,7 @@
 //! | `/marks/q/KIND` | Scalars, SeriesPoints | Events as markers in plots of q. |
 //! | `/timings/STAGE` | Scalars | What a stage of the step or of the recording costs [ms per step]. |
 //! | `/timings/stacked/N_STAGE` | Scalars | The same, with the stages before it on the same thread; numbered from the top of the stack. |
-//! | `/ranking/energies/N` | Points2D, LineStrips2D | Rows with labels and bars: the scalars in a plot of energies at an instant, those that have not been 0 in all frames; those in a plot of one line follow those of the plot before it. |
+//! | `/ranking/energies/N` | Points2D, LineStrips2D | Rows with labels and bars: the scalars in a plot of energies at an instant, those that have not been 0 in all frames; those in a plot of one line follow those of the plot before it, and the first has its value at the start beside it. |
 //! | `/timings/ranking` | Points2D, LineStrips2D | Rows with labels and bars: the share and the peak of each stage in the whole run. |
 //! | `/timings/speed` | Scalars | Steps per second. |
 //! | `/timings/lag` | Scalars | How far a run in real time is behind [ms]. |

@@ -323,4 +323,25 @@ mod tests {
             assert!(largest < 1e-6, "{name}: {largest:e}");
         }
     }
+
+    /// At an event inside a step of free bodies, its pair is in the new phase, at the q of the event.
+    #[test]
+    fn pairs_of_free_bodies_change_at_their_events() {
+        let scene = Scene::builtin("collide").unwrap();
+        let mut world = World::new(scene.clone()).unwrap();
+        let mut events = 0;
+        for _ in 0..scene.steps() {
+            let mut before = Frame::default();
+            world.observe(WANT, &mut before);
+            let _ = world.step();
+            let stages = inside(&before, &world);
+            let named = stages.iter().filter(|stage| stage.name.contains('~'));
+            for (stage, event) in named.zip(&world.report().events) {
+                let [pair] = &stage.frame.pairs[..] else { panic!("{}", stage.name) };
+                assert_eq!((pair.phase, pair.q), (event.to as usize, event.q), "{}", stage.name);
+                events += 1;
+            }
+        }
+        assert_eq!(events, 6);
+    }
 }

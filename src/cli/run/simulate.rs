@@ -10,7 +10,7 @@ use crate::{
     cli::{
         Failure,
         interrupt::{HAS_STEPPED, STOP},
-        sink_failure,
+        sink_failure, warnings,
     },
     observe::{Run, Schema, Simulation, row::rows},
     scene::Scene,
@@ -91,8 +91,7 @@ pub fn simulate(
     let settings = settings(arguments, &schema)?;
     // without its own number, a restarted run would have the id of the previous one, and a viewer would append to that
     let number = changes.as_mut().map_or(0, |changes| changes.next_run());
-    let warnings: Vec<String> = schema.warnings.iter().map(|warning| format!("warning: {warning}")).collect();
-    console.notes(&warnings);
+    console.notes(&warnings(&schema));
     console.begin(&settings, arguments.save.as_deref());
     let recorder = Recorder::numbered(&*simulation, settings.clone(), number).map_err(Failure::Input)?;
     let mut pipeline = Pipeline::start(&*simulation, recorder, sinks, arguments.tab).map_err(sink_failure)?;

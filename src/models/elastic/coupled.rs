@@ -80,7 +80,7 @@ pub struct Free {
     pub rotation: DQuat,
     /// Angular velocity of Q [rad/s].
     pub spin: DVec3,
-    /// When both were fitted [s].
+    /// When Q was fitted [s].
     fitted: f64,
     /// Positions of the nodes relative to the centre [scene unit], `[node_count]`; finite elements only.
     positions: Vec<DVec3>,
@@ -137,7 +137,7 @@ impl Free {
         (self.positions.capacity() + self.velocities.capacity()) * size_of::<DVec3>()
     }
 
-    /// The rotation at time `t` [s] if it goes on turning as it did at the start of the step.
+    /// Q at time `t` [s] if it goes on turning as it did at the start of the step.
     fn turned(&self, t: f64) -> DQuat {
         let turn = self.spin * (t - self.fitted);
         let angle = turn.length();
@@ -305,7 +305,7 @@ impl Elastic {
             let Matter::Lattice(of) = &mut body.matter else { continue };
             let Springs { lattice, motion } = &mut **of;
             if let Some(path) = scene.bodies[body.index].path() {
-                let kick = around.part(path, body.index, &[], &[], part).kick();
+                let kick = carry::kick(&scene.bodies[body.index].material, path, start);
                 if kick != DVec3::ZERO {
                     motion.kick(kick);
                     is_known = false;

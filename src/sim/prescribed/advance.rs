@@ -25,7 +25,7 @@ use crate::{
         span::Span,
         state::State,
         terms::{
-            Moment, On, Phases, Sphere, Surroundings, carry,
+            Moment, On, Phases, Sphere, Surroundings, acts_during, carry,
             push::{self, PushField},
         },
         work::{Tally, Work},
@@ -156,11 +156,9 @@ impl<'a> Context<'a> {
     /// The nearby bodies, and the force points that act during `span`: whatever has a sphere that may act on a body.
     fn sources(&self, index: u32, span: Span) -> impl Iterator<Item = &'a Neighbour> + use<'a> {
         let (scene, body) = (self.setting.scene, self.body(index));
-        // an explicit scheme evaluates the forces at the end of a step as well
-        let is_explicit = Scheme::of(scene.integrator).is_some();
         let acts = move |point: &&Neighbour| {
             let point = &scene.points[point.other as usize - scene.bodies.len()];
-            (point.start < span.end || is_explicit && point.start == span.end) && span.start < point.end()
+            acts_during([point.start, point.end()], scene, span)
         };
         body.neighbours.iter().chain(body.points.iter().filter(acts))
     }

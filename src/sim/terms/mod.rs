@@ -15,7 +15,7 @@ pub(super) mod spheres;
 
 use glam::DVec3;
 
-use super::{neighbours::Neighbour, prescribed::tracks::Tracks, span::Span};
+use super::{integrator::explicit::Scheme, neighbours::Neighbour, prescribed::tracks::Tracks, span::Span};
 use crate::{
     model::{
         influence::{self, Weight},
@@ -206,6 +206,12 @@ trait Term {
 
     /// Appends the instants within `span` at which the contribution jumps or has a kink [s].
     fn jumps<P: Phases>(_: &On<'_, P>, _near: &[Neighbour], _span: Span, _: &mut Vec<f64>) {}
+}
+
+/// Whether what acts from one instant to another [s] is felt in a step. Explicit schemes evaluate forces at its end as well.
+pub(super) fn acts_during([start, end]: [f64; 2], scene: &Scene, span: Span) -> bool {
+    let begins = start < span.end || start == span.end && Scheme::of(scene.integrator).is_some();
+    begins && span.start < end
 }
 
 /// A body that terms act on, with everything that they may depend on.

@@ -3,16 +3,11 @@
 
 use glam::DVec3;
 
-use super::{Cause, Moment, On, Phases, Surroundings, Term};
+use super::{Cause, Moment, On, Phases, Surroundings, Term, acts_during};
 use crate::{
     geometry::Rest,
     scene::{Push, path::Kinematics},
-    sim::{
-        integrator::{explicit::Scheme, exponential::course::Local},
-        neighbours::Neighbour,
-        numerics::arrays::Vectors,
-        span::Span,
-    },
+    sim::{integrator::exponential::course::Local, neighbours::Neighbour, numerics::arrays::Vectors, span::Span},
 };
 
 /// An acceleration that acts on each vertex in proportion to how squarely the vertex faces it.
@@ -107,9 +102,7 @@ impl Term for Pushes {
     }
 
     fn own_bound<P>(on: &On<'_, P>, span: Span) -> f64 {
-        // an explicit scheme evaluates the forces at the end of a step as well
-        let begins = |start: f64| start < span.end || start == span.end && Scheme::of(on.scene.integrator).is_some();
-        let acting = on.pushes.iter().filter(|push| begins(push.start) && span.start < push.end());
+        let acting = on.pushes.iter().filter(|push| acts_during([push.start, push.end()], on.scene, span));
         acting.map(|push| push.strength.abs()).sum()
     }
 

@@ -500,11 +500,11 @@ impl Layout {
     /// events that made energies jump.
     fn energy_tab(&mut self, schema: &Schema) -> Part {
         let ranked = numbers::energies(schema);
-        let is_ranked = |name: &str| ranked.iter().position(|(plot, _)| *plot == name);
+        let number_of = |name: &str| ranked.iter().position(|(plot, _)| *plot == name);
         let mut others = Vec::new();
         let mut rows = Vec::new();
         for (name, plot) in self.diagnostics(schema, usize::MAX) {
-            let Some(number) = is_ranked(name) else {
+            let Some(number) = number_of(name) else {
                 let first = if numbers::is_energy(name) { 0 } else { others.len() };
                 others.insert(first, plot);
                 continue;

@@ -389,10 +389,8 @@ impl Spread {
     }
 }
 
-/// Values that are less than rounding leaves of the largest are shown as 0.
-const ROUNDING: f64 = 1e-15;
-
-/// Bars to the left of the middle are of negative values. The first row also has its value at the start.
+/// Bars to the left of the middle are of negative values; what rounding leaves of the largest is 0. The first row also has its
+/// value at the start.
 fn energy_rows(mut lines: Vec<(&ScalarLine, f64)>) -> Vec<Row> {
     while lines.len() > ranking::ROWS {
         let least = (0..lines.len()).min_by(|&one, &other| lines[one].1.abs().total_cmp(&lines[other].1.abs()));
@@ -403,7 +401,7 @@ fn energy_rows(mut lines: Vec<(&ScalarLine, f64)>) -> Vec<Row> {
         let name = line.label.split(" [").next().unwrap_or(line.label);
         let first = line.first.filter(|first| number == 0 && *first != 0.0);
         let first = first.map_or(String::new(), |first| format!(", at first {}", short(first)));
-        let value = if value.abs() < ROUNDING * longest { 0.0 } else { value };
+        let value = if value.abs() < f64::EPSILON * longest { 0.0 } else { value };
         let share = if value.is_finite() { value / longest } else { 0.0 };
         let marks = vec![(Mark::Tick(0.5), SILVER), (Mark::Signed(share), line.color)];
         Row { label: format!("{name} {}{first}", short(value)), color: line.color, marks }
