@@ -520,6 +520,23 @@ mod tests {
 
     /// In a scene of many bodies, too, a pair that comes within reach is followed from the step before on, even where the
     /// simulation knows no states within a step.
+    /// b jumps into a, within a step: the surfaces overlap when the phase changes.
+    #[test]
+    fn bodies_that_jump_together_are_not_apart() {
+        let body = |name: &str, motion: &str| format!("[[body]]\nname = '{name}'\nradius = 1.0\nmotion = {motion}\n");
+        let still =
+            "duration = 1.0\n[influence]\nalpha = 0\nbeta = 0\n".to_owned() + &body("a", "{ fixed = [0, 0, 0] }");
+        for at in [0.3, 0.5737410169338213] {
+            let jump =
+                format!("{{ keyframes = {{ keys = [[0, 4, 0, 0], [{at}, 1, 0, 0]], interpolation = 'hold' }} }}");
+            let text = format!("{still}{}", body("b", &jump));
+            let schema = Simulation::schema(&World::new(Scene::parse(&text, "test").unwrap()).unwrap());
+            let found = found(&text, 0.02);
+            let merge = found.iter().find(|event| event.name() == "merge").unwrap();
+            assert!(merge.describe(&schema).contains("overlap 30.6 %"), "{}", merge.describe(&schema));
+        }
+    }
+
     #[test]
     fn a_pair_that_comes_within_reach_among_many_touches_when_its_surfaces_do() {
         let text = "duration = 2.0\nintegrator = \"verlet\"\n[influence]\nalpha = 0\nbeta = 0\n\

@@ -361,7 +361,8 @@ impl Explained<'_> {
                 );
                 if let Some(closest) = self.history.approaches.closest().iter().find(|near| [near.a, near.b] == [a, b])
                 {
-                    let _ = write!(text, "; the closest is q = {:.6} at t = {:.6} s", closest.q, closest.time);
+                    let _ =
+                        write!(text, "; the closest within reach is q = {:.6} at t = {:.6} s", closest.q, closest.time);
                 }
             }
         }
@@ -401,7 +402,10 @@ fn largest(of: &Vectors) -> Option<(f64, usize)> {
 
 /// A number that a scene gives, without the rounding of its arithmetic.
 fn exact(x: f64) -> String {
-    trimmed(&format!("{x:.9}")).to_owned()
+    match x.abs() {
+        0.0 | 1e-3.. => trimmed(&format!("{x:.9}")).to_owned(),
+        _ => format!("{:e}", format!("{x:.9e}").parse().unwrap_or(x)),
+    }
 }
 
 /// A vector; 0 where it is below the rounding of the arithmetic that made it, from numbers of the size `usual`.
@@ -430,4 +434,16 @@ fn table(header: &[&str], rows: Vec<Vec<String>>, nothing: &str) -> String {
         format!("\n    {}", cells.collect::<Vec<_>>().join("  ").trim_end())
     });
     lines.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_numbers_of_small_scenes_are_not_zero() {
+        for (number, text) in [(8.05e-7, "8.05e-7"), (1e-10, "1e-10"), (0.1 + 0.2, "0.3"), (0.0, "0"), (1.9, "1.9")] {
+            assert_eq!(exact(number), text);
+        }
+    }
 }

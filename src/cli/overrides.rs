@@ -48,8 +48,10 @@ fn with(scene: Scene, set: &[Override], file: &str) -> Result<Scene, Failure> {
 /// The scene of a recording with these changes.
 pub fn rerun(set: &[Override], recorded: &Recorded) -> Result<Arc<dyn Experiment>, Failure> {
     let (was, mut settings) = (&recorded.schema, recorded.run.clone());
-    let scene = Scene::parse(&was.source, &was.name).map_err(Failure::input)?;
-    let scene = with(scene, set, &was.name)?;
+    // a scene without a name has that of its file
+    let file = format!("{}.toml", was.name);
+    let scene = Scene::parse(&was.source, &file).map_err(Failure::input)?;
+    let scene = with(scene, set, &file)?;
     let values: [(&str, toml::Value); 4] = [
         ("integrator", scene.integrator.name().into()),
         ("model", scene.model.name().into()),
@@ -62,8 +64,10 @@ pub fn rerun(set: &[Override], recorded: &Recorded) -> Result<Arc<dyn Experiment
         }
     }
     if let toml::Value::Array(all) = settings.entry("set").or_insert_with(|| toml::Value::Array(Vec::new())) {
+        let key = |one: &toml::Value| one.as_str().and_then(|one| Some(one.split_once('=')?.0.trim().to_owned()));
+        all.retain(|one| !set.iter().any(|new| key(one).as_deref() == Some(new.key())));
         all.extend(set.iter().map(|one| one.to_string().into()));
     }
-    models::read(&was.name, &was.source, &settings)
+    models::read(&file, &was.source, &settings)
         .map_err(|(Refusal::Source(what) | Refusal::Run(what))| Failure::Input(what))
 }

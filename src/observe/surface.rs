@@ -185,7 +185,8 @@ impl SurfaceEvent {
     pub fn findings(&self) -> Option<String> {
         let Finding::Phase { is_touching, touched, measures, .. } = self.what else { return None };
         let PairMeasures { gap, share, neck, .. } = measures?;
-        if !is_touching {
+        // bodies whose paths jump overlap at once
+        if !is_touching && gap > -0.5e-3 {
             return Some(format!("surfaces {:.3} R apart", gap.max(0.0)));
         }
         let touched = match touched {

@@ -9,11 +9,15 @@ use std::{
 use super::{
     ReadError, Recorded,
     read::{End, Reader},
-    recorded::Found,
+    recorded::{Found, cell},
 };
 use crate::{
     observe::simulation::ReadExperiment,
-    stream::contract::{CHECKSUM, EVENTS, PROPERTIES, SURFACE_EVENTS},
+    sdk::{RecordingInfo, datatypes::Utf8},
+    stream::{
+        contract::{CHECKSUM, EVENTS, PROPERTIES, RECORDING_INFO, SURFACE_EVENTS, path_of},
+        settings::file_stem,
+    },
 };
 
 /// The recordings in a file, whose scenes are not parsed yet.
@@ -40,9 +44,15 @@ impl Contents {
         let (path, name) = file_and_name(path);
         let mut reader = Reader::open(path)?;
         let (mut found, mut indices) = (Vec::<Found>::new(), HashMap::new());
-        let wanted = [&PROPERTIES, &CHECKSUM, &EVENTS, &SURFACE_EVENTS];
+        let mut called = HashMap::new();
+        let wanted = [&PROPERTIES, &CHECKSUM, &EVENTS, &SURFACE_EVENTS, &RECORDING_INFO];
         while let Some(chunk) = reader.next(|entity| wanted.iter().any(|wanted| wanted.is(entity)))? {
             let id = reader.id().unwrap_or_default();
+            if RECORDING_INFO.is(&path_of(&chunk)) {
+                let name = cell::<Utf8>(&chunk, &RecordingInfo::descriptor_name(), 0).into_iter().next();
+                called.extend(name.map(|name| (id.to_owned(), name)));
+                continue;
+            }
             let index = *indices.entry(id.to_owned()).or_insert_with(|| {
                 found.push(Found::new(id, reader.application().unwrap_or_default()));
                 found.len() - 1
@@ -52,6 +62,11 @@ impl Contents {
         }
         if found.is_empty() {
             found.push(Found::default());
+        }
+        for recording in &mut found {
+            if let Some(name) = called.get(&recording.id) {
+                recording.call(name.as_str());
+            }
         }
         let end = reader.end().unwrap_or(End::Cut);
         let last = found.len() - 1;
@@ -63,7 +78,8 @@ impl Contents {
         let found = found.into_iter().enumerate().map(ended).collect();
         let mut contents = Contents { path: path.to_owned(), found };
         if let Some(name) = name {
-            let is_wanted = |(known, of): (&&str, &(Found, End))| **known == *name || of.0.id == name;
+            let is_wanted =
+                |(known, of): (&&str, &(Found, End))| [known, file_stem(known).as_str(), &of.0.id].contains(&name);
             let index = contents.names().iter().zip(&contents.found).position(is_wanted);
             let index = index.ok_or_else(|| contents.several(&format!("there is no {name:?} among its")))?;
             contents.found = vec![contents.found.swap_remove(index)];

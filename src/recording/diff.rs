@@ -6,7 +6,10 @@
 //! The events are phase changes, and surfaces that touch or part. Near misses are not compared: they are extrema of a
 //! distance, so all runs that differ at all differ in them.
 
-use std::fmt;
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    fmt,
+};
 
 use super::{
     ReadError, Recorded,
@@ -18,7 +21,7 @@ use super::{
 };
 use crate::{
     analysis::{Worst, touch::Touches},
-    observe::{Frame, Run, Schema, Want},
+    observe::{Frame, PairFrame, Run, Schema, Want},
     stream::{
         settings::Frames,
         sinks::{Saved, SinkError},
@@ -50,12 +53,16 @@ pub struct Difference {
     pub bodies: Vec<Worst>,
     /// The worst vertex at the first instant at which the difference exceeds the tolerance.
     pub first_beyond: Option<Worst>,
+    /// Pairs that begin in different phases, in words.
+    pub starts: Vec<String>,
     /// Differences between the events.
     pub events: Vec<Change>,
     /// Number of events of the first recording.
     pub event_count: usize,
     /// Geometric quantities that differ beyond the tolerance; `None` unless both recordings have them.
     pub surfaces: Option<Vec<Deviation>>,
+    /// Whether there are quantities that only one of them has.
+    pub has_others: bool,
     /// Whether each recording had to be run again because it has no surfaces.
     pub run_again: [bool; 2],
 }
@@ -91,6 +98,10 @@ impl fmt::Display for Difference {
                  {found}, from the centre: {difference:.3e} radii apart"
             )?;
         }
+        self.starts.iter().take(LISTED).try_for_each(|pair| write!(f, "\nphases at the start: {pair}"))?;
+        if self.starts.len() > LISTED {
+            write!(f, "\n… and {}", counted((self.starts.len() - LISTED) as u64, "more pair"))?;
+        }
         if self.events.is_empty() {
             write!(f, "\nevents: the same")?;
         }
@@ -100,7 +111,12 @@ impl fmt::Display for Difference {
         }
         let Some(surfaces) = &self.surfaces else { return Ok(()) };
         if surfaces.is_empty() {
-            write!(f, "\nsurfaces: gap, overlap, neck, volume, area and topology are the same within the tolerance")?;
+            let of_both = if self.has_others { ", where both have them" } else { "" };
+            write!(
+                f,
+                "\nsurfaces: gap, overlap, neck, volume, area and topology are the same within the tolerance{}",
+                of_both
+            )?;
         }
         surfaces.iter().take(LISTED).try_for_each(|deviation| write!(f, "\nsurfaces: {deviation}"))?;
         if surfaces.len() > LISTED {
@@ -242,6 +258,8 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
     let mut changes = events.map(|[first, second]| events::compare(&first, &second)).unwrap_or_default();
     changes.retain(|change| !is_tolerable(change));
     Ok(Difference {
+        starts: if a.first == b.first { starts(a, b)? } else { Vec::new() },
+        has_others: quantities_a.has_others(&quantities_b),
         tolerance,
         dt: a.schema.dt,
         instants: instants.len() as u64,
@@ -254,6 +272,25 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
         events: changes,
         run_again: recorded.map(|recorded| recorded.settings.frames == Frames::Thin),
     })
+}
+
+/// The pairs whose phases differ before the first step, in words.
+fn starts(a: &Recorded, b: &Recorded) -> Result<Vec<String>, ReadError> {
+    let phases = |of: &Recorded| {
+        let mut frame = Frame::default();
+        of.start()?.observe(Want::default(), &mut frame);
+        let phase = |pair: &PairFrame| ([pair.a, pair.b], of.schema.phases[pair.phase].name);
+        Ok(frame.pairs.iter().map(phase).collect::<BTreeMap<_, _>>())
+    };
+    let [first, second] = [phases(a)?, phases(b)?];
+    let apart = |of: &Recorded| of.schema.phases.first().map_or("", |phase| phase.name);
+    let pairs: BTreeSet<[usize; 2]> = first.keys().chain(second.keys()).copied().collect();
+    let differing = pairs.into_iter().filter_map(|pair| {
+        let phase = |phases: &BTreeMap<_, _>, of| phases.get(&pair).copied().unwrap_or_else(|| apart(of));
+        let [one, two] = [phase(&first, a), phase(&second, b)];
+        (one != two).then(|| format!("{}: {one} and {two}", a.schema.pair_name(pair[0], pair[1])))
+    });
+    Ok(differing.collect())
 }
 
 /// Writes a recording that shows both runs.

@@ -205,6 +205,11 @@ impl Recorded {
         Some(changes.reduce(f64::max)? / every as f64 * (to - from).abs())
     }
 
+    /// Whether there are quantities that only one of two recordings has.
+    pub fn has_others(&self, other: &Recorded) -> bool {
+        !self.lines.keys().eq(other.lines.keys())
+    }
+
     /// Whether there is nothing to compare.
     pub fn is_empty(&self) -> bool {
         self.lines.is_empty()

@@ -34,6 +34,8 @@ const CHECKSUM_BYTES: u64 = 8;
 const SPARE: u64 = 4096;
 /// Upper limit on the length of any property but the scene [bytes].
 const MAX_PROPERTY: usize = 64 << 10;
+/// Characters of the name of a recording that are read.
+const MAX_NAME: usize = 200;
 /// Upper limit on the length of a scene's text: a constant [bytes], plus a multiple of what was read of the file so
 /// far.
 const TEXT: (u64, u64) = (1 << 20, 16);
@@ -101,6 +103,8 @@ pub struct RecordedEvent {
 pub(super) struct Found {
     pub id: String,
     application: String,
+    /// The name of the recording.
+    called: Option<String>,
     /// The texts among its properties, by the names of these.
     texts: BTreeMap<&'static str, String>,
     format: Option<f64>,
@@ -204,7 +208,13 @@ impl Found {
 
     /// The name of the scene, or what another program has called it.
     pub fn name(&self) -> &str {
-        self.application.strip_prefix(&application("")).unwrap_or(&self.application)
+        let of_application = || self.application.strip_prefix(&application("")).unwrap_or(&self.application);
+        self.called.as_deref().unwrap_or_else(of_application)
+    }
+
+    /// Gives it its name.
+    pub fn call(&mut self, name: &str) {
+        self.called = Some(name.chars().filter(|c| !c.is_control()).take(MAX_NAME).collect());
     }
 
     /// Whether the run has written its end.
@@ -251,7 +261,7 @@ impl Found {
 
     /// Recreates the experiment.
     pub fn into_recorded(self, path: &Path, read: &ReadExperiment<'_>, end: End) -> Result<Recorded, ReadError> {
-        let Found { id, mut texts, format, sums, events, contacts, has_words_alone, .. } = self;
+        let Found { id, called, mut texts, format, sums, events, contacts, has_words_alone, .. } = self;
         let mut text = |property: Component| texts.remove(property.0);
         let foreign = |what: &str| ReadError::Foreign { path: path.to_owned(), what: what.to_owned() };
         let unsupported = |what: String| ReadError::Unsupported { path: path.to_owned(), what };
@@ -275,7 +285,9 @@ impl Found {
         let (Some(scene), Some(settings), Some(version)) = (text(SCENE), text(SETTINGS), text(VERSION)) else {
             return Err(foreign("it has no scene, no settings or no version"));
         };
-        let file = path.file_name().unwrap_or_default().to_string_lossy();
+        // a scene without a name has that of its file, not of this one
+        let of_file = || path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let file = called.map_or_else(of_file, |name| format!("{name}.toml"));
         // The id contains a hash of these texts, which reveals any change to them.
         let ending = |id: &str| id.rsplit('-').next().unwrap_or_default().to_owned();
         let is_as_made = ending(&id) == ending(&recording_id("", &scene, &settings, &version));

@@ -42,6 +42,9 @@ use reader::{Source, Table, Value};
 pub(super) const MAX_STEPS: f64 = 1e12;
 const LARGEST_FILE: u64 = 32 << 20;
 
+/// The arrays of tables of a scene, written `[[body]]`, except for meshes.
+pub(super) const ARRAYS: [&str; 7] = ["body", "grid", "pair", "plane", "point", "push", "edit"];
+
 /// Limit on the planes of a scene.
 pub(super) const MAX_PLANES: usize = 1000;
 
@@ -183,7 +186,7 @@ pub(super) fn read_document(
     let fem = root.table("fem", &keys::FEM)?;
     let surface = root.table("surface", &keys::SURFACE)?;
     let [body_array, grid_array, pair_array, plane_array, point_array, push_array, edit_array] =
-        ["body", "grid", "pair", "plane", "point", "push", "edit"].map(|name| root.get(name));
+        ARRAYS.map(|name| root.get(name));
     let mesh_array = root.get("mesh");
     if body_array.is_none() && grid_array.is_none() {
         return Err(root.error("body", "missing, expected at least one [[body]]".to_owned()));

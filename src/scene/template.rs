@@ -10,7 +10,7 @@ use toml::de::{DeTable, DeValue};
 use super::{
     Scene, SceneError, builtin,
     parse::{
-        Files, Meshes, Watch, on_deep_stack, read_document,
+        ARRAYS, Files, Meshes, Watch, on_deep_stack, read_document,
         reader::{Source, is_bare},
     },
 };
@@ -293,6 +293,12 @@ fn written<'s>(settings: impl IntoIterator<Item = (&'s KeyPath, impl fmt::Displa
 /// # Errors
 /// There is no such place. The document is then empty.
 pub(super) fn replace<'a>(document: &mut DeTable<'a>, path: &KeyPath, value: DeValue<'a>) -> Result<(), String> {
+    if let [Part::Name(name), _, ..] = &path.parts[..]
+        && ARRAYS.contains(&name.as_str())
+        && document.get(name.as_str()).is_none()
+    {
+        return Err(format!("there is no [[{name}]] to change"));
+    }
     let mut root = DeValue::Table(std::mem::take(document));
     set(&mut root, &path.parts, value)?;
     if let DeValue::Table(table) = root {
@@ -394,6 +400,14 @@ mod tests {
     fn vary(name: &str, key: &str, setting: Setting) -> Result<Scene, String> {
         let key = KeyPath::parse(key)?;
         template(name).scene([(&key, &setting)]).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn tables_that_a_scene_lacks_are_not_made() {
+        for (key, name) in [("grid.b0.omega", "grid"), ("point.p.alpha", "point"), ("plane[0].offset", "plane")] {
+            let error = vary("two", key, Setting::Number(1.0)).unwrap_err();
+            assert!(error.contains(&format!("there is no [[{name}]] to change")), "{error}");
+        }
     }
 
     #[test]

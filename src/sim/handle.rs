@@ -2,8 +2,9 @@
 
 use super::{report::EditError, world::World};
 
-/// A body of a world, whatever is added or removed beside it. The handle of a body that has been removed is never that
-/// of another one.
+/// A body of a world, whatever is added or removed beside it. The handle of a body that has been removed is not that of
+/// another one, unless the world was [restored](World::restore) to a time before the body was added. It means nothing in
+/// another world.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct BodyHandle {
     slot: u32,

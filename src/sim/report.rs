@@ -361,7 +361,7 @@ pub enum WorldError {
 /// Why a world cannot be changed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum EditError {
-    /// The body of this handle has been removed, or it is of another world.
+    /// The body of this handle has been removed.
     #[error("the body of this handle is not in the world any more")]
     Stale,
     /// A value that no scene file could have.

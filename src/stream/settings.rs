@@ -406,10 +406,11 @@ pub(crate) fn recording_id(name: &str, scene: &str, settings: &str, version: &st
 }
 
 /// The application id for recordings of a scene. A viewer keeps one layout per application; with one application per
-/// scene, layouts do not replace each other.
+/// scene, layouts do not replace each other. The SDK allows fewer characters than a [file_stem].
 pub(crate) fn application(name: &str) -> String {
     let stem = if name.is_empty() { String::new() } else { file_stem(name) };
-    format!("meldscope_{stem}")
+    let plain = |c: char| if c.is_ascii_alphanumeric() || "-_".contains(c) { c } else { '_' };
+    format!("meldscope_{}", stem.chars().map(plain).collect::<String>())
 }
 
 /// The 64-bit FNV-1a hash of a text.
