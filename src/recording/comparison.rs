@@ -16,8 +16,8 @@ use crate::{
     geometry::Mesh,
     observe::Schema,
     sdk::{
-        self, ApplicationId, Arrows3D, LineStrips3D, LogMsg, Mesh3D, Points3D, Scalars, StoreId, StoreKind,
-        TextDocument, TextLog, ViewCoordinates,
+        self, ApplicationId, Arrows3D, LogMsg, Mesh3D, Points3D, Scalars, StoreId, StoreKind, TextDocument, TextLog,
+        ViewCoordinates,
         components::{MarkerShape, MediaType},
     },
     stream::{
@@ -31,7 +31,7 @@ use crate::{
         instant::Instant,
         light::Light,
         palette::{self, Rgb, color},
-        parts::{callout, lines::MAX_NAMED, marks, planes},
+        parts::{callout::Callout, lines::MAX_NAMED, marks, planes},
         series::{Interpolation, Series},
         settings::file_stem,
         sinks::{Destinations, Saved, SinkError, Sinks},
@@ -82,6 +82,8 @@ pub struct Comparison {
     sinks: Sinks,
     shown: Vec<(usize, String, Arc<Mesh>)>,
     pairs: Vec<(String, [usize; 2])>,
+    /// The vertex that differs most.
+    worst: Callout,
     /// Radius of the largest body shown [scene unit].
     radius: f64,
     frames: u64,
@@ -183,13 +185,13 @@ impl Comparison {
             }
         }
         // in another colour than the arrows: the line to the label is no difference
-        callout::log_style(COMPARED_WORST.path, SILVER, &mut chunks);
+        let worst = Callout::new(COMPARED_WORST.path, SILVER, &mut chunks);
         for (Worst { step, time, body, vertex, difference, .. }, what) in &plan.listed {
             let line = format!("{what}: {body}:{vertex}, {} R", short(*difference));
             let at = Instant { step: *step, time: *time };
             chunks.log(EVENTS.path, at, &TextLog::new(line).with_color(color(ERROR)));
         }
-        let mut comparison = Comparison { chunks, sinks, shown, pairs, radius, frames: 0 };
+        let mut comparison = Comparison { chunks, sinks, shown, pairs, worst, radius, frames: 0 };
         plan.changes.iter().for_each(|change| comparison.change(schema, change));
         comparison.send()?;
         Ok(comparison)
@@ -264,17 +266,11 @@ impl Comparison {
                 label += &format!("\narrows {} times as long", short(times));
             }
             // above all bodies: beside the vertex the label would hide what differs
-            let heights = self.shown.iter().map(|&(index, ..)| above(index, LABEL_HEIGHT).z);
-            let (position, height) = (position.as_vec3(), heights.fold(f32::NEG_INFINITY, f32::max));
-            ([position, position.with_z(height)], ["".to_owned(), label])
+            let heights = self.shown.iter().map(|&(index, ..)| f64::from(above(index, LABEL_HEIGHT).z));
+            let height = heights.fold(f64::NEG_INFINITY, f64::max);
+            ([position, position.with_z(height)], label)
         });
-        let leader = LineStrips3D::update_fields()
-            .with_strips(worst.iter().map(|([from, to], _)| callout::leader(from.as_dvec3(), to.as_dvec3())));
-        self.chunks.log(COMPARED_WORST.path, at, &leader);
-        let (ends, labels): (Vec<_>, Vec<_>) =
-            worst.into_iter().flat_map(|(ends, labels)| ends.into_iter().zip(labels)).unzip();
-        let worst = Points3D::update_fields().with_positions(ends).with_labels(labels);
-        self.chunks.log(COMPARED_WORST.path, at, &worst);
+        self.worst.log(worst, at, &mut self.chunks);
         log_difference(&mut self.chunks, TOLERANCE, tolerance, at);
         self.frames += 1;
         if self.frames.is_multiple_of(64) { self.send() } else { Ok(()) }

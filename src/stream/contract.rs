@@ -118,7 +118,7 @@ entities! {
     FORCES = "/world/forces" ["AnnotationContext"]
         "Names of the pairs of bodies between which forces act, as classes of arrows.";
     FORCE = "/world/forces/CAUSE" ["Arrows3D"]
-        "Accelerations of vertices and of points of contact by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre.";
+        "Accelerations of vertices and of points of contact by one cause, times the arrow scale given in the panel; those of uniform forces, net_force and torque: one arrow per free body, at its centre.";
     BODY_FORCE = "/forces/NAME/CAUSE" ["Scalars"]
         "Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, by mass if it is free, and of that by forces at points [scene unit/s²]; with at most 16 bodies, from the first frame in which it acts.";
     RESULTANTS = "/world/resultants" ["Arrows3D"]
@@ -146,7 +146,7 @@ entities! {
     PLANE_GRID = "/world/planes/N/grid" ["LineStrips3D"]
         "Its grid.";
     PAIR_DISTANCE = "/pairs/A~B/distance" ["Scalars"]
-        "q, for the first 16 pairs within reach, or 5 with more than 64 bodies (--plots), and as many that have events.";
+        "q, for the first 16 pairs within reach, or 5 with more than 64 bodies (--plots), and up to as many that have events, throughout the run.";
     PAIR_LEVEL = "/pairs/A~B/LEVEL" ["Scalars"]
         "A threshold of q, for the same pairs: merge_at, split_at, core_at.";
     PAIR_PHASE = "/pairs/A~B/phase" ["StateChange, StateConfiguration"]
@@ -175,8 +175,8 @@ entities! {
         "One line when the error of a body begins to exceed the tolerance, and when it has doubled since: which body, and by how much.";
     FAILED = "/events/failure" ["TextLog"]
         "Why the run ended before its last step.";
-    SURFACE_EVENTS = "/events/surfaces" ["TextLog, bodies, phases, time, q, rate"]
-        "One line when surfaces touch or part: without phases and rate.";
+    SURFACE_EVENTS = "/events/surfaces" ["TextLog, bodies, phases, time, q"]
+        "One line when surfaces touch or part; phases are empty.";
     BODY_EVENTS = "/events/bodies" ["TextLog"]
         "One line per event of a single body, with its position.";
     MARKS_ON_AXIS = "/marks/axis/KIND" ["Scalars, SeriesPoints"]
@@ -209,10 +209,16 @@ entities! {
         "Of the five bodies with the largest displacements, the names and these [radii], where there is room.";
     STAGES = "/stages" ["TextLog"]
         "One line per stage of the steps recorded in detail, with the largest displacement and how far vertices moved since the stage before, on the timeline stage, which the entities under /world have too, and on that of steps.";
+    MOVES = "/stages/moves" ["Arrows3D"]
+        "On the timeline stage: how vertices moved since the stage before, from where they are now; the longest arrow is half as long as the largest radius.";
+    FURTHEST = "/stages/furthest" ["Points3D, LineStrips3D"]
+        "The vertex that moved furthest, and above it a label with how far [radii].";
     CHECKSUM = "/checksum" ["checksum"]
         "A hash of the exact state after every step; a thin recording has several steps per row, at the time of the last one.";
     ABOUT = "/about" ["TextDocument"]
         "The text of the panel.";
+    ABOUT_STAGES = "/about/stages" ["TextDocument"]
+        "The text beside stages inside steps.";
     ARROWS = "/about/arrows" ["TextDocument"]
         "The text beside forces: their colours, and what the lengths of arrows mean.";
     RECORDING_INFO = "/__properties" ["RecordingInfo"]

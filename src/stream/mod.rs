@@ -47,7 +47,7 @@
 //! | `/recent/names` | Points3D | Their names. |
 //! | `/world/names` | Points3D | The names of up to 32 bodies; with several models side by side, of those of the first, and the names of the models. |
 //! | `/world/forces` | AnnotationContext | Names of the pairs of bodies between which forces act, as classes of arrows. |
-//! | `/world/forces/CAUSE` | Arrows3D | Accelerations of vertices and of points of contact by one cause, times the arrow scale given in the panel; net_force and torque: one arrow per free body, at its centre. |
+//! | `/world/forces/CAUSE` | Arrows3D | Accelerations of vertices and of points of contact by one cause, times the arrow scale given in the panel; those of uniform forces, net_force and torque: one arrow per free body, at its centre. |
 //! | `/forces/NAME/CAUSE` | Scalars | Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, by mass if it is free, and of that by forces at points [scene unit/s²]; with at most 16 bodies, from the first frame in which it acts. |
 //! | `/world/resultants` | Arrows3D | The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre; all on one scale, on which the longest of an instant is 1.5 times as long as the largest radius. Of the five bodies with the largest net forces, those for which there is room are labelled with the body, its net force and its strongest cause [scene unit/s²]; with at most 5 bodies, those on which nothing acts have arrows of no length with their names. |
 //! | `/strongest` | Scalars, SeriesLines | With more than 3 bodies: the largest of the net forces on bodies by each cause, over their masses [scene unit/s²]. |
@@ -61,7 +61,7 @@
 //! | `/world/trails` | LineStrips3D | The path of the centre of each free body, one segment per frame; not with more than 64 bodies. |
 //! | `/world/planes/N` | Mesh3D | A plane. |
 //! | `/world/planes/N/grid` | LineStrips3D | Its grid. |
-//! | `/pairs/A~B/distance` | Scalars | q, for the first 16 pairs within reach, or 5 with more than 64 bodies (--plots), and as many that have events. |
+//! | `/pairs/A~B/distance` | Scalars | q, for the first 16 pairs within reach, or 5 with more than 64 bodies (--plots), and up to as many that have events, throughout the run. |
 //! | `/pairs/A~B/LEVEL` | Scalars | A threshold of q, for the same pairs: merge_at, split_at, core_at. |
 //! | `/pairs/A~B/phase` | StateChange, StateConfiguration | The phase, for the same pairs. |
 //! | `/pairs/A~B/gap` | Scalars | Smallest distance of the surfaces, or minus the depth of their overlap, the largest at vertices and in the middles of edges and triangles [radii of the smaller body]. |
@@ -76,7 +76,7 @@
 //! | `/events` | TextLog, bodies, phases, time, q, rate, energy | One line per change of a phase; a thin recording has all events here. |
 //! | `/events/accuracy` | TextLog | One line when the error of a body begins to exceed the tolerance, and when it has doubled since: which body, and by how much. |
 //! | `/events/failure` | TextLog | Why the run ended before its last step. |
-//! | `/events/surfaces` | TextLog, bodies, phases, time, q, rate | One line when surfaces touch or part: without phases and rate. |
+//! | `/events/surfaces` | TextLog, bodies, phases, time, q | One line when surfaces touch or part; phases are empty. |
 //! | `/events/bodies` | TextLog | One line per event of a single body, with its position. |
 //! | `/marks/axis/KIND` | Scalars, SeriesPoints | Events as markers on the axis of plots. |
 //! | `/marks/q/KIND` | Scalars, SeriesPoints | Events as markers in plots of q. |
@@ -93,8 +93,11 @@
 //! | `/largest` | Points3D, LineStrips3D | The vertex with the largest displacement of those that lie in no other body, and above it its label, also with the largest of all. |
 //! | `/largest/bodies` | Points3D | Of the five bodies with the largest displacements, the names and these [radii], where there is room. |
 //! | `/stages` | TextLog | One line per stage of the steps recorded in detail, with the largest displacement and how far vertices moved since the stage before, on the timeline stage, which the entities under /world have too, and on that of steps. |
+//! | `/stages/moves` | Arrows3D | On the timeline stage: how vertices moved since the stage before, from where they are now; the longest arrow is half as long as the largest radius. |
+//! | `/stages/furthest` | Points3D, LineStrips3D | The vertex that moved furthest, and above it a label with how far [radii]. |
 //! | `/checksum` | checksum | A hash of the exact state after every step; a thin recording has several steps per row, at the time of the last one. |
 //! | `/about` | TextDocument | The text of the panel. |
+//! | `/about/stages` | TextDocument | The text beside stages inside steps. |
 //! | `/about/arrows` | TextDocument | The text beside forces: their colours, and what the lengths of arrows mean. |
 //! | `/__properties` | RecordingInfo | The name of the recording. |
 //! | `/__properties/meldscope` | the properties below | What a replay needs, and how the recording was made. |

@@ -17,9 +17,9 @@ use super::{
     checksums::Checksums,
     chunks::{Audience, Chunks},
     contract::{
-        self, ABOUT, ACCURACY, ARROWS, BODY_EVENTS, Component, DIGEST, EVENTS, Entity, FAILED, FAILURE, INTEGRATOR,
-        MACHINE, MODEL, NOT_RECORDED, OVERRIDES, PAIR_PHASE, PROPERTIES, RECORDING_INFO, SCENE, SETTINGS, STAGE,
-        STAGES, STEPS, SURFACE_EVENTS, VERSION, WORLD, path_of,
+        self, ABOUT, ABOUT_STAGES, ACCURACY, ARROWS, BODY, BODY_EVENTS, Component, DIGEST, EVENTS, Entity, FAILED,
+        FAILURE, INFLUENCE, INTEGRATOR, MACHINE, MODEL, NOT_RECORDED, OVERRIDES, PAIR_PHASE, PROPERTIES,
+        RECORDING_INFO, RESTING, SCENE, SETTINGS, STAGE, STAGES, STEPS, SURFACE_EVENTS, VERSION, WORLD, path_of,
     },
     extract::Extractor,
     flight::FlightRecorder,
@@ -27,10 +27,28 @@ use super::{
     instant::Instant,
     machine, palette,
     parts::{
-        FrameView, batch::BatchedBodies, bodies::SeparateBodies, body_forces::BodyForces, changes::Changes,
-        forces::Forces, groups::GroupPlots, heat::Heat, lines::Lines, marks, merged, merged::MergedEntities,
-        numbers::FrameNumbers, pairs, pairs::PairPlots, planes, points::Points, recent, spheres::SphereEntities,
-        springs::Springs, touching::Touching, trails::Trails,
+        FrameView,
+        batch::BatchedBodies,
+        bodies::SeparateBodies,
+        body_forces::BodyForces,
+        changes::Changes,
+        forces::Forces,
+        groups::GroupPlots,
+        heat::Heat,
+        lines::Lines,
+        marks, merged,
+        merged::MergedEntities,
+        moves::{Furthest, Moves},
+        numbers::FrameNumbers,
+        pairs,
+        pairs::PairPlots,
+        planes,
+        points::Points,
+        recent,
+        spheres::SphereEntities,
+        springs::Springs,
+        touching::Touching,
+        trails::Trails,
     },
     series::Series,
     settings::{FORMAT, Frames, Trigger, application, recording_id},
@@ -41,11 +59,10 @@ pub use super::{
     settings::{Detail, Entities, MOST_PAIRS, Settings, file_stem},
 };
 use crate::{
-    geometry::Vectors,
     observe::{Frame, Schema, Simulation, StageFrame, StepSummary, row::rows, verify},
     sdk::{
         self, AnyValues, ApplicationId, AsComponents, LogMsg, Points3D, Scalars, StoreId, StoreKind, TextDocument,
-        TextLog, Timeline, ViewCoordinates,
+        TextLog, Timeline, Transform3D, ViewCoordinates,
         components::{MediaType, Scalar, Text},
     },
     text::counted,
@@ -53,9 +70,6 @@ use crate::{
 
 /// Upper limit on the number of near misses listed.
 pub const MOST_APPROACHES: usize = 5;
-
-/// A move between two stages that is rounding [radii].
-const STILL: f64 = 1e-9;
 
 /// Upper limit on the ranges of frames that the panel of a flight recorder lists.
 const RANGES: usize = 8;
@@ -86,7 +100,7 @@ pub struct Recorder {
     /// Below the middle of all bodies in the last frame.
     below: DVec3,
     /// The parts that show stages inside steps.
-    stages: Option<StateParts>,
+    stages: Option<(StateParts, Moves)>,
     /// Number of stages shown.
     stage_count: u64,
     /// Whether the run has failed.
@@ -204,8 +218,10 @@ impl Recorder {
             written: 0,
             kept: Vec::new(),
             below: DVec3::ZERO,
-            stages: matches!(settings.detail, Detail::Stages { .. })
-                .then(|| StateParts::new(&schema, &settings, simulation.interrupt(), &mut chunks)),
+            stages: matches!(settings.detail, Detail::Stages { .. }).then(|| {
+                log_text(&ABOUT_STAGES, blueprint::stages(), &mut chunks);
+                (StateParts::new(&schema, &settings, simulation.interrupt(), &mut chunks), Moves::new(&mut chunks))
+            }),
             stage_count: 0,
             has_failed: false,
             at: now(simulation),
@@ -379,26 +395,27 @@ impl Recorder {
     }
 
     fn log_stages(&mut self, stages: &[StageFrame], at: Instant) {
-        let Some(state) = &mut self.stages else { return };
-        let mut before: Option<&StageFrame> = None;
-        for stage in stages {
+        let Some((state, moves)) = &mut self.stages else { return };
+        let mut before: Option<&Frame> = None;
+        for StageFrame { name: stage, frame } in stages {
             self.chunks.set_stage(Some(self.stage_count));
-            let displacements = self.schema.bodies.iter().zip(&stage.frame.bodies);
-            let displacements = displacements.map(|(body, now)| now.max_displacement / body.radius);
+            let view = FrameView { schema: &self.schema, frame, at };
+            let displacements = view.bodies().map(|(body, now)| now.max_displacement / body.radius);
             let (displaced, largest) = largest(displacements);
             let name = |body: usize| self.schema.bodies[body].name.as_str();
-            let moved = before.map(|before| furthest_move(&self.schema, [&before.frame, &stage.frame]));
-            let moved = match moved.filter(|(_, moved)| *moved > STILL) {
-                Some((body, moved)) => format!("largest move {} {moved:.1e} R, ", name(body)),
+            let moved = match moves.log(before, view, &mut state.extractor, &mut self.chunks) {
+                Some(Furthest { body, vertex, distance }) => {
+                    format!("largest move {}:{vertex} {distance:.1e} R, ", name(body))
+                }
                 None => String::new(),
             };
             let displaced = format!("largest displacement {} {largest:.4} R", name(displaced));
-            let line = format!("step {}: {} — {moved}{displaced}", at.step, stage.name);
-            before = Some(stage);
+            let line = format!("step {}: {stage} — {moved}{displaced}", at.step);
+            before = Some(frame);
             // also by step, where it says when there are stages
             let when = at.time_point().with(Timeline::new_sequence(STAGE), self.stage_count as i64);
             self.chunks.row(STAGES.path, when, &TextLog::new(line).with_level("stage"));
-            state.log(FrameView { schema: &self.schema, frame: &stage.frame, at }, &[], &mut self.chunks);
+            state.log(view, &[], &mut self.chunks);
             self.stage_count += 1;
         }
         self.chunks.set_stage(None);
@@ -494,7 +511,21 @@ impl Recorder {
             let label = style.clone().with_positions([place.as_vec3().to_array()]).with_labels([text]);
             label.with_colors([palette::color(crate::colors::VERMILION)]).with_show_labels(true)
         };
-        let Some(below) = self.kept.first().map(|kept| kept.below) else { return };
+        let Some(Kept { first, below, .. }) = self.kept.first() else { return };
+        let (begin, below) = (first.step.saturating_sub(every), *below);
+        if begin > self.first {
+            // what has a shape, but no place yet; the viewer ignores a scale of 0
+            let mut entities: Vec<String> = match self.settings.entities {
+                Entities::Body => self.schema.bodies.iter().map(|body| BODY.of(&[&body.name])).collect(),
+                Entities::Batch => self.schema.shapes().keys().map(|shape| RESTING.of(&[shape])).collect(),
+            };
+            entities.push(INFLUENCE.path.to_owned());
+            for entity in entities {
+                for (step, scale) in [(self.first, 1e-6), (begin, 1.0)] {
+                    self.chunks.log(&entity, at(step), &Transform3D::update_fields().with_scale([scale; 3]));
+                }
+            }
+        }
         let mut gap = (self.first, below);
         let ends = self.kept.iter().map(|kept| (kept.first.step, Some(kept))).chain([(self.at.step + 1 + every, None)]);
         for (next, kept) in ends {
@@ -701,21 +732,6 @@ impl StateParts {
 /// The first of the largest numbers, with its index.
 fn largest(numbers: impl Iterator<Item = f64>) -> (usize, f64) {
     numbers.enumerate().fold((0, 0.0), |largest, of| if of.1 > largest.1 { of } else { largest })
-}
-
-/// The body with the vertex that is farthest from where it was in the frame before, and how far [radii].
-fn furthest_move(schema: &Schema, frames: [&Frame; 2]) -> (usize, f64) {
-    let mut positions = [Vectors::default(), Vectors::default()];
-    let bodies = schema.bodies.iter().zip(frames[0].bodies.iter().zip(&frames[1].bodies));
-    let moved = bodies.map(|(body, (before, now))| {
-        for (state, positions) in [before, now].into_iter().zip(&mut positions) {
-            state.local_positions(state.rest_of(body), positions);
-        }
-        let shift = now.centre - before.centre;
-        let moves = positions[0].iter().zip(positions[1].iter()).map(|(before, now)| (now - before + shift).length());
-        moves.fold(0.0, f64::max) / body.radius
-    });
-    largest(moved)
 }
 
 fn log_about(text: String, chunks: &mut Chunks) {

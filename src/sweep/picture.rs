@@ -141,8 +141,10 @@ fn log_slice(chunks: &mut Chunks, map: &Map, slice: &Slice, at: &TimePoint) {
             LineStrips2D::new(lines).with_colors([color([30, 30, 30])]).with_radii([Radius::new_ui_points(0.9)]);
         chunks.row(&MAP.of(&["boundary"]), at.clone(), &lines.with_draw_order(10.0));
     }
+    // on areas of their own colour they would not be seen
+    let shade = if map.range.is_none() { 2 } else { 1 };
     let points = Points2D::new(slice.dots.iter().map(|dot| pixel(dot.at)))
-        .with_colors(slice.dots.iter().map(|dot| color(classes::color(dot.class).0.map(|c| c / 2))))
+        .with_colors(slice.dots.iter().map(|dot| color(classes::color(dot.class).0.map(|c| c / shade))))
         .with_labels(slice.dots.iter().map(|dot| dot.label.as_str()))
         .with_show_labels(false)
         .with_radii([Radius::new_ui_points(if slice.dots.len() > 2000 { 0.8 } else { 2.0 })])

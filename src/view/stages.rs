@@ -36,7 +36,7 @@ pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
     let stage = |name: &str, frame: Frame| StageFrame { name: name.to_owned(), frame };
     let mut stages = vec![
         stage("start", before.clone()),
-        stage("influence forces", only(before.clone(), world.scene(), is_influence)),
+        stage("start, with the influence forces alone", only(before.clone(), world.scene(), is_influence)),
     ];
     let max = (MAX_VERTICES / world.scene().vertex_count().max(1)).max(MIN_STAGES) as usize;
     let work = Work::limited(MAX_WORK, world.options().interrupt);
@@ -82,7 +82,7 @@ fn intervals(
     let frame = |t: f64, phases_at: f64, states: Vec<States>| frame_of(recomputed, before, world, t, phases_at, states);
     let mut states: Vec<States> = (0..world.body_count()).map(|index| states_before(before, world, index)).collect();
     let flown = states.iter().enumerate().map(|(index, states)| recomputed.flow(index, states)).collect();
-    stages.push(StageFrame { name: "hypothetical end without influence".to_owned(), frame: frame(end, start, flown) });
+    let without = StageFrame { name: "end if no sphere acted".to_owned(), frame: frame(end, start, flown) };
     match world.scene().integrator {
         Integrator::Exponential => {
             let breaks = recomputed.breaks();
@@ -115,6 +115,8 @@ fn intervals(
         }
         Integrator::Euler | Integrator::Verlet | Integrator::Rk4 => {}
     }
+    // so that the end shows what the spheres did
+    stages.push(without);
     "end".to_owned()
 }
 

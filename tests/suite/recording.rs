@@ -211,7 +211,13 @@ impl Row {
         self.cells.contains_key(component)
     }
 
-    fn vectors(&self, component: &str) -> Vec<Vec3> {
+    /// The step, and the cells but for that of a component.
+    pub fn without(mut self, component: &str) -> (i64, BTreeMap<String, ArrayRef>) {
+        self.cells.remove(component);
+        (self.step, self.cells)
+    }
+
+    pub fn vectors(&self, component: &str) -> Vec<Vec3> {
         self.get::<Vec3D>(component).into_iter().map(|v| Vec3::from(v.0)).collect()
     }
 
@@ -947,7 +953,7 @@ impl Run {
                         continue;
                     }
                     assert_eq!(*cause == "net", net_on(index) > 0.0, "{at}: {label} at {cause}");
-                    let (net, strongest) = label.split_once(", ").expect("two numbers");
+                    let (net, strongest) = label.split_once(", strongest ").expect("two numbers");
                     let net = net.strip_prefix(&format!("{}: net ", body.name)).expect("its name");
                     let (named, strongest) = strongest.split_once(' ').expect("a cause and a number");
                     let of_named = of_body().find(|((_, cause, ..), _)| *cause == named);
@@ -1931,8 +1937,8 @@ fn stages_within_steps_are_recorded() {
             lines.iter().filter(|(_, line)| line.starts_with(&format!("step {step}: "))).collect();
         let names = of_step.iter().filter_map(|(_, line)| line.split(": ").nth(1)?.split(" — ").next());
         let names: Vec<&str> = names.collect();
-        assert_eq!(names[..3], ["start", "influence forces", "hypothetical end without influence"]);
-        assert_eq!(names[names.len() - 1], "end");
+        assert_eq!(names[..2], ["start", "start, with the influence forces alone"]);
+        assert_eq!(names[names.len() - 2..], ["end if no sphere acted", "end"]);
         assert_eq!(names.iter().any(|name| name.starts_with("merge a~b")), step == 84, "{names:?}");
         // the values at the first stage and at the last are the frames before and after
         for (stage, frame) in [(of_step[0].0, step - 1), (of_step[of_step.len() - 1].0, step)] {

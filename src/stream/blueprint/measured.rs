@@ -52,8 +52,10 @@ pub struct Measured<'a> {
 /// The changes to [`messages`] at the end of a run. The axes of timing plots exclude outliers. The viewer opens
 /// at the first event: playing it in a loop is the only way in which a layout can move the time cursor.
 pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: &Measured<'_>) -> Vec<LogMsg> {
-    /// Ratio of a plot's upper end to the typical value.
+    /// Ratio of a plot's upper end to the typical value …
     const HEADROOM: f64 = 1.3;
+    /// … and by that further up, until what is beyond is no more than this share of all time.
+    const MOST_HIDDEN: f64 = 0.25;
     /// Ratio of the longest duration to the typical one up to which nothing is cut off.
     const WHOLE: f64 = 8.0;
     /// Nor is anything if the steps beyond that take more than this share of all time, and are more than this share of all
@@ -71,7 +73,11 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             let (count, share) = durations.beyond(WHOLE * typical);
             let is_usual = share > MOST_TIME && count as f64 > FEW * durations.count() as f64;
             let is_whole = longest <= WHOLE * typical || is_usual;
-            let [low, high] = readable([0.0, if is_whole { longest } else { HEADROOM * typical }]);
+            let mut end = HEADROOM * typical;
+            while end < WHOLE * typical && durations.beyond(end).1 > MOST_HIDDEN {
+                end *= HEADROOM;
+            }
+            let [low, high] = readable([0.0, if is_whole { longest } else { end }]);
             if longest > high {
                 let (count, share) = durations.beyond(high);
                 let title = format!("{title}; {} beyond: {:.0} % of all time", counted(count, "frame"), 100.0 * share);
@@ -170,7 +176,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         if *left_out > 0 {
             // marks of events on lines that are left out would be puzzling
             lines = vec![including(&MARKS_AT_Q.of(&["ends"]))];
-            let pairs = format!("{} of {all} pairs, those with changes nearest to the opening", moving.len());
+            let pairs = format!("{} of {all} pairs, with changes throughout the run", moving.len());
             for plot in &layout.distances.clone() {
                 let title = ViewBlueprint::update_fields().with_display_name(format!("Pair distances q: {pairs}"));
                 layout.log(plot, &title);

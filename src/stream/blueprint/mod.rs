@@ -28,7 +28,7 @@ use self::{
 pub use self::{
     layout::Mapping,
     measured::{Measured, measured},
-    panels::{about, arrows},
+    panels::{about, arrows, stages},
     tabs::surfaces,
 };
 use crate::{

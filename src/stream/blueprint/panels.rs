@@ -1,12 +1,12 @@
 //! The texts of panels: what colours, lines and arrows mean.
 
-use super::tabs::draws_springs;
+use super::tabs::{capitalized, draws_springs};
 use crate::{
     colors,
     observe::{Frame, Schema, schema::TermSchema},
     stream::{
         palette,
-        parts::{forces, recent, trails},
+        parts::{forces, moves, recent, trails},
         settings::{Detail, Entities, Frames, Settings},
     },
     text::{self, counted, significant, trimmed},
@@ -65,6 +65,17 @@ pub fn arrows(schema: &Schema) -> String {
         rounded(radius),
         lengths(schema, |_| true),
         if is_uniform { "; those of uniform forces, at the centre" } else { "" },
+    )
+}
+
+/// The text of the panel beside the stages inside steps.
+pub fn stages() -> String {
+    format!(
+        "**How does a step come about?** The timeline `stage` counts the rows below: each is a state inside a step.\n\n\
+         - **{} arrows**: how vertices moved since the stage before; the longest is {} R long\n\
+         - **Other arrows**: the forces in that state, as in Scene\n",
+        capitalized(colors::name(moves::MOVED)),
+        moves::LONGEST,
     )
 }
 
@@ -147,7 +158,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame, ne
     } else if schema.bodies.len() * schema.bodies.len().saturating_sub(1) / 2 > settings.pairs {
         let max = settings.pairs;
         format!(
-            "- The first {max} pairs within reach, and the first with events, have plots and lanes, the closest {max} lines \
+            "- The first {max} pairs within reach, and as many with events, have plots and lanes, the closest {max} lines \
              (`--plots`, `--pair a~b`); events list them all\n"
         )
     } else {

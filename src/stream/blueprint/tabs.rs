@@ -20,12 +20,12 @@ use crate::{
     },
     stream::{
         contract::{
-            ABOUT, ACCURACY, ARROWS, BODY, BODY_FORCE, BODY_SCALAR, BODY_SURFACE, DEFORMING, DIAGNOSTIC, EVENTS,
-            Entity, FORCE, INFLUENCE, LAG, LARGEST, LEGEND, MARKS_AT_Q, MERGED, MERGED_SURFACE, NAMES, PAIR_CONTACT,
-            PAIR_DISTANCE, PAIR_GAP, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR, PLANE, POINTS,
-            RANKED_DISPLACEMENTS, RANKED_FORCES, RANKED_GROUPS, RANKED_PAIRS, RANKED_STAGES, RECENT_NAMES, RECENT_PAIR,
-            RECENT_SPHERES, RESTING, RESULTANTS, SIM_TIME, SPEED, STAGE, STAGES, STEP, STRONGEST, TIMING, TOUCHING,
-            TRAILS, VOLUME, WORLD,
+            ABOUT, ABOUT_STAGES, ACCURACY, ARROWS, BODY, BODY_FORCE, BODY_SCALAR, BODY_SURFACE, DEFORMING, DIAGNOSTIC,
+            EVENTS, Entity, FORCE, FURTHEST, INFLUENCE, LAG, LARGEST, LEGEND, MARKS_AT_Q, MERGED, MERGED_SURFACE,
+            MOVES, NAMES, PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR,
+            PLANE, POINTS, RANKED_DISPLACEMENTS, RANKED_FORCES, RANKED_GROUPS, RANKED_PAIRS, RANKED_STAGES,
+            RECENT_NAMES, RECENT_PAIR, RECENT_SPHERES, RESTING, RESULTANTS, SIM_TIME, SPEED, STAGE, STAGES, STEP,
+            STRONGEST, TIMING, TOUCHING, TRAILS, VOLUME, WORLD,
         },
         palette,
         parts::{
@@ -546,14 +546,14 @@ impl Layout {
 
     /// The stages inside steps, on the timeline `stage`.
     fn stages_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
-        let view = self.scene_view(
-            (framing, NARROW),
-            schema,
-            "Inside a step (choose the timeline stage, bottom left)",
-            settings,
-        );
+        let title = "Inside a step (choose the timeline stage, bottom left)";
+        let view = self.scene_view((framing, NARROW), schema, title, settings);
+        self.set_contents(&view.path, vec![family(&WORLD), including(MOVES.path), including(FURTHEST.path)]);
+        let about =
+            self.view("TextDocument", "What stages are", ABOUT_STAGES.path, &[including(ABOUT_STAGES.path)], &[]);
         let lines = self.lines("Stages", STAGES.path);
-        self.container(ContainerKind::Horizontal, "Stages", vec![view, lines], &[1.3, 1.0])
+        let list = self.container(ContainerKind::Vertical, "Stages", vec![about, lines], &[1.0, 5.0]);
+        self.container(ContainerKind::Horizontal, "Stages", vec![view, list], &[1.3, 1.0])
     }
 }
 

@@ -167,7 +167,7 @@ impl OfBody {
     /// Its name, the sum and the strongest cause.
     fn label(&self, schema: &Schema) -> String {
         let value = |term: usize, strength: f64| format!("{} {}", schema.terms[term].name, significant(strength));
-        let sum = schema.sum_of_terms().map_or(String::new(), |sum| value(sum, self.strength) + ", ");
+        let sum = schema.sum_of_terms().map_or(String::new(), |sum| value(sum, self.strength) + ", strongest ");
         let cause = value(self.strongest.term, self.strongest.strength());
         format!("{}: {sum}{cause}", schema.bodies[self.body].name)
     }

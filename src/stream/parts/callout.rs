@@ -5,8 +5,9 @@ use glam::DVec3;
 use crate::{
     sdk::{LineStrips3D, Points3D, Radius},
     stream::{
-        chunks::Chunks,
+        chunks::{Chunks, TrackId},
         extract::Float3,
+        instant::Instant,
         palette::{Rgb, color},
     },
 };
@@ -17,17 +18,32 @@ pub fn leader(point: DVec3, label: DVec3) -> [Float3; 2] {
     [point, point.lerp(label, SHARE)].map(|end| end.as_vec3().to_array())
 }
 
-/// Logs the style of an entity whose rows have the point and the place of its label, the labels of both, of which the first
-/// is empty, and the line between them.
-pub fn log_style(entity: &str, rgb: Rgb, chunks: &mut Chunks) {
-    let ends = Points3D::update_fields()
-        .with_radii([6.0, 0.0].map(Radius::new_ui_points))
-        .with_colors([color(rgb)])
-        .with_show_labels(true);
-    chunks.log_static(entity, &ends);
-    let leader = LineStrips3D::update_fields()
-        .with_radii([Radius::new_ui_points(0.75)])
-        .with_colors([color(rgb)])
-        .with_show_labels(false);
-    chunks.log_static(entity, &leader);
+/// A labelled point that moves.
+pub struct Callout(TrackId);
+
+impl Callout {
+    /// Logs the style of the entity.
+    pub fn new(entity: &str, rgb: Rgb, chunks: &mut Chunks) -> Callout {
+        let ends = Points3D::update_fields()
+            .with_radii([6.0, 0.0].map(Radius::new_ui_points))
+            .with_colors([color(rgb)])
+            .with_show_labels(true);
+        chunks.log_static(entity, &ends);
+        let leader = LineStrips3D::update_fields()
+            .with_radii([Radius::new_ui_points(0.75)])
+            .with_colors([color(rgb)])
+            .with_show_labels(false);
+        chunks.log_static(entity, &leader);
+        let components =
+            [Points3D::descriptor_positions(), Points3D::descriptor_labels(), LineStrips3D::descriptor_strips()];
+        Callout(chunks.track(entity, components))
+    }
+
+    /// Logs the point, the place of its label, and the label, or that there is none, if this has changed.
+    pub fn log(&self, mark: Option<([DVec3; 2], String)>, at: Instant, chunks: &mut Chunks) {
+        let ends: Vec<Float3> = mark.iter().flat_map(|(ends, _)| ends.map(|end| end.as_vec3().to_array())).collect();
+        let leader: Vec<[Float3; 2]> = mark.iter().map(|([from, to], _)| leader(*from, *to)).collect();
+        let labels: Vec<String> = mark.into_iter().flat_map(|(_, label)| [String::new(), label]).collect();
+        chunks.push_changed(self.0, at, &[&ends, &labels, &leader]);
+    }
 }

@@ -8,7 +8,9 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use super::{
-    FrameView, callout, lines,
+    FrameView,
+    callout::Callout,
+    lines,
     ranking::{self, Mark, Ranking, Row, is_ranked},
     recent,
 };
@@ -18,7 +20,7 @@ use crate::observe::{
     surface::{Group, VertexOrigin},
 };
 use crate::sdk::{
-    self, AnyValues, Image, LineStrips3D, Points2D, Points3D,
+    self, AnyValues, Image, Points2D,
     components::{ImageBuffer, ImageFormat},
 };
 use crate::stream::{
@@ -70,8 +72,7 @@ pub fn are_bodies_labelled(schema: &Schema) -> bool {
 pub struct Heat {
     /// The numbers of the scale.
     ticks: TrackId,
-    mark: TrackId,
-    last: Option<([DVec3; 2], String)>,
+    mark: Callout,
     /// The labels of bodies, if they have any.
     bodies: Option<TrackId>,
     ranking: Option<Ranking>,
@@ -95,12 +96,9 @@ impl Heat {
             .with_colors([color(palette::DOT)])
             .with_show_labels(true);
         chunks.log_static(&LEGEND.of(&["ticks"]), &ticks);
-        callout::log_style(LARGEST.path, MARK, chunks);
-        let mark = [Points3D::descriptor_positions(), Points3D::descriptor_labels(), LineStrips3D::descriptor_strips()];
         Heat {
             ticks: chunks.track(&LEGEND.of(&["ticks"]), [Points2D::descriptor_labels()]),
-            mark: chunks.track(LARGEST.path, mark),
-            last: None,
+            mark: Callout::new(LARGEST.path, MARK, chunks),
             bodies: are_bodies_labelled(schema).then(|| lines::track_labels(LARGEST_OF_BODIES.path, chunks)),
             ranking: is_ranked(schema).then(|| Ranking::new(RANKED_DISPLACEMENTS.path, chunks)),
         }
@@ -125,13 +123,7 @@ impl Heat {
             let label = format!("largest on the surface: {}{}", outside.text(view), hidden.unwrap_or_default());
             ([outside.position, end], label)
         });
-        if mark != self.last {
-            let ends: Vec<_> = mark.iter().flat_map(|(ends, _)| ends.map(|end| end.as_vec3().to_array())).collect();
-            let labels: Vec<_> = mark.iter().flat_map(|(_, label)| [String::new(), label.clone()]).collect();
-            let leader: Vec<[Float3; 2]> = mark.iter().map(|([from, to], _)| callout::leader(*from, *to)).collect();
-            chunks.push(self.mark, view.at, &[&ends, &labels, &leader]);
-            self.last = mark;
-        }
+        self.mark.log(mark, view.at, chunks);
         let largest = |body: usize| view.frame.bodies[body].max_displacement / view.schema.bodies[body].radius;
         let mut ranked: Vec<usize> = (0..view.schema.bodies.len()).collect();
         ranked.sort_by(|&one, &other| largest(other).total_cmp(&largest(one)));

@@ -13,6 +13,7 @@
 //! | `/world/merged/surface`, `/world/merged/seams` | [`merged`] |
 //! | `/groups/A/…`, `/volume/…` | [`groups`] |
 //! | `/world/trails` | [`trails`] |
+//! | `/stages/moves` | [`moves`] |
 //! | `/world/planes/N` | [`planes`] |
 //! | `/world/points` | [`points`] |
 //! | `/world/springs/NAME` | [`springs`] |
@@ -22,7 +23,7 @@
 //! | `/marks/…` | [`marks`] |
 //! | `/world/pairs`, `/world/names` | [`lines`] |
 //! | `/world/recent`, `/recent/pair` | [`recent`] |
-//! | style of `/largest`, and of `/world/worst` of a comparison | [`callout`] |
+//! | `/largest`, `/stages/furthest`, and `/world/worst` of a comparison | [`callout`] |
 //! | values of single vertices, on the entities of their surfaces | [`vertices`] |
 //! | `/diagnostics/…`, `/timings/…` | [`numbers`] |
 
@@ -37,6 +38,7 @@ pub mod heat;
 pub mod lines;
 pub mod marks;
 pub mod merged;
+pub mod moves;
 pub mod numbers;
 pub mod pairs;
 pub mod planes;

@@ -271,7 +271,10 @@ impl FrameNumbers {
             let label = format!("{total}; {} ms, step {step}", significant(longest));
             Row { label, color, marks: vec![(Mark::Bar(share(timing)), color)] }
         });
-        ranking::log_static(RANKED_STAGES.path, stages, chunks);
+        let [of_step, _] = self.totals.each_ref().map(Spread::largest);
+        let slowest = format!("slowest step {}: {} ms", of_step.1, significant(of_step.0));
+        let slowest = Row { label: slowest, color: SILVER, marks: Vec::new() };
+        ranking::log_static(RANKED_STAGES.path, stages.chain([slowest]), chunks);
     }
 
     /// The largest speed of the run [steps per second]; 0 if there were no two frames.

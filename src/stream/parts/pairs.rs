@@ -96,11 +96,13 @@ struct PairPlot {
 /// Upper limits on the numbers of lines and of lanes in one view: of more, one would find none.
 const MOST_LINES: usize = 8;
 const MOST_LANES: usize = 12;
+/// Share of the pairs with plots because of events that the first events of a run can take.
+const FIRST_EVENTS: f64 = 0.25;
 /// Upper limit on the known phase changes of a pair: a run need not end.
 const MOST_CHANGES: usize = 1024;
 
-/// The pairs that have plots worth a look, as `A~B`; where none has, all of them. Of many, those whose phases change nearest
-/// in time to the instant at which the viewer opens.
+/// The pairs that have plots worth a look, as `A~B`; where none has, all of them. Of many, some that change phase at the
+/// instant at which the viewer opens and throughout the run.
 #[derive(Clone, Debug, Default)]
 pub struct Told {
     /// Those whose q changed.
@@ -171,23 +173,20 @@ impl PairPlots {
         }
     }
 
-    /// The pairs that have plots worth a look, with this instant in view [s].
-    pub fn told(&self, schema: &Schema, instant: f64) -> Told {
-        let away =
-            |plot: &PairPlot| plot.changes.iter().map(|time| (time - instant).abs()).fold(f64::INFINITY, f64::min);
-        let mut nearest: Vec<(&(usize, usize), &PairPlot)> = self.known.iter().collect();
-        nearest.sort_by(|(_, one), (_, other)| away(one).total_cmp(&away(other)));
+    /// The pairs that have plots worth a look, those that change phase at about `opening` [s] among them.
+    pub fn told(&self, schema: &Schema, opening: f64) -> Told {
         let of = |is_told: fn(&PairPlot) -> bool, most: usize| {
             // where nothing happens, the plots say so
-            let is_any = nearest.iter().any(|(_, plot)| is_told(plot));
-            let told = nearest.iter().filter(|(_, plot)| is_told(plot) || !is_any);
-            let told: Vec<String> = told.map(|((a, b), _)| schema.pair_name(*a, *b)).collect();
-            (told.iter().take(most).cloned().collect(), told.len())
+            let is_any = self.known.values().any(is_told);
+            let told = self.known.iter().filter(|(_, plot)| is_told(plot) || !is_any).collect();
+            spread(told, opening, most).into_iter().map(|&(a, b)| schema.pair_name(a, b)).collect::<Vec<_>>()
         };
-        let (moving, count) = of(|plot| !plot.changes.is_empty() || !plot.is_still(), MOST_LINES);
-        let (changed, _) = of(|plot| !plot.changes.is_empty(), MOST_LANES);
-        let (met, _) = of(|plot| plot.has_met, MOST_LANES);
-        Told { moving, left_out: count.saturating_sub(MOST_LINES), changed, met, all: self.known.len() }
+        let is_moving = |plot: &PairPlot| !plot.changes.is_empty() || !plot.is_still();
+        let moving = of(is_moving, MOST_LINES);
+        let count = self.known.values().filter(|plot| is_moving(plot)).count();
+        let changed = of(|plot| !plot.changes.is_empty(), MOST_LANES);
+        let met = of(|plot| plot.has_met, MOST_LANES);
+        Told { left_out: count.saturating_sub(moving.len()), moving, changed, met, all: self.known.len() }
     }
 
     /// Marks the closest approaches of pairs that have plots.
@@ -360,7 +359,10 @@ impl PairPlots {
     pub fn log_event(&mut self, schema: &Schema, event: &PairEvent, series: &mut Series, chunks: &mut Chunks) {
         let at = Instant { step: event.step, time: event.time };
         let pair = PairFrame::new(event.a, event.b, event.q, event.from);
-        let entity = self.track(schema, pair, at, 2 * self.max_in_reach, series, chunks);
+        // the last of those places are kept for later events
+        let share = (event.time / (schema.steps as f64 * schema.dt)).clamp(FIRST_EVENTS, 1.0);
+        let most = self.max_in_reach + (share * self.max_in_reach as f64).ceil() as usize;
+        let entity = self.track(schema, pair, at, most, series, chunks);
         let is_plotted = entity.is_some();
         if let Some(entity) = entity {
             chunks.log(entity, at, &StateChange::single(schema.phases[event.to].name));
@@ -382,6 +384,27 @@ impl PairPlots {
             self.shortfall = Some(shortfall.ratio());
         }
     }
+}
+
+/// Of many pairs, the one that changes phase nearest to `opening` [s], and others that do so at times spread over the run.
+fn spread<'p>(mut pairs: Vec<(&'p (usize, usize), &PairPlot)>, opening: f64, most: usize) -> Vec<&'p (usize, usize)> {
+    let changes = || pairs.iter().flat_map(|(_, plot)| plot.changes.iter().copied());
+    let [first, last] = [changes().fold(f64::INFINITY, f64::min), changes().fold(0.0, f64::max)];
+    let others = most.saturating_sub(1);
+    let times = (0..others).map(|k| first + (k as f64 + 0.5) / others as f64 * (last - first));
+    let times: Vec<f64> = [opening].into_iter().chain(times).collect();
+    if pairs.len() <= most {
+        return pairs.into_iter().map(|(pair, _)| pair).collect();
+    }
+    let mut chosen = Vec::new();
+    for time in times {
+        let away = |plot: &PairPlot| plot.changes.iter().map(|at| (at - time).abs()).fold(f64::INFINITY, f64::min);
+        let nearest = (0..pairs.len()).min_by(|&x, &y| away(pairs[x].1).total_cmp(&away(pairs[y].1)));
+        chosen.extend(nearest.map(|nearest| pairs.remove(nearest)));
+    }
+    let start = |plot: &PairPlot| plot.changes.first().copied().unwrap_or(f64::INFINITY);
+    chosen.sort_by(|(_, one), (_, other)| start(one).total_cmp(&start(other)));
+    chosen.into_iter().map(|(pair, _)| pair).collect()
 }
 
 /// Whether the layout names every pair of the scene.
@@ -506,8 +529,8 @@ fn line(
         .with_component::<Text>(BODIES.0, bodies.map(|body| schema.bodies[body].name.as_str()))
         .with_component::<Text>(PHASES.0, phases.iter().copied())
         .with_component_from_data(TIME.0, number(time))
-        .with_component_from_data(Q.0, number(q))
-        .with_component_from_data(RATE.0, number(rate));
+        .with_component_from_data(Q.0, number(q));
+    let typed = if rate.is_nan() { typed } else { typed.with_component_from_data(RATE.0, number(rate)) };
     (line, typed)
 }
 
