@@ -101,8 +101,7 @@ pub struct Statistics {
 /// A body made of cells.
 pub struct Body {
     pub index: usize,
-    pub cells: Arc<Cells>,
-    pub mesh: Arc<Mesh>,
+    pub surface: Surface,
     pub radius: f64,
     pub matter: Matter,
     /// Rest positions of the nodes [scene unit], `[node_count]`.
@@ -134,14 +133,10 @@ pub struct Body {
     pub spread: f64,
     /// Mesh of a body that has torn.
     pub torn: Option<Arc<Mesh>>,
-    /// Nodes of the vertices that tearing added to the mesh.
-    pub exposed: Vec<u32>,
     pub statistics: Statistics,
     /// Positions at which it tore in the last step, or would have torn [scene unit].
     pub tears: Vec<DVec3>,
     pub failure: Option<StepFailure>,
-    /// Largest ratio of the effect of planes on a node to that on a vertex [–].
-    pub contact: f64,
     breaks: Vec<f64>,
     pub now: Instantaneous,
 }
@@ -275,8 +270,7 @@ impl Body {
             acted: ExternalForces::default(),
             x: vec![DVec3::ZERO; n],
             u: vec![DVec3::ZERO; n],
-            cells,
-            mesh,
+            surface: Surface { cells, mesh, mass, exposed: Vec::new(), contact },
             matter,
             is_at_rest: true,
             speed: 0.0,
@@ -287,11 +281,9 @@ impl Body {
             reach: 0.0,
             spread: 0.0,
             torn: None,
-            exposed: Vec::new(),
             statistics: Statistics { step_limit: f64::INFINITY, ..Statistics::default() },
             tears: Vec::new(),
             failure: None,
-            contact,
             breaks: Vec::new(),
             now: Instantaneous::default(),
         };
@@ -321,7 +313,7 @@ impl Body {
     pub fn corners(&self) -> &[[u32; 8]] {
         match &self.matter {
             Matter::Lattice(springs) => &springs.lattice.corners,
-            Matter::Fem(_) => &self.cells.corners,
+            Matter::Fem(_) => &self.surface.cells.corners,
         }
     }
 
@@ -390,7 +382,7 @@ impl Body {
         now: &mut Instantaneous,
         interrupt: Option<&'static AtomicBool>,
     ) {
-        let Body { matter, statistics, mesh, cells, exposed, directions, contact, index, failure, .. } = self;
+        let Body { matter, statistics, surface, directions, index, failure, .. } = self;
         let Matter::Lattice(springs) = matter else { return };
         let Springs { lattice, motion } = &mut **springs;
         let (scene, length) = (around.scene, part.end - part.start);
@@ -401,7 +393,7 @@ impl Body {
         if kick != DVec3::ZERO {
             motion.kick(kick);
         }
-        let of_planes = planes.iter().map(|plane| plane.stiffness).sum::<f64>() * *contact;
+        let of_planes = planes.iter().map(|plane| plane.stiffness).sum::<f64>() * surface.contact;
         let limit = lattice.step_limit(part.stiffness() + of_planes);
         statistics.step_limit = statistics.step_limit.min(limit);
         let (scheme, count) = match scene.integrator {
@@ -436,16 +428,9 @@ impl Body {
                     *into = if *is_held { DVec3::ZERO } else { now.acceleration(weight, *position, *facing) };
                 }
                 if !planes.is_empty() {
-                    let of = Contact {
-                        planes,
-                        mesh,
-                        cells,
-                        corners,
-                        exposed,
-                        motion: [part.centre(t), part.velocity(t)],
-                        min_stop: *contact * h,
-                    };
-                    of.accelerate(&lattice.masses, scene.bodies[*index].mass, positions, velocities, into);
+                    let motion = [part.centre(t), part.velocity(t)];
+                    let of = Contact { planes, surface, corners, masses: &lattice.masses, motion, step: h };
+                    of.accelerate(positions, velocities, into);
                 }
             };
             let largest = lattice.advance(motion, scheme, h, steps, outside);
@@ -457,7 +442,7 @@ impl Body {
 
     fn take_implicit(&mut self, around: &StepContext<'_>, part: &Part<'_>, planes: &[Plane], now: &mut Instantaneous) {
         self.kick(part.kick());
-        let Body { matter, mesh, cells, directions, contact, index, rest, x, u, .. } = self;
+        let Body { matter, surface, directions, rest, x, u, .. } = self;
         let Matter::Fem(finite) = matter else { return };
         let Finite { element, stepper, motion, forces, .. } = &mut **finite;
         let scene = around.scene;
@@ -475,10 +460,10 @@ impl Body {
             let positions: Vec<DVec3> =
                 rest.iter().zip(x.iter()).zip(u.iter()).map(|((l, x), u)| *l + *x + *u * half).collect();
             let motion = [part.centre(middle), part.velocity(middle)];
-            let (corners, min_stop) = (&cells.corners[..], *contact * stepper.h);
-            let of = Contact { planes, mesh, cells, corners, exposed: &[], motion, min_stop };
+            let (corners, masses, step) = (&surface.cells.corners, &element.masses, stepper.h);
+            let of = Contact { planes, surface, corners, masses, motion, step };
             let mut pressed = vec![DVec3::ZERO; positions.len()];
-            of.accelerate(&element.masses, scene.bodies[*index].mass, &positions, u, &mut pressed);
+            of.accelerate(&positions, u, &mut pressed);
             for (force, &node) in forces.iter_mut().zip(&element.free) {
                 *force += pressed[node as usize] * element.masses[node as usize];
             }
@@ -498,7 +483,8 @@ impl Body {
     /// Tears a lattice where it is overloaded.
     pub fn tear(&mut self, around: &StepContext<'_>, centre: DVec3) {
         let settings = around.scene.lattice;
-        let Body { matter, statistics, tears, rest, directions, x, u, cells, mesh, torn, exposed, radius, .. } = self;
+        let Body { matter, statistics, tears, rest, directions, x, u, surface, torn, radius, .. } = self;
+        let Surface { cells, mesh, exposed, .. } = surface;
         let Matter::Lattice(springs) = matter else { return };
         let Springs { lattice, motion } = &mut **springs;
         let (before, limit) = (lattice.node_count(), settings.limit);
@@ -546,7 +532,7 @@ impl Body {
     /// Records the cells in which a body of finite elements would tear.
     pub fn strain(&mut self, around: &StepContext<'_>, centre: DVec3) {
         let Some(limit) = around.scene.fem.tear_stress else { return };
-        let Body { matter, statistics, tears, x, cells, rest, free, .. } = self;
+        let Body { matter, statistics, tears, x, surface, rest, free, .. } = self;
         let Matter::Fem(finite) = matter else { return };
         let Finite { element, torn, .. } = &mut **finite;
         statistics.tension = 0.0;
@@ -558,7 +544,7 @@ impl Body {
             if tension.stress > limit && !*is_torn {
                 *is_torn = true;
                 statistics.torn += 1;
-                let corners = cells.corners[tension.cell as usize];
+                let corners = surface.cells.corners[tension.cell as usize];
                 let place = corners
                     .map(|node| axes.unwrap_or(DMat3::IDENTITY) * rest[node as usize] + x[node as usize])
                     .iter()
@@ -678,14 +664,13 @@ impl Body {
         let mut into = vec![DVec3::ZERO; positions.len()];
         let of = Contact {
             planes: &scene.planes,
-            mesh: &self.mesh,
-            cells: &self.cells,
+            surface: &self.surface,
             corners: self.corners(),
-            exposed: &self.exposed,
+            masses: self.masses(),
             motion: [centre, velocity],
-            min_stop: 0.0,
+            step: 0.0,
         };
-        of.accelerate(self.masses(), scene.bodies[self.index].mass, &positions, velocities, &mut into);
+        of.accelerate(&positions, velocities, &mut into);
         into
     }
 
@@ -725,37 +710,52 @@ impl Body {
     }
 }
 
+/// The surface of a body, which planes act on.
+pub struct Surface {
+    pub cells: Arc<Cells>,
+    pub mesh: Arc<Mesh>,
+    /// Mass of the body in the scene.
+    pub mass: f64,
+    /// Nodes of the vertices that tearing added to the mesh.
+    pub exposed: Vec<u32>,
+    /// Largest ratio of the effect of planes on a node to that on a vertex [–].
+    pub contact: f64,
+}
+
 /// Planes and the surface of a body.
 pub struct Contact<'a> {
     pub planes: &'a [Plane],
-    pub mesh: &'a Mesh,
-    pub cells: &'a Cells,
+    pub surface: &'a Surface,
+    /// The corner nodes of each cell.
     pub corners: &'a [[u32; 8]],
-    /// The nodes on the surface of a body that has torn.
-    pub exposed: &'a [u32],
+    /// The masses of the nodes.
+    pub masses: &'a [f64],
     /// Position and velocity of the centre.
     pub motion: [DVec3; 2],
-    /// Limits the rate of friction on a vertex to the inverse of this [s]: a step times the effect of a vertex on a
-    /// node, so that friction takes at least a step to stop a node.
-    pub min_stop: f64,
+    /// Length of a step [s]: friction takes at least a step to stop a node.
+    pub step: f64,
 }
 
 impl Contact<'_> {
     /// Adds the accelerations of the nodes: each vertex, with its share of the body's mass, distributes its force to
     /// them. The surface of a body that has torn consists of nodes.
-    pub fn accelerate(&self, masses: &[f64], mass: f64, positions: &[DVec3], velocities: &[DVec3], into: &mut [DVec3]) {
-        for node in self.exposed.iter().map(|&node| node as usize) {
-            into[node] += self.of_planes(positions[node], || velocities[node]);
-        }
-        if !self.exposed.is_empty() {
+    pub fn accelerate(&self, positions: &[DVec3], velocities: &[DVec3], into: &mut [DVec3]) {
+        if self.planes.is_empty() {
             return;
         }
-        for (embedded, share) in self.cells.embedded.iter().zip(self.mesh.shares()) {
+        let Surface { cells, mesh, mass, exposed, .. } = self.surface;
+        for node in exposed.iter().map(|&node| node as usize) {
+            into[node] += self.of_planes(positions[node], || velocities[node]);
+        }
+        if !exposed.is_empty() {
+            return;
+        }
+        for (embedded, share) in cells.embedded.iter().zip(mesh.shares()) {
             let corners = &self.corners[embedded.cell as usize];
             let force = self.of_planes(embedded.mean(corners, positions), || embedded.mean(corners, velocities));
             if force != DVec3::ZERO {
                 for (&node, &weight) in corners.iter().zip(&embedded.weights) {
-                    into[node as usize] += force * (weight * share * mass / masses[node as usize]);
+                    into[node as usize] += force * (weight * share * mass / self.masses[node as usize]);
                 }
             }
         }
@@ -764,6 +764,7 @@ impl Contact<'_> {
     /// The acceleration of a point of the surface by the planes, given its place and velocity relative to the centre.
     fn of_planes(&self, place: DVec3, velocity: impl Fn() -> DVec3) -> DVec3 {
         let mut sum = DVec3::ZERO;
+        let min_stop = self.surface.contact * self.step;
         for plane in self.planes {
             let depth = plane.depth(place + self.motion[0]);
             if depth > 0.0 {
@@ -771,7 +772,7 @@ impl Contact<'_> {
                 let slide = velocity - plane.normal * plane.normal.dot(velocity);
                 let pressure = plane.stiffness * depth;
                 let rate = plane.friction * pressure / (slide.length_squared() + plane.slip * plane.slip).sqrt();
-                sum += plane.normal * pressure - slide * f64::min(rate, 1.0 / self.min_stop);
+                sum += plane.normal * pressure - slide * f64::min(rate, 1.0 / min_stop);
             }
         }
         sum

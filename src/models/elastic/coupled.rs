@@ -40,14 +40,13 @@ use super::{
     note_phase,
 };
 use crate::{
-    geometry::Mesh,
     interrupt::is_raised,
     model::{
         influence::{Weight, acceleration},
         phase::Phase,
         shape_matching::{best_rotation, moment, outer, resistance, solve},
     },
-    models::{cells::Cells, lattice::Scheme},
+    models::lattice::Scheme,
     observe::{PairEvent, StepFailure},
     parallel,
     scene::{
@@ -177,21 +176,10 @@ impl Free {
 struct Loads<'a> {
     now: &'a Instantaneous,
     weight: Weight,
-    planes: &'a [Plane],
-    mesh: &'a Mesh,
-    cells: &'a Cells,
-    corners: &'a [[u32; 8]],
-    exposed: &'a [u32],
+    contact: Contact<'a>,
     directions: &'a [DVec3],
-    /// Masses of the nodes.
-    masses: &'a [f64],
-    /// Mass of the body in the scene.
-    mass: f64,
     held: &'a [bool],
-    place: Place,
     rotation: Option<DQuat>,
-    /// See [`Contact::min_stop`].
-    min_stop: f64,
 }
 
 impl Loads<'_> {
@@ -200,7 +188,8 @@ impl Loads<'_> {
         into.fill(self.now.uniform);
         acted.pulls.clear();
         // nodes that are no longer part of a free body have no mass
-        let mass = |node: usize| if self.rotation.is_some() && self.held[node] { 0.0 } else { self.masses[node] };
+        let mass =
+            |node: usize| if self.rotation.is_some() && self.held[node] { 0.0 } else { self.contact.masses[node] };
         for &ActingSphere { source, centre, strength, radius, .. } in &self.now.spheres {
             let mut sum = DVec3::ZERO;
             for (node, (into, position)) in into.iter_mut().zip(positions).enumerate() {
@@ -220,12 +209,7 @@ impl Loads<'_> {
                 *into += direction * (strength * f64::max(0.0, -facing.dot(towards)));
             }
         }
-        if !self.planes.is_empty() {
-            let Loads { planes, mesh, cells, corners, exposed, min_stop, place, .. } = *self;
-            let of =
-                Contact { planes, mesh, cells, corners, exposed, motion: [place.centre, place.velocity], min_stop };
-            of.accelerate(self.masses, self.mass, positions, velocities, into);
-        }
+        self.contact.accelerate(positions, velocities, into);
         acted.mean = DVec3::ZERO;
         if self.rotation.is_some() {
             let (mut sum, mut all) = (DVec3::ZERO, 0.0);
@@ -300,7 +284,7 @@ impl Elastic {
         let (mut limit, mut stiffest, mut springs) = (f64::INFINITY, 0, 0);
         for body in bodies.iter_mut() {
             let planes = near(&scene.planes, body.placed.unwrap_or_default().centre, body.reach);
-            let planes = planes.iter().map(|plane| plane.stiffness).sum::<f64>() * body.contact;
+            let planes = planes.iter().map(|plane| plane.stiffness).sum::<f64>() * body.surface.contact;
             let outside = around.stiffness(body.index, &body.sources) + planes;
             let Matter::Lattice(of) = &mut body.matter else { continue };
             let Springs { lattice, motion } = &mut **of;
@@ -597,26 +581,25 @@ impl Body {
     fn pull(&mut self, around: &StepContext<'_>, t: f64, h: f64, count: u64, places: &[Place], centres: &[DVec3]) {
         let mut now = std::mem::take(&mut self.now);
         self.find_acting(around, [around.start, around.end], Some(t), centres, &mut now);
-        let Body { matter, statistics, mesh, cells, exposed, directions, contact, index, free, acted, radius, .. } =
-            self;
+        let Body { matter, statistics, surface, directions, index, free, acted, radius, .. } = self;
         let Matter::Lattice(springs) = matter else { return };
         let Springs { lattice, motion } = &mut **springs;
         let place = places[*index];
+        let contact = Contact {
+            planes: near(&around.scene.planes, place.centre, self.extent.max(*radius)),
+            surface,
+            corners: &lattice.corners,
+            masses: &lattice.masses,
+            motion: [place.centre, place.velocity],
+            step: h,
+        };
         let acting = Loads {
             now: &now,
             weight: around.scene.influence.weight,
-            planes: near(&around.scene.planes, place.centre, self.extent.max(*radius)),
-            mesh,
-            cells,
-            corners: &lattice.corners,
-            exposed,
+            contact,
             directions,
-            masses: &lattice.masses,
-            mass: around.scene.bodies[*index].mass,
             held: &lattice.held,
-            place,
             rotation: free.as_ref().map(|free| free.turned(t)),
-            min_stop: *contact * h,
         };
         let outside = |_: f64, positions: &[DVec3], velocities: &[DVec3], into: &mut [DVec3]| {
             acting.act(positions, velocities, into, acted);
@@ -652,24 +635,24 @@ impl Body {
     fn load(&mut self, around: &StepContext<'_>, ends: [f64; 2], h: f64, places: &[Place], centres: &[DVec3]) {
         let mut now = std::mem::take(&mut self.now);
         self.find_acting(around, ends, None, centres, &mut now);
-        let Body { matter, mesh, cells, directions, contact, index, free, acted, radius, rest, x, u, .. } = self;
+        let Body { matter, surface, directions, index, free, acted, radius, rest, x, u, .. } = self;
         let Matter::Fem(finite) = matter else { return };
         let place = places[*index];
+        let contact = Contact {
+            planes: near(&around.scene.planes, place.centre, self.extent.max(*radius)),
+            surface,
+            corners: &surface.cells.corners,
+            masses: &finite.element.masses,
+            motion: [place.centre, place.velocity],
+            step: h,
+        };
         let acting = Loads {
             now: &now,
             weight: around.scene.influence.weight,
-            planes: near(&around.scene.planes, place.centre, self.extent.max(*radius)),
-            mesh,
-            cells,
-            corners: &cells.corners,
-            exposed: &[],
+            contact,
             directions,
-            masses: &finite.element.masses,
-            mass: around.scene.bodies[*index].mass,
             held: &finite.held,
-            place,
             rotation: free.as_ref().map(|free| free.turned(ends[0] + 0.5 * (ends[1] - ends[0]))),
-            min_stop: *contact * h,
         };
         let (mut loads, mut middle) = (std::mem::take(&mut acted.loads), std::mem::take(&mut acted.places));
         let half = 0.5 * h;

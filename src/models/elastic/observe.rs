@@ -121,7 +121,8 @@ const SPRINGS: &[Scalar] = &[
 /// Only of lattices whose cells are cut.
 const CUT: &[Scalar] = &[
     smooth("volume_lost", "fraction of the volume that is lost [–]", "Volume lost", |simulation, _| {
-        let volume = |body: &Body| body.cells.cell_count() as f64 * (body.cells.size() * body.radius).powi(3);
+        let volume =
+            |body: &Body| body.surface.cells.cell_count() as f64 * (body.surface.cells.size() * body.radius).powi(3);
         simulation.sum(|body| body.statistics.lost * volume(body)) / simulation.sum(volume)
     }),
     smooth("cut_cells", "cells cut", "Counts", |simulation, _| simulation.sum(|body| body.statistics.torn as f64)),
@@ -195,7 +196,7 @@ fn step_limit(scene: &Scene, body: &crate::scene::Body) -> f64 {
 impl Elastic {
     /// Whether frames have the springs of the bodies.
     fn has_springs(&self) -> bool {
-        let cells = self.bodies.iter().map(|body| body.cells.cell_count()).sum::<usize>();
+        let cells = self.bodies.iter().map(|body| body.surface.cells.cell_count()).sum::<usize>();
         self.scene.model == Model::Lattice && cells <= DRAWN_CELLS
     }
 
@@ -336,7 +337,7 @@ impl Elastic {
                 }
             }
         }
-        let count = now.mesh.as_ref().map_or(body.mesh.vertex_count(), |mesh| mesh.vertex_count());
+        let count = now.mesh.as_ref().map_or(body.surface.mesh.vertex_count(), |mesh| mesh.vertex_count());
         let held: Vec<bool> = (0..n).map(|node| body.is_held(node)).collect();
         now.terms.resize_with(causes.len(), Default::default);
         let (mut net, mut net_mean, mass_now) = (Vectors::zeros(count), DVec3::ZERO, body.free_mass());
@@ -352,7 +353,7 @@ impl Elastic {
             }
             at_vertices(body, nodes, count, &mut of_vertices);
             if now.mesh.is_some() {
-                (0..body.cells.embedded.len()).for_each(|former| of_vertices.set(former, DVec3::ZERO));
+                (0..body.surface.cells.embedded.len()).for_each(|former| of_vertices.set(former, DVec3::ZERO));
             }
             term.accelerations.copy_from(&of_vertices);
             net.add_times(1.0, &of_vertices);
@@ -417,11 +418,11 @@ impl Elastic {
 fn at_vertices(body: &Body, nodes: &[DVec3], count: usize, vertices: &mut Vectors) {
     vertices.clear();
     let corners = body.corners();
-    for embedded in &body.cells.embedded {
+    for embedded in &body.surface.cells.embedded {
         vertices.push(embedded.mean(&corners[embedded.cell as usize], nodes));
     }
     if count > vertices.len() {
-        body.exposed.iter().for_each(|&node| vertices.push(nodes[node as usize]));
+        body.surface.exposed.iter().for_each(|&node| vertices.push(nodes[node as usize]));
     }
 }
 
@@ -510,7 +511,7 @@ impl Simulation for Elastic {
                 format!("torn: {} nodes split, no volume lost", self.sum(|body| body.statistics.split as f64))
             }
             _ => {
-                let cells = self.sum(|body| body.cells.cell_count() as f64);
+                let cells = self.sum(|body| body.surface.cells.cell_count() as f64);
                 let cut = self.sum(|body| body.statistics.torn as f64);
                 format!("torn: {cut} of {cells} cells cut, their volume lost")
             }
@@ -563,14 +564,14 @@ impl Simulation for Elastic {
             if body.is_at_rest {
                 now.rest();
             } else {
-                let mesh = now.mesh.clone().unwrap_or_else(|| body.mesh.clone());
+                let mesh = now.mesh.clone().unwrap_or_else(|| body.surface.mesh.clone());
                 let count = mesh.vertex_count();
                 at_vertices(body, &body.x, count, &mut now.displacements);
                 at_vertices(body, &body.u, count, &mut now.velocities);
                 now.displaced(mesh.at(body.radius));
                 if now.mesh.is_some() {
                     // the vertices of the surface before it tore are no longer part of it
-                    now.lengths[..body.cells.embedded.len()].fill(0.0);
+                    now.lengths[..body.surface.cells.embedded.len()].fill(0.0);
                     now.max_displacement = now.lengths.iter().copied().fold(0.0, f64::max);
                 }
             }

@@ -71,8 +71,9 @@ fn too_much_force_turns_cells_of_a_lattice_inside_out() {
         let mut most = 0;
         for _ in 0..steps {
             run(&mut simulation, 1);
-            let cells =
-                |body: &Body| (0..body.cells.cell_count() as u32).filter(|&cell| is_inverted(body, cell)).count();
+            let cells = |body: &Body| {
+                (0..body.surface.cells.cell_count() as u32).filter(|&cell| is_inverted(body, cell)).count()
+            };
             most = most.max(simulation.bodies.iter().map(cells).sum());
         }
         most
@@ -311,7 +312,7 @@ fn both_tear_modes_show_in_frames() {
             TearMode::Split => assert!(value("volume_lost").is_none() && value("split_nodes").is_some_and(|n| n > 0.0)),
         }
         if let Some(mesh) = &now.mesh {
-            let first = simulation.bodies[0].mesh.vertex_count();
+            let first = simulation.bodies[0].surface.mesh.vertex_count();
             assert!(mesh.vertex_count() > first && mesh.triangles().iter().flatten().all(|&i| i as usize >= first));
             assert_eq!(now.displacements.len(), mesh.vertex_count());
             let mut edges = std::collections::HashMap::new();
@@ -339,7 +340,7 @@ fn elements_report_where_they_would_tear() {
     let account = simulation.account().unwrap();
     assert!(account.contains("would tear") && account.contains("\"a\""), "{account}");
     let torn = simulation.bodies[0].statistics.torn;
-    assert!(torn > 0 && torn <= simulation.bodies[0].cells.cell_count() as u64);
+    assert!(torn > 0 && torn <= simulation.bodies[0].surface.cells.cell_count() as u64);
     scene.fem.tear_stress = Some(1e9);
     let mut simulation = start(&scene);
     run(&mut simulation, 60);
