@@ -183,7 +183,8 @@ impl StepContext<'_> {
         breaks.dedup();
     }
 
-    /// The external accelerations of a body between two breaks.
+    /// The external accelerations of a body between two breaks; with `is_mean`, their averages over a step with breaks
+    /// inside.
     pub fn part<'a>(
         &'a self,
         path: &'a Path,
@@ -191,45 +192,34 @@ impl StepContext<'_> {
         sources: &[u32],
         pushes: &[Push],
         ends: [f64; 2],
+        is_mean: bool,
     ) -> Part<'a> {
         let [start, end] = ends;
-        let (scene, inside) = (self.scene, start + 0.5 * (end - start));
-        let body = &scene.bodies[index];
-        let source = |&other: &u32| self.source(index, other, start, 1.0);
-        let acts = |push: &&Push| push.start <= inside && inside < push.end();
-        Part {
-            scene,
+        let over = if is_mean { ends } else { [start, start] };
+        let mut part = Part {
+            scene: self.scene,
             path,
-            material: body.material,
+            material: self.scene.bodies[index].material,
             start,
             end,
-            sources: sources.iter().filter_map(source).collect(),
-            pushes: pushes.iter().filter(acts).map(|push| (push.direction, push.strength)).collect(),
-        }
-    }
-
-    /// The average external accelerations of a body over a step with breaks inside.
-    pub fn mean<'a>(
-        &'a self,
-        path: &'a Path,
-        index: usize,
-        sources: &[u32],
-        pushes: &[Push],
-        ends: [f64; 2],
-    ) -> Part<'a> {
-        let mut part = self.part(path, index, &[], &[], ends);
+            sources: Vec::new(),
+            pushes: Vec::new(),
+        };
         for &other in sources {
-            self.by_share(index, other, ends, |from, share| {
+            self.by_share(index, other, over, |from, share| {
                 part.sources.extend(self.source(index, other, from, share))
             });
         }
-        mean_pushes(pushes, ends, &mut part.pushes);
+        add_pushes(pushes, over, &mut part.pushes);
         part
     }
 
     /// Calls `found` for each interval in which a pair stays in one phase, or in which a force point acts, with its start
-    /// [s] and its fraction of the time.
+    /// [s] and its fraction of the time; once if the two ends are one instant.
     fn by_share(&self, index: usize, other: u32, [start, end]: [f64; 2], mut found: impl FnMut(f64, f64)) {
+        if end <= start {
+            return found(start, 1.0);
+        }
         if let Some(point) = self.point(other) {
             let (from, to) = (point.start.max(start), point.end().min(end));
             if to > from {
@@ -248,7 +238,8 @@ impl StepContext<'_> {
         }
     }
 
-    /// Writes the average effect of spheres and pushes on a body over some time, given the centres of all bodies.
+    /// Writes the average effect of spheres and pushes on a body over some time, or that at an instant, given the centres
+    /// of all bodies.
     pub fn acting(
         &self,
         index: usize,
@@ -262,21 +253,11 @@ impl StepContext<'_> {
         now.pushes.clear();
         for &other in sources {
             let apart = centres[other as usize] - centres[index];
-            let mut add = |from: f64, share: f64| {
+            self.by_share(index, other, ends, |from, share| {
                 now.spheres.extend(self.sphere(index, other, from, share).map(|sphere| sphere.at(other, apart)));
-            };
-            if ends[1] > ends[0] {
-                self.by_share(index, other, ends, add);
-            } else {
-                add(ends[0], 1.0);
-            }
+            });
         }
-        if ends[1] > ends[0] {
-            mean_pushes(pushes, ends, &mut now.pushes);
-        } else {
-            let acts = pushes.iter().filter(|push| push.start <= ends[0] && ends[0] < push.end());
-            now.pushes.extend(acts.map(|push| (push.direction, push.strength)));
-        }
+        add_pushes(pushes, ends, &mut now.pushes);
     }
 
     /// Upper bound of the spatial derivative of the accelerations by spheres [1/s²]: of a body's nodes, and of its
@@ -340,11 +321,15 @@ pub fn steep(weight: Weight) -> f64 {
     if weight == Weight::Linear { 1.0 } else { 2.0 }
 }
 
-/// Appends pushes averaged over a time interval.
-fn mean_pushes(pushes: &[Push], [start, end]: [f64; 2], into: &mut Vec<(DVec3, f64)>) {
+/// Appends pushes averaged over a time interval; those that act at its start if the two ends are one instant.
+fn add_pushes(pushes: &[Push], [start, end]: [f64; 2], into: &mut Vec<(DVec3, f64)>) {
     into.extend(pushes.iter().filter_map(|push| {
-        let acts = push.end().min(end) - push.start.max(start);
-        (acts > 0.0).then(|| (push.direction, push.strength * (acts / (end - start))))
+        let share = if end > start {
+            (push.end().min(end) - push.start.max(start)) / (end - start)
+        } else {
+            f64::from(push.start <= start && start < push.end())
+        };
+        (share > 0.0).then(|| (push.direction, push.strength * share))
     }));
 }
 
