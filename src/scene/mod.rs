@@ -409,6 +409,11 @@ impl Push {
     pub fn end(&self) -> f64 {
         self.start + self.duration
     }
+
+    /// Whether it acts at `t` [s].
+    pub fn acts_at(&self, t: f64) -> bool {
+        self.start <= t && t < self.end()
+    }
 }
 
 named! {

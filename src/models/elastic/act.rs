@@ -327,7 +327,7 @@ fn add_pushes(pushes: &[Push], [start, end]: [f64; 2], into: &mut Vec<(DVec3, f6
         let share = if end > start {
             (push.end().min(end) - push.start.max(start)) / (end - start)
         } else {
-            f64::from(push.start <= start && start < push.end())
+            f64::from(push.acts_at(start))
         };
         (share > 0.0).then(|| (push.direction, push.strength * share))
     }));

@@ -10,7 +10,7 @@ use crate::{
         neighbours::{PairId, later_neighbours},
         solver::Setting,
         span::Span,
-        terms::{self, Cause, Origin, Source, Surroundings, Weighted},
+        terms::{self, Origin, Source, Surroundings},
         work::Tally,
     },
 };
@@ -89,12 +89,7 @@ impl Coupled {
         sources.clear();
         let member = &self.members[index];
         uniform.extend(terms::uniform_on(scene, index, time));
-        let acting = member.pushes.iter().filter(|push| push.start <= time && time < push.end);
-        weighted.extend(acting.map(|push| Weighted {
-            cause: Cause::Push,
-            direction: push.direction,
-            strength: push.strength,
-        }));
+        weighted.extend(terms::push::acting(&member.pushes, time));
         for (other, pair) in self.pairs_of(index) {
             let (own, source) = (&member.body, &self.members[other as usize].body);
             let centre = source.centre - own.centre;
@@ -127,13 +122,10 @@ impl Coupled {
 
     /// What acts on all bodies at `time` [s], beside pairs.
     pub(super) fn field(&self, scene: &Scene, time: f64) -> Field {
-        let pushes = self.members.iter().zip(0..).flat_map(|(member, body)| {
-            let acting = member.pushes.iter().filter(move |push| push.start <= time && time < push.end);
-            acting.map(move |&push| free::Push { body, ..push })
-        });
+        let pushes = self.members.iter().flat_map(|member| &member.pushes).filter(|push| push.acts_at(time));
         let forces = (0..).zip(&scene.bodies).filter_map(|(index, body)| Some((index, body.force.clone()?)));
         let mut field = Field {
-            pushes: pushes.collect(),
+            pushes: pushes.copied().collect(),
             forces: forces.collect(),
             first_point: scene.bodies.len() as u32,
             ..Field::default()

@@ -79,7 +79,7 @@ impl Coupled {
         self.starts.go_to(time);
         for body in self.starts.reached().collect::<Vec<_>>() {
             let member = &self.members[body as usize];
-            if !member.is_awake && member.pushes.iter().any(|push| push.start < time && time < push.end) {
+            if !member.is_awake && member.pushes.iter().any(|push| push.start < time && time < push.end()) {
                 self.wake(body);
             }
         }

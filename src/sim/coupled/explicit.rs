@@ -172,7 +172,7 @@ impl ExplicitStep<'_> {
                     force += plane.acceleration(depth, frame.velocity + rate);
                 }
             }
-            for push in member.pushes.iter().filter(|push| push.start <= t && t < push.end) {
+            for push in member.pushes.iter().filter(|push| push.acts_at(t)) {
                 let facing = -a.normalize_or_zero().dot(push.direction);
                 force += push.direction * (push.strength * f64::max(0.0, facing));
             }

@@ -14,7 +14,7 @@ use crate::{
     lock,
     model::oscillator::Oscillator,
     parallel,
-    scene::{Path, Point, Scene},
+    scene::{Path, Point, Push, Scene},
     sim::{
         free::{self, Body, Driven, Island, Pair, Parts, Paths, Report, Scratch, Shape},
         neighbours::PairId,
@@ -198,8 +198,8 @@ impl Job {
                 continue;
             }
             let pushes = member.pushes.iter().take_while(|push| push.start < span.end);
-            let pushes = pushes.filter(|push| push.end > span.start);
-            field.pushes.extend(pushes.map(|&push| free::Push { body: index as u32, ..push }));
+            let pushes = pushes.filter(|push| push.end() > span.start);
+            field.pushes.extend(pushes.map(|&push| Push { body: index, ..push }));
             field.forces.extend(scene.bodies[body as usize].force.iter().map(|force| (index as u32, force.clone())));
             copy.copy_from(&member.body);
             copy.fill_states();

@@ -11,10 +11,10 @@ use crate::{
         oscillator::Oscillator,
         shape_matching::{resistance, rotation_by, solve},
     },
-    scene::{self, Motion, Scene},
+    scene::{self, Motion, Push, Scene},
     sim::{
         checksum,
-        free::{Body, Driven, Push, Shape, Way},
+        free::{Body, Driven, Shape, Way},
         memory::spilled,
         neighbours::{FatBounds, Neighbours},
         numerics::control::{MAX_SLOW_TOLERANCE, NEGLIGIBLE, NEGLIGIBLE_TOLERANCE, SLOW_TIME},
@@ -128,7 +128,7 @@ impl Member {
     pub fn new(scene: &Scene, index: usize, shapes: &mut Shapes) -> Member {
         let body = &scene.bodies[index];
         let mesh = body.shape.mesh();
-        let mut pushes: Vec<Push> = scene.pushes.iter().filter(|push| push.body == index).map(pushed).collect();
+        let mut pushes: Vec<Push> = scene.pushes.iter().filter(|push| push.body == index).copied().collect();
         pushes.sort_by(|p, q| p.start.total_cmp(&q.start));
         let shape = shapes.get(&mesh, body.radius, body.mass);
         let oscillator = Oscillator { omega: body.material.omega, damping: body.material.damping };
@@ -171,9 +171,9 @@ impl Member {
     }
 
     /// Adds a push on it.
-    pub fn add_push(&mut self, push: &scene::Push) {
+    pub fn add_push(&mut self, push: &Push) {
         let mut pushes = std::mem::take(&mut self.pushes).into_vec();
-        pushes.insert(pushes.partition_point(|other| other.start <= push.start), pushed(push));
+        pushes.insert(pushes.partition_point(|other| other.start <= push.start), *push);
         self.pushes = pushes.into();
     }
 
@@ -392,11 +392,6 @@ fn is_largest(inertia: DMat3, spin: DVec3) -> bool {
     let (a, b, c) = (across.dot(inertia * across), second.dot(inertia * second), across.dot(inertia * second));
     let half = 0.5 * (a - b);
     own >= 0.5 * (a + b) + (half * half + c * c).sqrt()
-}
-
-fn pushed(push: &scene::Push) -> Push {
-    let scene::Push { body, direction, strength, start, .. } = *push;
-    Push { body: body as u32, direction, strength, start, end: push.end() }
 }
 
 /// The motion at `t` [s] of a body on a path, or of a force point, which follow the bodies; the left limit if `before`

@@ -358,7 +358,7 @@ impl Coupled {
         }
         let index = group.bodies[0] as usize;
         let member = &self.members[index];
-        let is_pushed = member.pushes.iter().any(|push| push.start < span.end && push.end > span.start);
+        let is_pushed = member.pushes.iter().any(|push| push.start < span.end && push.end() > span.start);
         let body = &member.body;
         let touches = |plane: &Plane| plane.depth(body.centre) + member.bounds.extent + member.bounds.way > 0.0;
         let is_driven =

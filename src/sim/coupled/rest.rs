@@ -101,7 +101,7 @@ impl Coupled {
             };
             let is_slow = |body: &u32| {
                 let member = &self.members[*body as usize];
-                let is_pushed = member.pushes.iter().any(|push| push.start <= span.end && push.end > span.end);
+                let is_pushed = member.pushes.iter().any(|push| push.start <= span.end && push.end() > span.end);
                 let mut points = self.points_near(scene, span, *body as usize);
                 let is_driven = is_pushed
                     || scene.bodies[*body as usize].force.is_some()

@@ -10,7 +10,7 @@ use crate::{
         phase::{Phase, Transition},
         shape_matching::Plane,
     },
-    scene::{Force, Point, Scene},
+    scene::{Force, Point, Push, Scene},
     sim::terms::{self, Cause},
 };
 
@@ -21,7 +21,7 @@ pub struct Field {
     pub uniform: Vec<(Cause, DVec3)>,
     /// Planes, which act on every vertex of every body.
     pub planes: Vec<Plane>,
-    /// Pushes, which act on single bodies.
+    /// Pushes, which act on single bodies of the group.
     pub pushes: Vec<Push>,
     /// Forces set by a program, with the indices of their bodies.
     pub forces: Vec<(u32, Force)>,
@@ -49,21 +49,6 @@ impl Default for Field {
             first_point: u32::MAX,
         }
     }
-}
-
-/// A push (Fig. 4.1) on the vertices of a body that face it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Push {
-    /// Index of the pushed body.
-    pub body: u32,
-    /// Direction of the push, a unit vector.
-    pub direction: DVec3,
-    /// Strength of the push [scene unit/s²].
-    pub strength: f64,
-    /// Start of the push [s]; it acts during [start, end).
-    pub start: f64,
-    /// End of the push, exclusive [s].
-    pub end: f64,
 }
 
 /// Two bodies that can interact, or a body and a force point.
@@ -141,7 +126,7 @@ impl Field {
 
     /// The next instant after `t` at which a push or a path jumps; none depends on the motion of free bodies [s].
     pub(super) fn next_break(&self, t: f64) -> f64 {
-        let edges = self.pushes.iter().flat_map(|push| [push.start, push.end]);
+        let edges = self.pushes.iter().flat_map(|push| [push.start, push.end()]);
         edges.chain(self.breaks.iter().copied()).filter(|&edge| edge > t).fold(f64::INFINITY, f64::min)
     }
 }

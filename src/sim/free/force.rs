@@ -5,13 +5,14 @@ use pulp::Arch;
 
 use super::{
     body::Body,
-    field::{Field, Pair, Push},
+    field::{Field, Pair},
     kernels::{Detect, Kernel, Pull, PullAt},
     split::{hold, passages},
     step::{Course, Held, Place, Reaction, Span},
 };
 use crate::{
     model::{PairLaw, influence::Weight, phase::Phase, shape_matching::Plane},
+    scene::Push,
     sim::numerics::bernstein::{self, Crossings, Polynomial},
 };
 
@@ -187,7 +188,7 @@ impl Acting {
         }
         self.spheres.truncate(count);
         self.pushes.clear();
-        let acts = |push: &&Push| push.body as usize == index && push.start <= span.start && span.start < push.end;
+        let acts = |push: &&Push| push.body == index && push.acts_at(span.start);
         self.pushes.extend(field.pushes.iter().filter(acts));
     }
 

@@ -36,7 +36,7 @@ pub use crate::model::{PairLaw, shape_matching::Rotation};
 pub use body::{Body, Motion, Shape};
 pub use conserved::Conserved;
 pub(super) use conserved::influence as influence_energy;
-pub use field::{Driven, Field, Pair, Paths, Push, Window};
+pub use field::{Driven, Field, Pair, Paths, Window};
 pub use island::{Change, Failure, Island, Report, Way};
 pub(super) use island::{Parts, Scratch};
 pub use ledger::Ledger;

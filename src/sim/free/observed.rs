@@ -70,7 +70,7 @@ impl<'a> Snapshot<'a> {
         let extent = body.shape.extent + body.x.iter().map(|x| x.length()).fold(0.0, f64::max);
         self.pairs_of[index].is_empty()
             && field.planes.iter().all(|plane| plane.depth(body.centre) + extent < 0.0)
-            && !field.pushes.iter().any(|push| push.body as usize == index)
+            && !field.pushes.iter().any(|push| push.body == index)
             && !field.forces.iter().any(|(body, _)| *body as usize == index)
             && (field.uniform.is_empty() || !body.is_free())
     }
@@ -200,7 +200,7 @@ impl<'a> Snapshot<'a> {
         }
         let acts = |start: f64, end: f64| start <= self.time && self.time < end;
         for push in &field.pushes {
-            if push.body as usize == index && acts(push.start, push.end) {
+            if push.body == index && acts(push.start, push.end()) {
                 self.touched(index, Contact::Push(push), |i, g| add(Cause::Push, i, g));
             }
         }

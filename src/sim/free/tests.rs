@@ -12,7 +12,10 @@ use crate::model::{
     phase::{Phase, Thresholds},
     shape_matching::{Plane, rotation_by},
 };
-use crate::sim::{terms::Cause, work::Tally};
+use crate::{
+    scene::Push,
+    sim::{terms::Cause, work::Tally},
+};
 
 impl Island {
     /// An island at t = 0 whose error stays within `tolerance` [radii/s].
@@ -542,7 +545,7 @@ fn the_ledger_accounts_for_damping_events_and_the_rim_of_the_core() {
 #[test]
 fn the_ledger_accounts_for_friction_and_pushes() {
     let plane = Plane { normal: DVec3::Z, offset: 0.0, stiffness: 4000.0, friction: 0.4, slip: 0.05 };
-    let push = Push { body: 0, direction: DVec3::Y, strength: 30.0, start: 0.21, end: 0.4 };
+    let push = Push { body: 0, direction: DVec3::Y, strength: 30.0, start: 0.21, duration: 0.19 };
     let gravity = -9.81 * DVec3::Z;
     for (damping, pushes) in [(0.0, vec![]), (1.0, vec![push])] {
         let o = Oscillator { omega: 12.0, damping };

@@ -277,7 +277,7 @@ impl Substep<'_> {
     /// Calls `act` with every vertex of a body that is pushed and its acceleration [scene unit/s²].
     fn each_push(&self, i: usize, axes: DMat3, mut act: impl FnMut(usize, DVec3)) {
         let pushes = self.island.field.pushes.iter();
-        for push in pushes.filter(|push| push.body as usize == i && push.start <= self.t && self.t < push.end) {
+        for push in pushes.filter(|push| push.body == i && push.acts_at(self.t)) {
             for (vertex, &l) in self.island.bodies[i].shape.rest.iter().enumerate() {
                 let facing = -(axes * l).normalize_or_zero().dot(push.direction);
                 act(vertex, push.direction * (push.strength * f64::max(0.0, facing)));

@@ -32,8 +32,8 @@ impl Weighted {
 pub struct Pushes;
 
 /// The pushes that act at `t` [s].
-fn acting(pushes: &[Push], t: f64) -> impl Iterator<Item = Weighted> {
-    pushes.iter().filter(move |push| push.start <= t && t < push.end()).map(Weighted::from)
+pub(in crate::sim) fn acting(pushes: &[Push], t: f64) -> impl Iterator<Item = Weighted> {
+    pushes.iter().filter(move |push| push.acts_at(t)).map(Weighted::from)
 }
 
 /// Whether a push acts at some time within `span`.
@@ -67,7 +67,7 @@ impl PushField {
     pub fn advance(&mut self, t: f64, rest: Rest<'_>, vertices: &[u32]) -> usize {
         let mut changes = 0;
         for (push, is_in) in &mut self.pushes {
-            let acts = push.start <= t && t < push.end();
+            let acts = push.acts_at(t);
             if acts != *is_in {
                 *is_in = acts;
                 changes += 1;
