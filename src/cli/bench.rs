@@ -91,6 +91,12 @@ const TIMED: Duration = Duration::from_millis(500);
 /// Seed of the random scenes of `bench error`.
 const SEED: u64 = 1;
 
+impl From<MeasureError> for Failure {
+    fn from(error: MeasureError) -> Failure {
+        Failure::Run(error.to_string())
+    }
+}
+
 fn other_model(text: &str) -> Result<Model, String> {
     match crate::models::parse(text)? {
         Model::Oscillators => {
@@ -181,7 +187,7 @@ fn error(arguments: &Arguments) -> Result<(), Failure> {
         let progress = Progress::new(format!("measuring {}", scene.name), Work::Share);
         let of_scene = error::measure(scene, &error::Settings::of(scene), &mut |share| progress.set_share(share));
         measured.push(of_scene.map_err(|error| match error {
-            MeasureError::Failed(_) | MeasureError::Threads(_) => Failure::Run(error.to_string()),
+            MeasureError::Failed(_) | MeasureError::Threads(_) => error.into(),
             error => Failure::Input(format!("scene {}: {error}", scene.name)),
         })?);
     }
@@ -206,7 +212,7 @@ fn random(arguments: &Arguments, count: u64) -> Result<(), Failure> {
     }
     let settings = random::Settings { count, seed: SEED, tolerance };
     let progress = Progress::new("random scenes", Work::Units("scene", Some(count)));
-    let outcomes = random::measure(&settings, &|| progress.add(1)).map_err(|error| Failure::Run(error.to_string()))?;
+    let outcomes = random::measure(&settings, &|| progress.add(1))?;
     drop(progress);
     for outcome in outcomes.iter().filter(|outcome| outcome.is_listed()) {
         print(&outcome.to_string());
@@ -236,7 +242,7 @@ fn scale(arguments: &Arguments) -> Result<(), Failure> {
     let measured = scale::measure(&settings, &mut |share| progress.set_share(share));
     drop(progress);
     let machine = Machine::detect();
-    claimed.finish(&measured.map_err(|error| Failure::Run(error.to_string()))?.report(&machine), &machine)
+    claimed.finish(&measured?.report(&machine), &machine)
 }
 
 fn record(arguments: &Arguments) -> Result<(), Failure> {
@@ -290,30 +296,29 @@ fn record_all(experiments: &[&dyn Experiment], what: &str, names: &str, path: &P
 }
 
 fn stability(arguments: &Arguments) -> Result<(), Failure> {
-    let failed = |error: MeasureError| Failure::Run(error.to_string());
     let (machine, cases) = (Machine::detect(), arguments.random.unwrap_or(CASES));
     let progress = || Progress::new("stability", Work::Units("case", Some(cases)));
     if let Some(model) = arguments.model {
         let progress = progress();
-        let judged = stability::models::measure(model, cases, &|| progress.add(1)).map_err(failed)?;
+        let judged = stability::models::measure(model, cases, &|| progress.add(1))?;
         drop(progress);
         return Claimed::default().finish(&stability::of_model(&judged), &machine);
     }
     let settings = stability::Settings { cases, integrators: Integrator::ALL.to_vec(), most_steps: u64::MAX };
     if let [index] = numbers(&arguments.of, 0..=MAX_CASES - 1, "the number of a case")?[..] {
-        let case = Case::new(index).map_err(|error| Failure::Run(error.to_string()))?;
+        let case = Case::new(index).map_err(MeasureError::from)?;
         print_lines(&case.scene.source);
-        let row = stability::run(case, &settings).map_err(failed)?;
+        let row = stability::run(case, &settings)?;
         return Claimed::default().finish(&stability::of_case(&row), &machine);
     }
     let claimed = Claimed::new(arguments, &stability::columns())?;
     let swept = progress();
-    let rows = stability::sweep(&settings, &|| swept.add(1)).map_err(failed)?;
+    let rows = stability::sweep(&settings, &|| swept.add(1))?;
     drop(swept);
     let progress = Progress::new("energy over a million steps, free bodies", Work::Uncounted);
     let drift = |&integrator: &Integrator| drift::measure(integrator, drift::STEPS);
-    let drifts = settings.integrators.par_iter().map(drift).collect::<Result<Vec<_>, _>>().map_err(failed)?;
-    let free = free::measure(&settings.integrators).map_err(failed)?;
+    let drifts = settings.integrators.par_iter().map(drift).collect::<Result<Vec<_>, _>>()?;
+    let free = free::measure(&settings.integrators)?;
     drop(progress);
     claimed.finish(&stability::report(&rows, &drifts, &free), &machine)
 }
@@ -328,8 +333,7 @@ fn thesis(arguments: &Arguments) -> Result<(), Failure> {
     let progress = Progress::new("measuring the thesis", Work::Share);
     let measured = thesis::measure(&mut |share| progress.set_share(share));
     drop(progress);
-    let report = measured.and_then(|rows| thesis::report(&rows)).map_err(|error| Failure::Run(error.to_string()))?;
-    claimed.finish(&report, &Machine::detect())
+    claimed.finish(&thesis::report(&measured?)?, &Machine::detect())
 }
 
 /// Refuses scenes that the benchmark `what` cannot run: of another model, or larger than the memory that there is.
