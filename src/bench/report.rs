@@ -6,7 +6,7 @@ use super::chart::Chart;
 use crate::{
     stream::machine,
     table::{self, Kind},
-    text::thousands,
+    text::{aligned, thousands},
 };
 
 /// The results of a benchmark.
@@ -123,21 +123,13 @@ impl fmt::Display for Table {
         let rows = self.rows.iter().map(|row| self.columns.iter().zip(row).filter(is_printed).map(shown).collect());
         let headings = self.columns.iter().map(|column| column.heading.clone()).filter(|heading| !heading.is_empty());
         let lines: Vec<Vec<String>> = iter::once(headings.collect()).chain(rows).collect();
-        let width = |k: usize| lines.iter().filter_map(|line| Some(line.get(k)?.chars().count())).max().unwrap_or(0);
-        let widths: Vec<usize> = (0..lines[0].len()).map(width).collect();
         if !self.title.is_empty() {
             writeln!(f, "{}\n", self.title)?;
         }
         let printed = self.columns.iter().filter(|column| !column.heading.is_empty());
         let are_words: Vec<bool> = printed.map(|column| column.kind == Kind::Text).collect();
-        for line in &lines {
-            let mut text = String::new();
-            for (k, ((cell, width), is_word)) in line.iter().zip(&widths).zip(&are_words).enumerate() {
-                let gap = if k == 0 { "" } else { "  " };
-                text +=
-                    &if k == 0 || *is_word { format!("{gap}{cell:<width$}") } else { format!("{gap}{cell:>width$}") };
-            }
-            writeln!(f, "{}", text.trim_end())?;
+        for line in aligned(&lines, |k| k == 0 || are_words[k]) {
+            writeln!(f, "{line}")?;
         }
         if !self.conclusions.is_empty() {
             writeln!(f, "\n{}", self.conclusions.join("\n"))?;

@@ -17,7 +17,7 @@ use crate::{
     geometry::Vectors,
     observe::{BodyFrame, Frame, PairEvent, PairFrame, Run, Schema, Simulation, Want},
     recording::existing::Existing,
-    text::{counted, did_you_mean, short, thousands, trimmed},
+    text::{aligned, counted, did_you_mean, short, thousands, trimmed},
 };
 
 /// Bodies and pairs that are listed unless some are named.
@@ -423,17 +423,8 @@ fn table(header: &[&str], rows: Vec<Vec<String>>, nothing: &str) -> String {
         return format!("\n  {nothing}");
     }
     let header = header.iter().map(|&cell| cell.to_owned()).collect();
-    let rows: Vec<Vec<String>> = std::iter::once(header).chain(rows).collect();
-    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
-    let widths: Vec<usize> = (0..rows[0].len()).map(width).collect();
-    let lines = rows.iter().map(|row| {
-        let cells = row.iter().zip(&widths).enumerate().map(|(column, (cell, &width))| match column {
-            0 => format!("{cell:<width$}"),
-            _ => format!("{cell:>width$}"),
-        });
-        format!("\n    {}", cells.collect::<Vec<_>>().join("  ").trim_end())
-    });
-    lines.collect()
+    let lines: Vec<Vec<String>> = std::iter::once(header).chain(rows).collect();
+    aligned(&lines, |column| column == 0).iter().map(|line| format!("\n    {line}")).collect()
 }
 
 #[cfg(test)]
