@@ -288,7 +288,7 @@ impl Comparison {
         let line = match change {
             // what differs first: long lines are cut
             Change::Moved(was, is) => {
-                format!("{}: {} at t = {:.9} s, now at {:.9} s", is.delay(was), was.what(), was.time, is.time)
+                format!("{}: {} at t = {:.9} s, now at {:.9} s", change.how(), was.what(), was.time, is.time)
             }
             _ => change.to_string(),
         };
@@ -343,11 +343,9 @@ fn differ_most(changes: &[Change]) -> String {
     if changes.len() <= FEW {
         return String::new();
     }
-    let most = events::listed(changes, FEW).into_iter().map(|change| match change {
-        Change::Moved(was, is) => format!("{} at {:.3} s: {}", was.what(), was.time, is.delay(was)),
-        Change::Vanished(event) => format!("{} at {:.3} s: vanished", event.what(), event.time),
-        Change::Appeared(event) => format!("{} at {:.3} s: appeared", event.what(), event.time),
-        Change::Reordered(event) => format!("{} at {:.3} s: in another order", event.what(), event.time),
+    let most = events::listed(changes, FEW).into_iter().map(|change| {
+        let event = change.event();
+        format!("{} at {:.3} s: {}", event.what(), event.time, change.how())
     });
     let most: Vec<String> = most.collect();
     format!("\n\n**{} events differ**, most of all: {}.", changes.len(), most.join("; "))

@@ -35,6 +35,16 @@ impl Change {
             }
         }
     }
+
+    /// How it differs, in words.
+    pub fn how(&self) -> String {
+        match self {
+            Change::Moved(was, is) => is.delay(was),
+            Change::Vanished(_) => "vanished".to_owned(),
+            Change::Appeared(_) => "appeared".to_owned(),
+            Change::Reordered(_) => "in another order".to_owned(),
+        }
+    }
 }
 
 /// The changes to list first, at most `most`: all in order of time, or else what only one run has, and the largest moves.
@@ -56,9 +66,7 @@ impl fmt::Display for Change {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Change::Moved(was, is) => write!(f, "moved: {was}, now at {:.9} s, {}", is.time, is.delay(was)),
-            Change::Vanished(event) => write!(f, "vanished: {event}"),
-            Change::Appeared(event) => write!(f, "appeared: {event}"),
-            Change::Reordered(event) => write!(f, "in another order: {event}"),
+            _ => write!(f, "{}: {}", self.how(), self.event()),
         }
     }
 }
