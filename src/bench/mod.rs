@@ -3,7 +3,6 @@
 //! | command | what it measures | module |
 //! | --- | --- | --- |
 //! | `bench error` | error against run time, for every integrator and a range of step sizes | [`mod@error`] |
-//! | `bench error --random N` | errors of random scenes against their tolerance | [`random`] |
 //! | `bench scale` | cost of a step against the number of bodies | [`scale`] |
 //! | `bench record` | frames per second and bytes per frame by detail and destination, beside the SDK's `log()` | [`record`] |
 //! | `bench models` | the models of a soft body, side by side | [`models`] |
@@ -17,8 +16,8 @@
 pub mod chart;
 pub mod error;
 pub mod influence;
+pub mod judge;
 pub mod models;
-pub mod random;
 pub mod record;
 pub mod reference;
 pub mod report;

@@ -20,7 +20,7 @@ use super::{
 use crate::{
     atomic::{self, AtomicFile},
     bench::{
-        MeasureError, error, models, random, record,
+        MeasureError, error, models, record,
         report::{self, Column, Machine, Report},
         scale,
         stability::{self, cases::Case, drift, free},
@@ -36,7 +36,7 @@ use crate::{
     text::counted,
 };
 
-#[derive(clap::Args, Clone)]
+#[derive(clap::Args)]
 pub struct Arguments {
     /// What to measure.
     what: What,
@@ -46,7 +46,7 @@ pub struct Arguments {
     /// Another value for a key of the scenes, such as tolerance=1e-9; may be repeated.
     #[arg(long, value_name = "KEY=VALUE", value_parser = Override::parse)]
     set: Vec<Override>,
-    /// Number of random cases: of `stability` [default: 4000], or of `error`, instead of scenes.
+    /// Number of cases of `stability` [default: 4000].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=MAX_CASES))]
     random: Option<u64>,
     /// Run the cases of `stability` with this model instead of the integrators.
@@ -88,8 +88,6 @@ const MAX_CASES: u64 = 1_000_000;
 const CASES: u64 = 4000;
 /// Duration of timed steps of `bench scale`, for each number of bodies, family and number of threads.
 const TIMED: Duration = Duration::from_millis(500);
-/// Seed of the random scenes of `bench error`.
-const SEED: u64 = 1;
 
 impl From<MeasureError> for Failure {
     fn from(error: MeasureError) -> Failure {
@@ -110,10 +108,7 @@ fn other_model(text: &str) -> Result<Model, String> {
 pub fn bench(arguments: Arguments) -> Result<(), Failure> {
     check(&arguments)?;
     match arguments.what {
-        What::Error => match arguments.random {
-            Some(count) => random(&arguments, count),
-            None => error(&arguments),
-        },
+        What::Error => error(&arguments),
         What::Scale => scale(&arguments),
         What::Record => record(&arguments),
         What::Models => models(&arguments),
@@ -130,7 +125,7 @@ fn check(arguments: &Arguments) -> Result<(), Failure> {
     let options = [
         (!of.is_empty(), "SCENE", &[Error, Scale, Record, Models, Stability][..]),
         (!set.is_empty(), "--set", &[Error, Record, Models]),
-        (random.is_some(), "--random", &[Error, Stability]),
+        (random.is_some(), "--random", &[Stability]),
         (model.is_some(), "--model", &[Stability]),
         (save.is_some(), "--save", &[Models, Thesis]),
         (csv.is_some(), "--csv", &[Error, Scale, Record, Models, Surface, Stability, Thesis]),
@@ -138,15 +133,12 @@ fn check(arguments: &Arguments) -> Result<(), Failure> {
     ];
     let name =
         |what: &What| clap::ValueEnum::to_possible_value(what).map_or(String::new(), |v| v.get_name().to_owned());
-    let (bench, is_random_error) = (name(what), *what == Error && random.is_some());
+    let bench = name(what);
     if let Some((_, option, has)) = options.iter().find(|(is_given, _, has)| *is_given && !has.contains(what)) {
         let has = has.iter().map(name).collect::<Vec<_>>().join(", ");
         return Err(Failure::Input(format!("`bench {bench}` has no {option}: it is for {has}")));
     }
     let conflicts = [
-        (is_random_error && !of.is_empty(), "--random measures random scenes: leave SCENE out"),
-        (is_random_error && csv.is_some(), "`bench error --random` has no --csv"),
-        (is_random_error && svg.is_some(), "`bench error --random` has no --svg"),
         (*what == Stability && of.len() > 1, "`bench stability` shows one case: give one number"),
         (
             !of.is_empty() && (random.is_some() || model.is_some() || csv.is_some()) && *what == Stability,
@@ -193,39 +185,6 @@ fn error(arguments: &Arguments) -> Result<(), Failure> {
     }
     let machine = Machine::detect();
     claimed.finish(&error::report(&measured, &machine), &machine)
-}
-
-/// Errors of random scenes against what is asked: `--set tolerance=R`.
-fn random(arguments: &Arguments, count: u64) -> Result<(), Failure> {
-    let other = arguments.set.iter().find(|one| one.key() != "tolerance");
-    if let Some(other) = other {
-        return Err(Failure::Input(format!("--set {other}: of random scenes, only the tolerance can be set")));
-    }
-    let tolerance = match arguments.set.is_empty() {
-        true => Scene::DEFAULT_TOLERANCE,
-        false => scenes(&Arguments { of: vec!["two".to_owned()], ..arguments.clone() }, &[])?
-            .first()
-            .map_or(Scene::DEFAULT_TOLERANCE, |scene| scene.tolerance),
-    };
-    if tolerance > 1e-2 {
-        return Err(Failure::Input("--set tolerance: above 1e-2, no error is asked for".to_owned()));
-    }
-    let settings = random::Settings { count, seed: SEED, tolerance };
-    let progress = Progress::new("random scenes", Work::Units("scene", Some(count)));
-    let outcomes = random::measure(&settings, &|| progress.add(1))?;
-    drop(progress);
-    for outcome in outcomes.iter().filter(|outcome| outcome.is_listed()) {
-        print(&outcome.to_string());
-    }
-    let counts = random::Counts::of(&outcomes);
-    print(&format!("tolerance {tolerance:.0e}, seed {SEED}: {counts}"));
-    if counts.are_met() {
-        return Ok(());
-    }
-    Err(Failure::Run(
-        "asked are errors below tolerance × time in 99 of 100 scenes, and below the sum of the estimates in 95"
-            .to_owned(),
-    ))
 }
 
 fn scale(arguments: &Arguments) -> Result<(), Failure> {

@@ -21,6 +21,7 @@ mod octahedra;
 mod own_program;
 mod physics;
 mod random;
+mod random_errors;
 mod reach;
 mod recording;
 mod reference;

@@ -14,7 +14,8 @@ use super::{Judged, MARGIN, Verdict};
 use crate::{
     Scene, SceneError, World,
     bench::{
-        MeasureError, random,
+        MeasureError,
+        judge::judge,
         reference::{Accuracy, Reference},
     },
     model::energy::influence_potential,
@@ -184,7 +185,7 @@ fn excess(scene: &Scene) -> Result<Option<f64>, MeasureError> {
     if Reference::evaluations(&scene, &instants, Accuracy::TIGHTER) > MAX_EVALUATIONS {
         return Ok(None);
     }
-    let outcome = random::judge(scene)?;
+    let outcome = judge(scene)?;
     Ok((outcome.failure.is_none() && !outcome.amplifies).then_some(outcome.factor))
 }
 

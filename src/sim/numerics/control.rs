@@ -61,7 +61,7 @@ pub const MAX_ANGLE: f64 = 0.5;
 /// leave, which is of low order, would dominate the error of steps much shorter than the tolerance requires.
 pub const NEGLIGIBLE_TOLERANCE: f64 = 1e-6;
 /// The reported sum of estimates is meant to bound the error: it allows for errors that grow after their step, and for
-/// residuals that are larger between the midpoints. `bench error --random` counts errors beyond it.
+/// residuals that are larger between the midpoints. tests/suite/random_errors.rs counts errors beyond it.
 pub const GROWTH: f64 = 2.0;
 /// Largest error of an interpolated position of a vertex [radii]: it moves the time of a contact at 1 R/s by a tenth of the
 /// precision to which such times are searched for.
