@@ -18,7 +18,6 @@ pub mod cases;
 pub mod drift;
 pub mod exact;
 pub mod free;
-pub mod models;
 
 use std::time::Instant;
 
@@ -382,18 +381,6 @@ pub fn columns() -> Vec<Column> {
 pub fn of_case(row: &Row) -> Report {
     let table = Table { columns: columns(), rows: row.cells().collect(), ..Table::default() };
     Report { tables: vec![table], failure: defects(&[row.judged()]), ..Report::default() }
-}
-
-/// The verdicts on a model.
-pub fn of_model(judged: &[Judged]) -> Report {
-    Report {
-        tables: vec![by_axis(judged)],
-        notes: "stopped: refused or ended with a reason, or after the time limit; failed: a state that is not finite, without a \
-                report"
-            .to_owned(),
-        failure: defects(judged),
-        ..Report::default()
-    }
 }
 
 /// The outcomes of the sweep, the energy drifts and the outcomes with free bodies.

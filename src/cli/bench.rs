@@ -49,9 +49,6 @@ pub struct Arguments {
     /// Number of cases of `stability` [default: 4000].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=MAX_CASES))]
     random: Option<u64>,
-    /// Run the cases of `stability` with this model instead of the integrators.
-    #[arg(long, value_parser = other_model, value_name = "metaballs|lattice|fem")]
-    model: Option<Model>,
     /// Record the first scene of `models` with all of them side by side, or the scenes of `thesis`.
     #[arg(long, value_name = "F.rrd")]
     save: Option<PathBuf>,
@@ -95,15 +92,6 @@ impl From<MeasureError> for Failure {
     }
 }
 
-fn other_model(text: &str) -> Result<Model, String> {
-    match crate::models::parse(text)? {
-        Model::Oscillators => {
-            Err("the oscillators are what the integrators solve: leave --model out to run all of them".to_owned())
-        }
-        model => Ok(model),
-    }
-}
-
 /// Runs a benchmark.
 pub fn bench(arguments: Arguments) -> Result<(), Failure> {
     check(&arguments)?;
@@ -121,12 +109,11 @@ pub fn bench(arguments: Arguments) -> Result<(), Failure> {
 /// Rejects options that a benchmark does not have.
 fn check(arguments: &Arguments) -> Result<(), Failure> {
     use What::{Error, Models, Record, Scale, Stability, Surface, Thesis};
-    let Arguments { what, of, set, random, model, save, csv, svg } = arguments;
+    let Arguments { what, of, set, random, save, csv, svg } = arguments;
     let options = [
         (!of.is_empty(), "SCENE", &[Error, Scale, Record, Models, Stability][..]),
         (!set.is_empty(), "--set", &[Error, Record, Models]),
         (random.is_some(), "--random", &[Stability]),
-        (model.is_some(), "--model", &[Stability]),
         (save.is_some(), "--save", &[Models, Thesis]),
         (csv.is_some(), "--csv", &[Error, Scale, Record, Models, Surface, Stability, Thesis]),
         (svg.is_some(), "--svg", &[Error, Scale, Models, Thesis]),
@@ -141,10 +128,9 @@ fn check(arguments: &Arguments) -> Result<(), Failure> {
     let conflicts = [
         (*what == Stability && of.len() > 1, "`bench stability` shows one case: give one number"),
         (
-            !of.is_empty() && (random.is_some() || model.is_some() || csv.is_some()) && *what == Stability,
+            !of.is_empty() && (random.is_some() || csv.is_some()) && *what == Stability,
             "a single case of `bench stability` is only shown: leave the other options out",
         ),
-        (model.is_some() && csv.is_some(), "`bench stability --model` has no --csv"),
     ];
     match conflicts.into_iter().find(|(is_given, _)| *is_given) {
         Some((_, why)) => Err(Failure::Input(why.to_owned())),
@@ -256,13 +242,6 @@ fn record_all(experiments: &[&dyn Experiment], what: &str, names: &str, path: &P
 
 fn stability(arguments: &Arguments) -> Result<(), Failure> {
     let (machine, cases) = (Machine::detect(), arguments.random.unwrap_or(CASES));
-    let progress = || Progress::new("stability", Work::Units("case", Some(cases)));
-    if let Some(model) = arguments.model {
-        let progress = progress();
-        let judged = stability::models::measure(model, cases, &|| progress.add(1))?;
-        drop(progress);
-        return Claimed::default().finish(&stability::of_model(&judged), &machine);
-    }
     let settings = stability::Settings { cases, integrators: Integrator::ALL.to_vec(), most_steps: u64::MAX };
     if let [index] = numbers(&arguments.of, 0..=MAX_CASES - 1, "the number of a case")?[..] {
         let case = Case::new(index).map_err(MeasureError::from)?;
@@ -271,7 +250,7 @@ fn stability(arguments: &Arguments) -> Result<(), Failure> {
         return Claimed::default().finish(&stability::of_case(&row), &machine);
     }
     let claimed = Claimed::new(arguments, &stability::columns())?;
-    let swept = progress();
+    let swept = Progress::new("stability", Work::Units("case", Some(cases)));
     let rows = stability::sweep(&settings, &|| swept.add(1))?;
     drop(swept);
     let progress = Progress::new("energy over a million steps, free bodies", Work::Uncounted);

@@ -1,4 +1,6 @@
-//! A short slice of the stress sweep of `bench stability`, and its cases that once failed.
+//! A short slice of the stress sweep of `bench stability`, and its cases that once failed; the other models on its cases.
+
+use std::time::{Duration, Instant};
 
 use meldscope::{
     Scene, World,
@@ -7,8 +9,12 @@ use meldscope::{
         stability::{self, Settings, cases::Case},
     },
     model::phase::Phase,
-    scene::Integrator,
+    models::SceneRun,
+    observe::{Experiment, Frame, Run, Want},
+    scene::{Integrator, Model},
+    sim::Options,
 };
+use rayon::prelude::*;
 
 fn settings(cases: u64, integrator: Integrator) -> Settings {
     Settings { cases, integrators: vec![integrator], most_steps: 100 }
@@ -76,6 +82,42 @@ fn cases_are_the_same_every_time() {
         let [a, b] = [0, 1].map(|_| Case::new(index).expect("a valid scene").scene.source);
         assert_eq!(a, b, "case {index}");
     }
+}
+
+// --- other models ---------------------------------------------------------------------------------------------------
+
+/// States of the other models are finite, or they say that they are not.
+#[test]
+fn other_models_report_what_is_not_finite() {
+    for model in [Model::Metaballs, Model::Lattice, Model::Fem] {
+        let run = |index: u64| {
+            let mut case = Case::new(index).expect("a valid scene");
+            case.scene.model = model;
+            case.scene.integrator = Integrator::Exponential;
+            // affects the cost, but hardly the stability
+            (case.scene.lattice.cells, case.scene.fem.cells) = (3, 3);
+            let is_finite = is_finite(&SceneRun { scene: case.scene, options: Options::default() });
+            assert!(is_finite, "{model:?}, case {index}: {}", case.what);
+        };
+        (0..200).into_par_iter().for_each(run);
+    }
+}
+
+/// Whether the states of a run are finite until it ends, by itself or after a time.
+fn is_finite(scene: &SceneRun) -> bool {
+    const MAX_STEPS: u64 = 60;
+    const TIME_LIMIT: Duration = Duration::from_millis(300);
+    let start = Instant::now();
+    let Ok(simulation) = scene.start() else { return true };
+    let mut run = Run::new(simulation, Some(scene.scene.steps().min(MAX_STEPS)));
+    let mut frame = Frame::default();
+    while start.elapsed() <= TIME_LIMIT && run.valid_step().is_ok_and(|more| more) {
+        run.simulation.observe(Want::default(), &mut frame);
+        if !frame.bodies.iter().all(|body| body.centre.is_finite() && body.max_displacement.is_finite()) {
+            return false;
+        }
+    }
+    true
 }
 
 // --- the reference terminates ---------------------------------------------------------------------------------------
