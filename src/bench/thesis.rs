@@ -22,7 +22,7 @@ use crate::{
 };
 
 /// The built-in scenes of the figures, in the order of the thesis.
-pub const SCENES: [&str; 8] =
+const SCENES: [&str; 8] =
     ["figure-2-1", "figure-2-2b", "figure-2-2c", "figure-2-3", "figure-4-1", "figure-4-2", "figure-4-3", "section-4-3"];
 
 /// Runs are repeated for at least this time [s], and at least [`RUNS`] times; the shortest counts.

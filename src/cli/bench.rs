@@ -49,7 +49,7 @@ pub struct Arguments {
     /// Number of cases of `stability` [default: 4000].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..=MAX_CASES))]
     random: Option<u64>,
-    /// Record the first scene of `models` with all of them side by side, or the scenes of `thesis`.
+    /// Record the first scene of `models` with all of them side by side.
     #[arg(long, value_name = "F.rrd")]
     save: Option<PathBuf>,
     /// Write the measurements to a table: .csv, .json or .parquet.
@@ -114,7 +114,7 @@ fn check(arguments: &Arguments) -> Result<(), Failure> {
         (!of.is_empty(), "SCENE", &[Error, Scale, Record, Models, Stability][..]),
         (!set.is_empty(), "--set", &[Error, Record, Models]),
         (random.is_some(), "--random", &[Stability]),
-        (save.is_some(), "--save", &[Models, Thesis]),
+        (save.is_some(), "--save", &[Models]),
         (csv.is_some(), "--csv", &[Error, Scale, Record, Models, Surface, Stability, Thesis]),
         (svg.is_some(), "--svg", &[Error, Scale, Models, Thesis]),
     ];
@@ -213,7 +213,7 @@ fn models(arguments: &Arguments) -> Result<(), Failure> {
     let claimed = Claimed::new(arguments, &models::columns())?;
     if let (Some(path), [first, ..]) = (&arguments.save, scenes.as_slice()) {
         let all = SideBySide::all(first, Options::default());
-        record_all(&[&all], "all models", &all.schema().model.replace('+', ", "), path)?;
+        save(&all, path)?;
     }
     let mut measured = Vec::new();
     for scene in &scenes {
@@ -224,18 +224,18 @@ fn models(arguments: &Arguments) -> Result<(), Failure> {
     claimed.finish(&models::report(&measured, &machine), &machine)
 }
 
-/// Records experiments in one file, one after the other.
-fn record_all(experiments: &[&dyn Experiment], what: &str, names: &str, path: &Path) -> Result<(), Failure> {
-    let name = experiments.first().map_or_else(String::new, |first| first.schema().name);
-    let new = Existing { application: application(&name), kind: Some(Kind::Run) };
+/// Records all models of a scene side by side.
+fn save(all: &SideBySide, path: &Path) -> Result<(), Failure> {
+    let schema = all.schema();
+    let new = Existing { application: application(&schema.name), kind: Some(Kind::Run) };
     let note = may_save(path, &[], &new)?;
     let destinations = Destinations { save: Some(path.to_owned()), ..Destinations::default() };
-    let all = experiments.iter().map(|&experiment| (experiment, Settings::of(experiment)));
-    let progress = Progress::new(format!("recording {what}"), Work::Uncounted).with_file(path);
-    let frames = stream::record_all(all, &destinations).map_err(|error| Failure::Run(error.to_string()))?;
+    let progress = Progress::new("recording all models", Work::Uncounted).with_file(path);
+    let recorded = stream::record(all, Settings::of(all), &destinations);
+    let frames = recorded.map_err(|error| Failure::Run(error.to_string()))?;
     drop(progress);
     say_note(note);
-    print(&format!("saved {}: {}, {names}", path.display(), counted(frames, "frame")));
+    print(&format!("saved {}: {}, {}", path.display(), counted(frames, "frame"), schema.model.replace('+', ", ")));
     print("");
     Ok(())
 }
@@ -263,11 +263,6 @@ fn stability(arguments: &Arguments) -> Result<(), Failure> {
 
 fn thesis(arguments: &Arguments) -> Result<(), Failure> {
     let claimed = Claimed::new(arguments, &thesis::columns())?;
-    if let Some(path) = &arguments.save {
-        let figures = thesis::SCENES.map(scene).into_iter().collect::<Result<Vec<_>, _>>()?;
-        let figures: Vec<&dyn Experiment> = figures.iter().map(|scene| scene as &dyn Experiment).collect();
-        record_all(&figures, "the figures", &thesis::SCENES.join(", "), path)?;
-    }
     let progress = Progress::new("measuring the thesis", Work::Share);
     let measured = thesis::measure(&mut |share| progress.set_share(share));
     drop(progress);

@@ -847,7 +847,7 @@ fn a_file_is_said_to_be_replaced_once_its_path_is_claimed() {
     fs::copy(dir.file("a.rrd"), dir.file("b.rrd")).expect("disk space");
     fs::create_dir(dir.file("b.rrd.partial")).expect("a folder");
     for arguments in
-        [&["diff", "a.rrd", "a.rrd", "--save", "b.rrd"] as &[&str], &["bench", "thesis", "--save", "b.rrd"]]
+        [&["diff", "a.rrd", "a.rrd", "--save", "b.rrd"] as &[&str], &["bench", "models", "--save", "b.rrd"]]
     {
         let (status, _, err) = meldscope(&dir, arguments);
         assert_ne!(status, 0);
