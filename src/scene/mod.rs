@@ -168,6 +168,7 @@ use crate::{
     model::{
         ForFree, PairLaw,
         influence::Influence,
+        oscillator::Oscillator,
         phase::{Phase, Thresholds},
     },
 };
@@ -369,6 +370,14 @@ pub struct Material {
     pub damping: f64,
     /// The effect of the body's own motion on its vertices.
     pub response: Response,
+}
+
+impl Material {
+    /// The oscillators of its vertices.
+    #[inline]
+    pub fn oscillator(&self) -> Oscillator {
+        Oscillator { omega: self.omega, damping: self.damping }
+    }
 }
 
 impl Default for Material {

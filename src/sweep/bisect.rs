@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use super::{
     classes::Classes,
-    design::{Design, Values},
+    design::Design,
     row::{Cell, Row, axis_column},
     run::Runner,
 };
@@ -139,10 +139,4 @@ pub fn rows(thresholds: &[Threshold], classes: &Classes) -> Vec<Row> {
         (number, cells)
     });
     rows.collect()
-}
-
-/// Whether an axis can be bisected.
-pub fn is_bisectable(design: &Design, axis: usize) -> bool {
-    matches!(design.axes.get(axis).map(|axis| &axis.values), Some(Values::Range { .. }))
-        || design.axes.get(axis).is_some_and(|axis| axis.is_number())
 }

@@ -131,7 +131,7 @@ impl Member {
         let mut pushes: Vec<Push> = scene.pushes.iter().filter(|push| push.body == index).copied().collect();
         pushes.sort_by(|p, q| p.start.total_cmp(&q.start));
         let shape = shapes.get(&mesh, body.radius, body.mass);
-        let oscillator = Oscillator { omega: body.material.omega, damping: body.material.damping };
+        let oscillator = body.material.oscillator();
         let extent = shape.extent();
         let sphere_radius = body.sphere_radius();
         let body = match &body.motion {

@@ -162,11 +162,10 @@ pub(in crate::sim) struct Reference {
 impl Active {
     /// Body `index` of the scene, at rest after `step` steps.
     pub fn new(scene: &Scene, index: usize, step: u64) -> Active {
-        let material = scene.bodies[index].material;
         Active {
             body: index as u32,
             state: BodyState {
-                oscillator: Oscillator { omega: material.omega, damping: material.damping },
+                oscillator: scene.bodies[index].material.oscillator(),
                 carried: State::default(),
                 carried_as_of: step,
                 deformation: Deformation::default(),
@@ -203,7 +202,7 @@ impl Active {
 
     /// Continues with other oscillators.
     pub fn change_oscillator(&mut self, material: &Material, arch: Arch) {
-        let oscillator = Oscillator { omega: material.omega, damping: material.damping };
+        let oscillator = material.oscillator();
         self.state.oscillator = oscillator;
         self.state.state_bounds = StateBounds::of(&self.state.deformation, oscillator, arch);
         let momentum = self.state.carried.momentum(oscillator.omega) + self.state.state_bounds.momentum;

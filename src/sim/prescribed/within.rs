@@ -4,7 +4,7 @@ use glam::DVec3;
 
 use super::{Prescribed, body::Body, deformation::Deformation};
 use crate::{
-    model::{oscillator::Oscillator, phase::Phase},
+    model::phase::Phase,
     scene::Path,
     sim::{
         States, World,
@@ -62,11 +62,6 @@ impl<'a> Recomputed<'a> {
         &self.prescribed.bodies[index]
     }
 
-    fn oscillator(&self, index: usize) -> Oscillator {
-        let material = self.world.scene().bodies[index].material;
-        Oscillator { omega: material.omega, damping: material.damping }
-    }
-
     /// The phase of a pair from `t` on.
     pub fn phase(&self, a: usize, b: usize, t: f64) -> Phase {
         let (a, b) = (a.min(b), a.max(b));
@@ -109,7 +104,8 @@ impl<'a> Recomputed<'a> {
 
     /// The states after the step under the oscillators alone.
     pub fn flow(&self, index: usize, states: &States) -> States {
-        let [xx, xu, ux, uu] = self.oscillator(index).flow(self.world.time() - self.before.time);
+        let h = self.world.time() - self.before.time;
+        let [xx, xu, ux, uu] = self.world.scene().bodies[index].material.oscillator().flow(h);
         let both = || states.displacement.iter().zip(states.velocity.iter());
         States {
             displacement: both().map(|(x, u)| xx * x + xu * u).collect(),

@@ -58,7 +58,7 @@ impl Course<'_> {
 
     /// ω and κ.
     pub fn oscillator(&self) -> Oscillator {
-        Oscillator { omega: self.material.omega, damping: self.material.damping }
+        self.material.oscillator()
     }
 
     /// The weight (3.3).
