@@ -53,10 +53,11 @@ pub fn listed(list: &[String]) -> String {
     }
 }
 
-/// A table as lines, one per row, with the columns aligned: to the left where `is_left`, otherwise to the right.
+/// A table as lines, one per row, with the columns of the first aligned: to the left where `is_left`, otherwise to the
+/// right.
 #[cfg(feature = "cli")]
 pub fn aligned(rows: &[Vec<String>], is_left: impl Fn(usize) -> bool) -> Vec<String> {
-    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
+    let width = |column: usize| rows.iter().filter_map(|row| Some(row.get(column)?.chars().count())).max().unwrap_or(0);
     let widths: Vec<usize> = (0..rows.first().map_or(0, Vec::len)).map(width).collect();
     let line = |row: &Vec<String>| {
         let cells = row.iter().zip(&widths).enumerate().map(|(column, (cell, &width))| match is_left(column) {

@@ -1,5 +1,5 @@
-//! The recordings in a file: one, or several one after the other, as `bench thesis --save` and `rerun rrd merge` make.
-//! The path `F.rrd/NAME` is that of one of them.
+//! The recordings in a file: one, or several one after the other, as [`record_all`](crate::stream::record_all) and `rerun
+//! rrd merge` make. The path `F.rrd/NAME` is that of one of them.
 
 use std::{
     collections::HashMap,

@@ -265,6 +265,7 @@ impl Found {
         let mut text = |property: Component| texts.remove(property.0);
         let foreign = |what: &str| ReadError::Foreign { path: path.to_owned(), what: what.to_owned() };
         let unsupported = |what: String| ReadError::Unsupported { path: path.to_owned(), what };
+        let damaged = |what: String| ReadError::Damaged { path: path.to_owned(), at: None, what };
         let scene_error = |what: String| ReadError::Scene { path: path.to_owned(), what };
         let Some(format) = format else {
             return Err(match (text(SCENE), end) {
@@ -295,10 +296,7 @@ impl Found {
         let cannot_run = |what: String| unsupported(format!("cannot be run here: {what}"));
         let experiment = match read(&file, &scene, &run) {
             Err(Refusal::Source(what)) => return Err(scene_error(what)),
-            _ if !is_as_made => {
-                let what = "its scene or settings do not match its id".to_owned();
-                return Err(ReadError::Damaged { path: path.to_owned(), at: None, what });
-            }
+            _ if !is_as_made => return Err(damaged("its scene or settings do not match its id".to_owned())),
             Err(Refusal::Run(what)) => return Err(cannot_run(what)),
             Ok(experiment) => experiment,
         };
@@ -308,7 +306,6 @@ impl Found {
         if sums.values.is_empty() && end == End::Whole {
             return Err(foreign("it has no checksums"));
         }
-        let damaged = |what: String| ReadError::Damaged { path: path.to_owned(), at: None, what };
         let last = sums.first + (sums.values.len() as u64).saturating_sub(1);
         match (settings.steps, text(DIGEST)) {
             (Some(steps), _) if last > steps => {
