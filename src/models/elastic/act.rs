@@ -195,7 +195,9 @@ impl StepContext<'_> {
         is_mean: bool,
     ) -> Part<'a> {
         let [start, end] = ends;
-        let over = if is_mean { ends } else { [start, start] };
+        // a part may be as short as rounding makes it: a push that begins or ends with it acts if it does in the middle
+        let middle = start + 0.5 * (end - start);
+        let [of_sources, of_pushes] = if is_mean { [ends; 2] } else { [[start; 2], [middle; 2]] };
         let mut part = Part {
             scene: self.scene,
             path,
@@ -206,11 +208,11 @@ impl StepContext<'_> {
             pushes: Vec::new(),
         };
         for &other in sources {
-            self.by_share(index, other, over, |from, share| {
+            self.by_share(index, other, of_sources, |from, share| {
                 part.sources.extend(self.source(index, other, from, share))
             });
         }
-        add_pushes(pushes, over, &mut part.pushes);
+        add_pushes(pushes, of_pushes, &mut part.pushes);
         part
     }
 
