@@ -331,7 +331,7 @@ fn add_pushes(pushes: &[Push], [start, end]: [f64; 2], into: &mut Vec<(DVec3, f6
         } else {
             f64::from(push.acts_at(start))
         };
-        (share > 0.0).then(|| (push.direction, push.strength * share))
+        (share > 0.0).then_some((push.direction, push.strength * share))
     }));
 }
 
