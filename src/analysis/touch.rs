@@ -518,8 +518,6 @@ mod tests {
         all
     }
 
-    /// In a scene of many bodies, too, a pair that comes within reach is followed from the step before on, even where the
-    /// simulation knows no states within a step.
     /// b jumps into a, within a step: the surfaces overlap when the phase changes.
     #[test]
     fn bodies_that_jump_together_are_not_apart() {
@@ -537,6 +535,8 @@ mod tests {
         }
     }
 
+    /// In a scene of many bodies, too, a pair that comes within reach is followed from the step before on, even where the
+    /// simulation knows no states within a step.
     #[test]
     fn a_pair_that_comes_within_reach_among_many_touches_when_its_surfaces_do() {
         let text = "duration = 2.0\nintegrator = \"verlet\"\n[influence]\nalpha = 0\nbeta = 0\n\

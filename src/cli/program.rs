@@ -13,7 +13,7 @@ use super::{
 use crate::{
     models::{self, SceneRun},
     observe::{Experiment, Refusal, Schema, Variation, simulation::FindExperiment},
-    recording::{ReadError, Recorded, contents::Contents},
+    recording::{ReadError, Recorded, contents::Contents, recorded::called_as},
     scene::{Scene, template::Override},
     sim::Options,
     stream::settings::file_stem,
@@ -102,11 +102,11 @@ impl Program<'_> {
             Program::Scenes => Ok(Subject::Scene(Box::new(overrides.apply(load::scene(name)?, name)?))),
             Program::Own(find) => {
                 let experiment = find(name).map_err(|why| Failure::Input(unknown(name, &why)))?;
-                let recorded = file_stem(&experiment.schema().name);
+                let recorded = called_as(&experiment.schema().name);
                 if recorded != name && find(&recorded).is_err() {
                     return Err(Failure::Input(format!(
                         "the experiment {name:?} would be recorded as {recorded:?}, by which this program does not find \
-                         it: let Schema::name be a name that it knows, of letters, digits, - and _"
+                         it: let Schema::name be a name that it knows"
                     )));
                 }
                 let foreign =
@@ -136,7 +136,8 @@ impl Program<'_> {
             Program::Own(find) => {
                 let name = contents.scene(index);
                 contents.recorded(index, &|file, text, run| {
-                    let kind = find(name).map_err(|why| Refusal::Run(unknown(name, &why)))?;
+                    let kind = find(name).or_else(|why| find(&file_stem(name)).map_err(|_| why));
+                    let kind = kind.map_err(|why| Refusal::Run(unknown(name, &why)))?;
                     kind.read(file, text, run)
                 })
             }

@@ -41,8 +41,8 @@
 //! other, and enter and leave the core within 3e-3 s: they are two discretisations of nearly the same solid. They use
 //! 0.9 and 1.1 MiB on `two` (`bench models`).
 //!
-//! 1,000 cases of `bench stability`, each limited to 60 steps or 0.3 s; every failure reported its cause (the tests run
-//! the first of them):
+//! 1,000 of the cases of `bench stability`, run with these models, each limited to 60 steps or 0.3 s; every failure
+//! reported its cause (a test runs the first 200):
 //!
 //! | model | completed | cut short | rejected | diverged | step not taken |
 //! | --- | --- | --- | --- | --- | --- |

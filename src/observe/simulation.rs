@@ -213,8 +213,8 @@ pub trait Experiment: Debug + Send + Sync {
     /// The simulation cannot run here, for the returned reason.
     fn start(&self) -> Result<Box<dyn Simulation>, String>;
 
-    /// Creates an experiment of the same kind from the contents of a recording: the file name, [`Schema::source`] and
-    /// [`Schema::run`].
+    /// Creates an experiment of the same kind from the contents of a recording: `NAME.toml` with its name, for errors and for
+    /// what has no other name, [`Schema::source`] and [`Schema::run`].
     ///
     /// # Errors
     /// The text does not describe an experiment of this kind.

@@ -9,7 +9,7 @@ use std::{
 use super::{
     ReadError, Recorded,
     read::{End, Reader},
-    recorded::{Found, cell},
+    recorded::{Found, called_as, cell},
 };
 use crate::{
     observe::simulation::ReadExperiment,
@@ -50,7 +50,7 @@ impl Contents {
             let id = reader.id().unwrap_or_default();
             if RECORDING_INFO.is(&path_of(&chunk)) {
                 let name = cell::<Utf8>(&chunk, &RecordingInfo::descriptor_name(), 0).into_iter().next();
-                called.extend(name.map(|name| (id.to_owned(), name)));
+                called.extend(name.map(|name| (id.to_owned(), called_as(name.as_str()))));
                 continue;
             }
             let index = *indices.entry(id.to_owned()).or_insert_with(|| {
@@ -64,9 +64,7 @@ impl Contents {
             found.push(Found::default());
         }
         for recording in &mut found {
-            if let Some(name) = called.get(&recording.id) {
-                recording.call(name.as_str());
-            }
+            recording.called = called.remove(&recording.id);
         }
         let end = reader.end().unwrap_or(End::Cut);
         let last = found.len() - 1;
@@ -78,9 +76,10 @@ impl Contents {
         let found = found.into_iter().enumerate().map(ended).collect();
         let mut contents = Contents { path: path.to_owned(), found };
         if let Some(name) = name {
-            let is_wanted =
-                |(known, of): (&&str, &(Found, End))| [known, file_stem(known).as_str(), &of.0.id].contains(&name);
-            let index = contents.names().iter().zip(&contents.found).position(is_wanted);
+            let names = contents.names();
+            let is_exactly = |(known, of): (&&str, &(Found, End))| *known == name || of.0.id == name;
+            let index = names.iter().zip(&contents.found).position(is_exactly);
+            let index = index.or_else(|| names.iter().position(|known| file_stem(known) == name));
             let index = index.ok_or_else(|| contents.several(&format!("there is no {name:?} among its")))?;
             contents.found = vec![contents.found.swap_remove(index)];
         }

@@ -114,8 +114,7 @@ impl fmt::Display for Difference {
             let of_both = if self.has_others { ", where both have them" } else { "" };
             write!(
                 f,
-                "\nsurfaces: gap, overlap, neck, volume, area and topology are the same within the tolerance{}",
-                of_both
+                "\nsurfaces: gap, overlap, neck, volume, area and topology are the same within the tolerance{of_both}"
             )?;
         }
         surfaces.iter().take(LISTED).try_for_each(|deviation| write!(f, "\nsurfaces: {deviation}"))?;
@@ -258,7 +257,7 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
     let mut changes = events.map(|[first, second]| events::compare(&first, &second)).unwrap_or_default();
     changes.retain(|change| !is_tolerable(change));
     Ok(Difference {
-        starts: if a.first == b.first { starts(a, b)? } else { Vec::new() },
+        starts: if a.first.max(b.first) == 0 { starts(a, b).unwrap_or_default() } else { Vec::new() },
         has_others: quantities_a.has_others(&quantities_b),
         tolerance,
         dt: a.schema.dt,
@@ -275,12 +274,15 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
 }
 
 /// The pairs whose phases differ before the first step, in words.
+///
+/// # Errors
+/// One of the runs cannot be started here, which a comparison of recorded frames does not need.
 fn starts(a: &Recorded, b: &Recorded) -> Result<Vec<String>, ReadError> {
     let phases = |of: &Recorded| {
         let mut frame = Frame::default();
         of.start()?.observe(Want::default(), &mut frame);
-        let phase = |pair: &PairFrame| ([pair.a, pair.b], of.schema.phases[pair.phase].name);
-        Ok(frame.pairs.iter().map(phase).collect::<BTreeMap<_, _>>())
+        let phase = |pair: &PairFrame| Some(([pair.a, pair.b], of.schema.phases.get(pair.phase)?.name));
+        Ok(frame.pairs.iter().filter_map(phase).collect::<BTreeMap<_, _>>())
     };
     let [first, second] = [phases(a)?, phases(b)?];
     let apart = |of: &Recorded| of.schema.phases.first().map_or("", |phase| phase.name);

@@ -104,7 +104,7 @@ pub(super) struct Found {
     pub id: String,
     application: String,
     /// The name of the recording.
-    called: Option<String>,
+    pub called: Option<String>,
     /// The texts among its properties, by the names of these.
     texts: BTreeMap<&'static str, String>,
     format: Option<f64>,
@@ -112,6 +112,11 @@ pub(super) struct Found {
     events: Vec<RecordedEvent>,
     contacts: Vec<RecordedEvent>,
     has_words_alone: bool,
+}
+
+/// The name by which a recording is found.
+pub fn called_as(name: &str) -> String {
+    name.chars().filter(|c| !c.is_control()).take(MAX_NAME).collect()
 }
 
 impl Recorded {
@@ -210,11 +215,6 @@ impl Found {
     pub fn name(&self) -> &str {
         let of_application = || self.application.strip_prefix(&application("")).unwrap_or(&self.application);
         self.called.as_deref().unwrap_or_else(of_application)
-    }
-
-    /// Gives it its name.
-    pub fn call(&mut self, name: &str) {
-        self.called = Some(name.chars().filter(|c| !c.is_control()).take(MAX_NAME).collect());
     }
 
     /// Whether the run has written its end.

@@ -134,7 +134,7 @@ entities! {
     RANKED_PAIRS = "/ranking/pairs" ["Points2D, LineStrips2D"]
         "With more than 3 bodies: rows with labels, q and thresholds, for the pairs that change phase next.";
     NOT_RECORDED = "/world/not_recorded" ["Points3D"]
-        "In a flight recorder's file: a label while no frames were kept.";
+        "In a flight recorder's file: a label while no frames were kept. Until the first of them, a Transform3D of surfaces and influence spheres hides these.";
     POINTS = "/world/points" ["Ellipsoids3D, Points3D"]
         "The influence spheres of force points, while they act, and above them their names.";
     SPRINGS = "/world/springs/NAME" ["LineStrips3D"]
@@ -190,7 +190,7 @@ entities! {
     RANKED_ENERGIES = "/ranking/energies/N" ["Points2D, LineStrips2D"]
         "Rows with labels and bars: the scalars in a plot of energies at an instant, those that have not been 0 in all frames; those in a plot of one line follow those of the plot before it, and the first has its value at the start beside it.";
     RANKED_STAGES = "/timings/ranking" ["Points2D, LineStrips2D"]
-        "Rows with labels and bars: the share and the peak of each stage in the whole run.";
+        "Rows with labels and bars: the share and the peak of each stage in the whole run, and the slowest frame.";
     SPEED = "/timings/speed" ["Scalars"]
         "Steps per second.";
     LAG = "/timings/lag" ["Scalars"]

@@ -55,7 +55,7 @@
 //! | `/ranking/displacements` | Points2D, LineStrips2D | With more than 3 bodies: rows with labels and bars, for those with the largest displacements at an instant. |
 //! | `/ranking/groups` | Points2D, LineStrips2D | With more than 3 bodies: rows with labels and bars, for the largest groups at an instant: their pieces and volumes [scene unit³], and with at most 64 bodies how these differ from the volumes of their bodies one by one. |
 //! | `/ranking/pairs` | Points2D, LineStrips2D | With more than 3 bodies: rows with labels, q and thresholds, for the pairs that change phase next. |
-//! | `/world/not_recorded` | Points3D | In a flight recorder's file: a label while no frames were kept. |
+//! | `/world/not_recorded` | Points3D | In a flight recorder's file: a label while no frames were kept. Until the first of them, a Transform3D of surfaces and influence spheres hides these. |
 //! | `/world/points` | Ellipsoids3D, Points3D | The influence spheres of force points, while they act, and above them their names. |
 //! | `/world/springs/NAME` | LineStrips3D | The springs of a body, blue where they are shorter than at rest, red-orange where longer; with forces, and of at most 64 cells. |
 //! | `/world/trails` | LineStrips3D | The path of the centre of each free body, one segment per frame; not with more than 64 bodies. |
@@ -83,7 +83,7 @@
 //! | `/timings/STAGE` | Scalars | What a stage of the step or of the recording costs [ms per step]. |
 //! | `/timings/stacked/N_STAGE` | Scalars | The same, with the stages before it on the same thread; numbered from the top of the stack. |
 //! | `/ranking/energies/N` | Points2D, LineStrips2D | Rows with labels and bars: the scalars in a plot of energies at an instant, those that have not been 0 in all frames; those in a plot of one line follow those of the plot before it, and the first has its value at the start beside it. |
-//! | `/timings/ranking` | Points2D, LineStrips2D | Rows with labels and bars: the share and the peak of each stage in the whole run. |
+//! | `/timings/ranking` | Points2D, LineStrips2D | Rows with labels and bars: the share and the peak of each stage in the whole run, and the slowest frame. |
 //! | `/timings/speed` | Scalars | Steps per second. |
 //! | `/timings/lag` | Scalars | How far a run in real time is behind [ms]. |
 //! | `/diagnostics/SCALAR` | Scalars | Energy, error, counts. |

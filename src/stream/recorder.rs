@@ -17,8 +17,8 @@ use super::{
     checksums::Checksums,
     chunks::{Audience, Chunks},
     contract::{
-        self, ABOUT, ABOUT_STAGES, ACCURACY, ARROWS, BODY, BODY_EVENTS, Component, DIGEST, EVENTS, Entity, FAILED,
-        FAILURE, INFLUENCE, INTEGRATOR, MACHINE, MODEL, NOT_RECORDED, OVERRIDES, PAIR_PHASE, PROPERTIES,
+        self, ABOUT, ABOUT_STAGES, ACCURACY, ARROWS, BODY_EVENTS, BODY_SURFACE, Component, DIGEST, EVENTS, Entity,
+        FAILED, FAILURE, INFLUENCE, INTEGRATOR, MACHINE, MODEL, NOT_RECORDED, OVERRIDES, PAIR_PHASE, PROPERTIES,
         RECORDING_INFO, RESTING, SCENE, SETTINGS, STAGE, STAGES, STEPS, SURFACE_EVENTS, VERSION, WORLD, path_of,
     },
     extract::Extractor,
@@ -65,7 +65,7 @@ use crate::{
         TextLog, Timeline, Transform3D, ViewCoordinates,
         components::{MediaType, Scalar, Text},
     },
-    text::counted,
+    text::{counted, significant},
 };
 
 /// Upper limit on the number of near misses listed.
@@ -405,7 +405,7 @@ impl Recorder {
             let name = |body: usize| self.schema.bodies[body].name.as_str();
             let moved = match moves.log(before, view, &mut state.extractor, &mut self.chunks) {
                 Some(Furthest { body, vertex, distance }) => {
-                    format!("largest move {}:{vertex} {distance:.1e} R, ", name(body))
+                    format!("largest move {}:{vertex} {} R, ", name(body), significant(distance))
                 }
                 None => String::new(),
             };
@@ -502,30 +502,40 @@ impl Recorder {
         }
     }
 
+    fn instant(&self, step: u64) -> Instant {
+        Instant { step, time: step as f64 * self.schema.dt }
+    }
+
+    /// Hides what has a shape, but no place before the first frame of a flight recorder: it would stand at the origin. A scale
+    /// of 0 the viewer ignores.
+    fn hide_until_first_frame(&mut self) {
+        let begin = self.kept.first().map(|kept| kept.first.step.saturating_sub(self.settings.every));
+        if self.flight.is_none() || begin.is_some_and(|begin| begin <= self.first) {
+            return;
+        }
+        // not the bodies themselves, whose transforms a row of scales would replace
+        let mut entities: Vec<String> = match self.settings.entities {
+            Entities::Body => self.schema.bodies.iter().map(|body| BODY_SURFACE.of(&[&body.name])).collect(),
+            Entities::Batch => self.schema.shapes().keys().map(|shape| RESTING.of(&[shape])).collect(),
+        };
+        entities.push(INFLUENCE.path.to_owned());
+        for entity in entities {
+            for (step, scale) in [(self.first, 1e-6)].into_iter().chain(begin.map(|begin| (begin, 1.0))) {
+                let scale = Transform3D::update_fields().with_scale([scale; 3]);
+                self.chunks.log(&entity, self.instant(step), &scale);
+            }
+        }
+    }
+
     /// Labels where a flight recorder has no frames. The state in the frame before each range is known: what was dropped last.
     fn label_gaps(&mut self) {
-        let (every, dt) = (self.settings.every, self.schema.dt);
-        let at = |step: u64| Instant { step, time: step as f64 * dt };
+        let every = self.settings.every;
         let style = Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.0)]);
         let label = |place: DVec3, text: String| {
             let label = style.clone().with_positions([place.as_vec3().to_array()]).with_labels([text]);
             label.with_colors([palette::color(crate::colors::VERMILION)]).with_show_labels(true)
         };
-        let Some(Kept { first, below, .. }) = self.kept.first() else { return };
-        let (begin, below) = (first.step.saturating_sub(every), *below);
-        if begin > self.first {
-            // what has a shape, but no place yet; the viewer ignores a scale of 0
-            let mut entities: Vec<String> = match self.settings.entities {
-                Entities::Body => self.schema.bodies.iter().map(|body| BODY.of(&[&body.name])).collect(),
-                Entities::Batch => self.schema.shapes().keys().map(|shape| RESTING.of(&[shape])).collect(),
-            };
-            entities.push(INFLUENCE.path.to_owned());
-            for entity in entities {
-                for (step, scale) in [(self.first, 1e-6), (begin, 1.0)] {
-                    self.chunks.log(&entity, at(step), &Transform3D::update_fields().with_scale([scale; 3]));
-                }
-            }
-        }
+        let Some(below) = self.kept.first().map(|kept| kept.below) else { return };
         let mut gap = (self.first, below);
         let ends = self.kept.iter().map(|kept| (kept.first.step, Some(kept))).chain([(self.at.step + 1 + every, None)]);
         for (next, kept) in ends {
@@ -533,9 +543,9 @@ impl Recorder {
             let to = next.saturating_sub(every);
             if from < to {
                 let text = format!("no frames of steps {from} to {}", to - 1);
-                self.chunks.log(NOT_RECORDED.path, at(from), &label(below, text));
+                self.chunks.log(NOT_RECORDED.path, self.instant(from), &label(below, text));
                 if to <= self.at.step {
-                    self.chunks.log(NOT_RECORDED.path, at(to), &Points3D::clear_fields());
+                    self.chunks.log(NOT_RECORDED.path, self.instant(to), &Points3D::clear_fields());
                 }
             }
             if let Some(Kept { last, below, .. }) = kept {
@@ -595,13 +605,15 @@ impl Recorder {
         let kept = match (&self.flight, ranges.is_empty()) {
             (None, _) => String::new(),
             (Some(_), false) => format!(
-                "**Frames: only of steps {}{more}.** At other steps, the 3D views show the last recorded frame, possibly incomplete.\n\n",
+                "**Frames: only of steps {}{more}.** Before them, the 3D views are empty; between and after them, they show the last \
+                 frame, possibly incomplete.\n\n",
                 ranges.join(", ")
             ),
             (Some(_), true) => {
                 "**No frames**: what they are kept for did not happen. Ignore the 3D views.\n\n".to_owned()
             }
         };
+        self.hide_until_first_frame();
         self.label_gaps();
         let mut nearest = String::new();
         for (number, line) in self.approaches().iter().take(MOST_APPROACHES).enumerate() {

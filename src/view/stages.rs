@@ -82,6 +82,7 @@ fn intervals(
     let frame = |t: f64, phases_at: f64, states: Vec<States>| frame_of(recomputed, before, world, t, phases_at, states);
     let mut states: Vec<States> = (0..world.body_count()).map(|index| states_before(before, world, index)).collect();
     let flown = states.iter().enumerate().map(|(index, states)| recomputed.flow(index, states)).collect();
+    let mut last = "end".to_owned();
     let without = StageFrame { name: "end if no sphere acted".to_owned(), frame: frame(end, start, flown) };
     match world.scene().integrator {
         Integrator::Exponential => {
@@ -89,7 +90,8 @@ fn intervals(
             for (number, ends) in (1..).zip(breaks.windows(2)) {
                 let (from, to) = (ends[0], ends[1]);
                 if stages.len() >= max || recomputed.is_over() {
-                    return format!("end; sub-steps from {number} to {} are left out", breaks.len() - 1);
+                    last = format!("end; sub-steps from {number} to {} are left out", breaks.len() - 1);
+                    break;
                 }
                 for (index, states) in states.iter_mut().enumerate() {
                     recomputed.advance(index, from, to, states);
@@ -117,7 +119,7 @@ fn intervals(
     }
     // so that the end shows what the spheres did
     stages.push(without);
-    "end".to_owned()
+    last
 }
 
 fn name_of(event: &crate::sim::Event, world: &World) -> String {
@@ -255,7 +257,8 @@ mod tests {
         assert_eq!(report.failure, None);
         assert!(report.events.len() > 5000, "{}", report.events.len());
         let stages = inside(&before, &world);
-        let last = &stages[stages.len() - 1];
+        let [.., without, last] = &stages[..] else { panic!("no stages") };
+        assert_eq!(without.name, "end if no sphere acted");
         assert!(
             stages.len() as u64 <= MAX_VERTICES / 10 + 2 && last.name.starts_with("end; sub-steps from "),
             "{}",

@@ -1,7 +1,12 @@
 //! Changes of a world between steps, which are made in place: of free bodies, and of bodies on paths.
 
 use glam::DVec3;
-use meldscope::{Scene, World, model::phase::Phase, scene::Push};
+use meldscope::{
+    Scene, World,
+    model::phase::Phase,
+    scene::Push,
+    sim::{BodyForces, Cause},
+};
 
 /// Four bodies that meet: free ones above a plane, and the same on paths.
 const MEETING: [[&str; 5]; 2] = [
@@ -39,6 +44,14 @@ fn assert_same_bits(known: &mut World, changed: &mut World, steps: u32, what: &s
         assert_eq!((&known.step().failure, &changed.step().failure), (&None, &None));
         assert_eq!(known.checksum(), changed.checksum(), "{what}: {} s", known.time());
         assert_eq!(known.report().events, changed.report().events, "{what}: {} s", known.time());
+        for body in 0..known.body_count() {
+            let [known, changed] = [&*known, &*changed].map(|world| {
+                let mut forces = BodyForces::default();
+                world.forces(body, &mut forces);
+                forces.of(Cause::Push).clone()
+            });
+            assert_eq!(known, changed, "{what}: pushes on body {body}");
+        }
         pairs.extend(known.report().events.iter().map(|event| [event.a, event.b]));
     }
     pairs

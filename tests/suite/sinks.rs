@@ -211,7 +211,7 @@ fn a_file_holds_the_messages_in_order_with_a_footer() {
     let finished = sinks.finish().expect("disk space");
 
     let saved = finished.save.expect("a file was asked for");
-    assert_eq!(saved.path, fs::canonicalize(&path).expect("a path"));
+    assert_eq!(saved.path, path);
     assert_eq!(saved.bytes, fs::metadata(&path).expect("a file").len());
     assert_same(&read(&path), &sent);
     assert!(has_footer(&path));

@@ -116,6 +116,8 @@ impl Coupled {
         self.bring(-energy, time, report);
         self.near.remove(&mut Among { scene, members: &mut self.members, time }, body as u32);
         self.members.remove(body);
+        let pushes = self.members[body..].iter_mut().flat_map(|member| &mut member.pushes);
+        pushes.for_each(|push| push.body -= 1);
         self.shapes.forget_unused();
         self.job_of.pop();
         self.forget_results();

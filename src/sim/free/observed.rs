@@ -198,9 +198,8 @@ impl<'a> Snapshot<'a> {
         for plane in &field.planes {
             self.touched(index, Contact::Plane(plane), |i, g| add(Cause::Plane, i, g));
         }
-        let acts = |start: f64, end: f64| start <= self.time && self.time < end;
         for push in &field.pushes {
-            if push.body == index && acts(push.start, push.end()) {
+            if push.body == index && push.acts_at(self.time) {
                 self.touched(index, Contact::Push(push), |i, g| add(Cause::Push, i, g));
             }
         }

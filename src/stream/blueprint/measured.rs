@@ -54,7 +54,7 @@ pub struct Measured<'a> {
 pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: &Measured<'_>) -> Vec<LogMsg> {
     /// Ratio of a plot's upper end to the typical value …
     const HEADROOM: f64 = 1.3;
-    /// … and by that further up, until what is beyond is no more than this share of all time.
+    /// … and by that further up, until what is beyond is no more than this share of all time, or the end is at `WHOLE`.
     const MOST_HIDDEN: f64 = 0.25;
     /// Ratio of the longest duration to the typical one up to which nothing is cut off.
     const WHOLE: f64 = 8.0;
@@ -176,7 +176,8 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         if *left_out > 0 {
             // marks of events on lines that are left out would be puzzling
             lines = vec![including(&MARKS_AT_Q.of(&["ends"]))];
-            let pairs = format!("{} of {all} pairs, with changes throughout the run", moving.len());
+            let changes = if changed.is_empty() { "" } else { ", with changes throughout the run" };
+            let pairs = format!("{} of {all} pairs{changes}", moving.len());
             for plot in &layout.distances.clone() {
                 let title = ViewBlueprint::update_fields().with_display_name(format!("Pair distances q: {pairs}"));
                 layout.log(plot, &title);

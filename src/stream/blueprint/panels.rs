@@ -72,10 +72,10 @@ pub fn arrows(schema: &Schema) -> String {
 pub fn stages() -> String {
     format!(
         "**How does a step come about?** The timeline `stage` counts the rows below: each is a state inside a step.\n\n\
-         - **{} arrows**: how vertices moved since the stage before; the longest is {} R long\n\
+         - **{} arrows**: how vertices moved since the stage before; the longest is half of the largest radius long. \
+         The end is compared with the stage before it, too\n\
          - **Other arrows**: the forces in that state, as in Scene\n",
         capitalized(colors::name(moves::MOVED)),
-        moves::LONGEST,
     )
 }
 
@@ -158,7 +158,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame, ne
     } else if schema.bodies.len() * schema.bodies.len().saturating_sub(1) / 2 > settings.pairs {
         let max = settings.pairs;
         format!(
-            "- The first {max} pairs within reach, and as many with events, have plots and lanes, the closest {max} lines \
+            "- The first {max} pairs within reach, and up to as many with events, have plots and lanes, the closest {max} lines \
              (`--plots`, `--pair a~b`); events list them all\n"
         )
     } else {

@@ -552,7 +552,7 @@ impl Layout {
         let about =
             self.view("TextDocument", "What stages are", ABOUT_STAGES.path, &[including(ABOUT_STAGES.path)], &[]);
         let lines = self.lines("Stages", STAGES.path);
-        let list = self.container(ContainerKind::Vertical, "Stages", vec![about, lines], &[1.0, 5.0]);
+        let list = self.container(ContainerKind::Vertical, "Stages", vec![about, lines], &[1.4, 5.0]);
         self.container(ContainerKind::Horizontal, "Stages", vec![view, list], &[1.3, 1.0])
     }
 }

@@ -14,14 +14,15 @@ use crate::{
         extract::{Arrows, Extractor},
         palette::{Rgb, color},
     },
+    text::significant,
 };
 
 /// The colour of the arrows.
 pub const MOVED: Rgb = colors::VERMILION;
 /// A shorter move is rounding [radii].
 const STILL: f64 = 1e-9;
-/// Length of the longest arrow [largest radius], and the least one drawn [longest].
-pub const LONGEST: f64 = 0.5;
+/// Lengths of the longest arrow [largest radius] and of the shortest one drawn [longest].
+const LONGEST: f64 = 0.5;
 const SHORTEST: f64 = 0.02;
 
 /// The vertex that moved furthest.
@@ -77,7 +78,7 @@ impl Moves {
                 }
                 arrows.append(&ends, None, &moved, scale);
                 if index == body {
-                    let text = format!("{}:{vertex} moved {distance:.1e} R", schema.name);
+                    let text = format!("{}:{vertex} moved {} R", schema.name, significant(distance));
                     let ends = ends.get(vertex).map(|&[x, y, z]| {
                         let place = Vec3::new(x, y, z).as_dvec3();
                         [place, place.with_z(recent::label_height(view))]

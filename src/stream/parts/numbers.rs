@@ -252,7 +252,7 @@ impl FrameNumbers {
     }
 
     /// Ranks the stages on the simulation thread by their shares of its time, then those of recording, which run meanwhile;
-    /// each with its longest step.
+    /// each with its longest step; and the slowest frame.
     pub fn log_ranking(&self, chunks: &mut Chunks) {
         let is_recording = |timing: &Timing| RECORDING.contains(&timing.name);
         let of_run = self.timings.iter().filter(|timing| !is_recording(timing));
@@ -261,7 +261,8 @@ impl FrameNumbers {
             self.timings.iter().enumerate().map(|(number, timing)| (timing, palette::line(number))).collect();
         stages.sort_by_key(|(timing, _)| (is_recording(timing), std::cmp::Reverse(timing.total)));
         let share = |timing: &Timing| timing.total.as_secs_f64() / whole;
-        let stages = stages.into_iter().filter(|(timing, _)| share(timing) >= LEAST_SHARE).map(|(timing, color)| {
+        let stages = stages.into_iter().filter(|(timing, _)| share(timing) >= LEAST_SHARE).take(ranking::ROWS - 1);
+        let stages = stages.map(|(timing, color)| {
             let (longest, step) = timing.spread.largest();
             let total = format!("{} {} s", timing.name, significant(timing.total.as_secs_f64()));
             let total = match is_recording(timing) {
@@ -271,10 +272,12 @@ impl FrameNumbers {
             let label = format!("{total}; {} ms, step {step}", significant(longest));
             Row { label, color, marks: vec![(Mark::Bar(share(timing)), color)] }
         });
-        let [of_step, _] = self.totals.each_ref().map(Spread::largest);
-        let slowest = format!("slowest step {}: {} ms", of_step.1, significant(of_step.0));
-        let slowest = Row { label: slowest, color: SILVER, marks: Vec::new() };
-        ranking::log_static(RANKED_STAGES.path, stages.chain([slowest]), chunks);
+        let (slowest, step) = self.totals[0].largest();
+        let slowest = (slowest > 0.0).then(|| {
+            let label = format!("slowest frame: {} ms per step, step {step}", significant(slowest));
+            Row { label, color: SILVER, marks: Vec::new() }
+        });
+        ranking::log_static(RANKED_STAGES.path, stages.chain(slowest), chunks);
     }
 
     /// The largest speed of the run [steps per second]; 0 if there were no two frames.

@@ -47,11 +47,13 @@ const KEPT_PAIRS: usize = 1024;
 
 /// The pairs that have their own entities.
 ///
-/// The settings limit the number of pairs that get entities because they come within reach. As many again get them at
-/// their first event, with q of the previous frames.
+/// The settings limit the number of pairs that get entities because they come within reach. Up to as many again get them at
+/// their first event, with q of the previous frames; the last of these places are for events late in the run.
 pub struct PairPlots {
     /// Upper limit on the number of pairs that have entities because they came within reach.
     max_in_reach: usize,
+    /// The last step of the run, if it is known.
+    steps: Option<u64>,
     /// The only pairs that may have entities, as `A~B`; empty: all.
     only: Vec<String>,
     known: BTreeMap<(usize, usize), PairPlot>,
@@ -96,7 +98,7 @@ struct PairPlot {
 /// Upper limits on the numbers of lines and of lanes in one view: of more, one would find none.
 const MOST_LINES: usize = 8;
 const MOST_LANES: usize = 12;
-/// Share of the pairs with plots because of events that the first events of a run can take.
+/// Share of the places for pairs with events that is free from the start; the rest becomes free in proportion to time.
 const FIRST_EVENTS: f64 = 0.25;
 /// Upper limit on the known phase changes of a pair: a run need not end.
 const MOST_CHANGES: usize = 1024;
@@ -160,6 +162,7 @@ impl PairPlots {
     pub fn new(settings: &Settings) -> PairPlots {
         PairPlots {
             max_in_reach: settings.pairs,
+            steps: settings.steps,
             only: settings.only.clone(),
             known: BTreeMap::new(),
             kept: BTreeMap::new(),
@@ -178,15 +181,15 @@ impl PairPlots {
         let of = |is_told: fn(&PairPlot) -> bool, most: usize| {
             // where nothing happens, the plots say so
             let is_any = self.known.values().any(is_told);
-            let told = self.known.iter().filter(|(_, plot)| is_told(plot) || !is_any).collect();
-            spread(told, opening, most).into_iter().map(|&(a, b)| schema.pair_name(a, b)).collect::<Vec<_>>()
+            let told: Vec<_> = self.known.iter().filter(|(_, plot)| is_told(plot) || !is_any).collect();
+            let count = told.len();
+            let names = spread(told, opening, most).into_iter().map(|&(a, b)| schema.pair_name(a, b));
+            (names.collect::<Vec<_>>(), count)
         };
-        let is_moving = |plot: &PairPlot| !plot.changes.is_empty() || !plot.is_still();
-        let moving = of(is_moving, MOST_LINES);
-        let count = self.known.values().filter(|plot| is_moving(plot)).count();
-        let changed = of(|plot| !plot.changes.is_empty(), MOST_LANES);
-        let met = of(|plot| plot.has_met, MOST_LANES);
-        Told { left_out: count.saturating_sub(moving.len()), moving, changed, met, all: self.known.len() }
+        let (moving, count) = of(|plot| !plot.changes.is_empty() || !plot.is_still(), MOST_LINES);
+        let (changed, _) = of(|plot| !plot.changes.is_empty(), MOST_LANES);
+        let (met, _) = of(|plot| plot.has_met, MOST_LANES);
+        Told { left_out: count - moving.len(), moving, changed, met, all: self.known.len() }
     }
 
     /// Marks the closest approaches of pairs that have plots.
@@ -359,8 +362,8 @@ impl PairPlots {
     pub fn log_event(&mut self, schema: &Schema, event: &PairEvent, series: &mut Series, chunks: &mut Chunks) {
         let at = Instant { step: event.step, time: event.time };
         let pair = PairFrame::new(event.a, event.b, event.q, event.from);
-        // the last of those places are kept for later events
-        let share = (event.time / (schema.steps as f64 * schema.dt)).clamp(FIRST_EVENTS, 1.0);
+        // so that later events find places, too
+        let share = (event.step as f64 / self.steps.unwrap_or(schema.steps) as f64).clamp(FIRST_EVENTS, 1.0);
         let most = self.max_in_reach + (share * self.max_in_reach as f64).ceil() as usize;
         let entity = self.track(schema, pair, at, most, series, chunks);
         let is_plotted = entity.is_some();

@@ -64,9 +64,10 @@ impl Claim {
     /// Performs all checks that are possible before a run: that `path` can be written, that an existing file may be
     /// replaced, and that no other run is writing it.
     pub fn new(path: &Path) -> Result<Claim, SinkError> {
-        let resolved = std::fs::canonicalize(path);
         let is_link = std::fs::symlink_metadata(path).is_ok_and(|there| there.is_symlink());
-        let path = &resolved.unwrap_or_else(|_| path.to_owned());
+        // the target of a link is replaced, not the link
+        let resolved = if is_link { std::fs::canonicalize(path).ok() } else { None };
+        let path = &resolved.unwrap_or_else(|| path.to_owned());
         let file_error = |doing, source: io::Error| {
             let help = match (source.kind(), path.parent().filter(|parent| !parent.as_os_str().is_empty())) {
                 (io::ErrorKind::NotFound, Some(parent)) if !parent.is_dir() => {
