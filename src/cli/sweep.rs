@@ -131,6 +131,9 @@ pub fn sweep(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> 
     };
     if let Some(template) = &template {
         models::need_oscillators(template.base(), "a sweep").map_err(Failure::input)?;
+        if let Some(moved) = template.base().placement_warning() {
+            say(&format!("warning: {moved}")); // rows that place such a body differently may be the same run
+        }
     }
     let axis = arguments.bisect.as_ref().map(|name| axis_to_bisect(&sweep.design, name)).transpose()?;
     if arguments.out.exists() && !arguments.out.is_dir() {

@@ -44,8 +44,13 @@ impl Scene {
             }
         }
         let of_pairs = warnings.into_iter().filter_map(|all| summary(all, "pair"));
-        let of_bodies = [self.not_enclosed(), self.hollow(), self.thrown_out()];
-        of_pairs.chain(of_bodies.into_iter().filter_map(|all| summary(all, "body"))).collect()
+        let of_bodies = [self.not_enclosed(), self.hollow()].into_iter().filter_map(|all| summary(all, "body"));
+        of_pairs.chain(of_bodies).chain(self.placement_warning()).collect()
+    }
+
+    /// A warning if bodies were moved out of planes, or will be thrown out by one.
+    pub(crate) fn placement_warning(&self) -> Option<String> {
+        summary(self.thrown_out(), "body")
     }
 
     /// Bodies that their influence sphere, which acts on others, does not enclose (3.2).

@@ -69,27 +69,38 @@ pub fn project(experiment: &dyn Experiment, settings: &Settings, min_size: u64) 
     let samples = if last < steps { MIN_SAMPLES } else { SAMPLES };
     let stride = settings.every * (last / settings.every / samples).max(1);
 
-    let detail = if settings.detail == Detail::Surface { Detail::Surface } else { Detail::Forces };
-    let sampled = |detail| sample(experiment, Settings { every: stride, detail, ..settings.clone() }, last, frames);
-    let Sampled { bytes, seen } = sampled(detail)?;
-    let without_forces = match detail {
-        Detail::Forces if bytes >= min_size => Some(sampled(Detail::Surface)?.bytes),
-        _ => None,
+    let sampled = |details: &[Detail]| {
+        let settings = |&detail| Settings { every: stride, detail, ..settings.clone() };
+        sample(experiment, details.iter().map(settings).collect(), last, frames)
     };
-    Some(Projection { bytes, without_forces, frames, seen })
+    let details: &[Detail] = match settings.detail {
+        Detail::Surface => &[Detail::Surface],
+        // to step free bodies again would take longer than to record the samples without forces, too
+        _ if schema.bodies.iter().any(|body| body.is_free) => &[Detail::Forces, Detail::Surface],
+        _ => &[Detail::Forces],
+    };
+    let Sampled { bytes, seen } = sampled(details)?;
+    let with = *bytes.first()?;
+    let without_forces = match bytes.get(1) {
+        _ if details == [Detail::Surface] || with < min_size => None,
+        Some(&bytes) => Some(bytes),
+        None => sampled(&[Detail::Surface])?.bytes.first().copied(),
+    };
+    Some(Projection { bytes: with, without_forces, frames, seen })
 }
 
-/// The size of a recording extrapolated from samples [bytes], and the last step simulated for them.
+/// The sizes of recordings extrapolated from samples [bytes], and the last step simulated for them.
 struct Sampled {
-    bytes: u64,
+    bytes: Vec<u64>,
     seen: u64,
 }
 
-/// Records the frames that `settings` ask for up to step `last`, and extrapolates to this many frames.
-fn sample(experiment: &dyn Experiment, settings: Settings, last: u64, frames: u64) -> Option<Sampled> {
-    let (schema, stride) = (experiment.schema(), settings.every);
+/// Records the frames that each of the settings asks for up to step `last`, and extrapolates to this many frames.
+fn sample(experiment: &dyn Experiment, settings: Vec<Settings>, last: u64, frames: u64) -> Option<Sampled> {
+    let (schema, stride) = (experiment.schema(), settings.first()?.every);
     let simulation = experiment.start().ok()?;
-    let mut probe = Probe::new(&*simulation, settings)?;
+    let probes = settings.into_iter().map(|settings| Probe::new(&*simulation, settings));
+    let mut probes = probes.collect::<Option<Vec<_>>>()?;
     let (mut frame, mut vertices, mut samples_taken) = (Frame::default(), 0, 0);
     let mut run = Run::new(simulation, Some(last));
     while matches!(run.valid_step(), Ok(true)) {
@@ -99,7 +110,9 @@ fn sample(experiment: &dyn Experiment, settings: Settings, last: u64, frames: u6
             let deformed = schema.bodies.iter().zip(&frame.bodies).filter(|(_, now)| !now.is_at_rest);
             vertices += deformed.map(|(body, _)| body.vertex_count() as u64).sum::<u64>();
             samples_taken += 1;
-            probe.recorder.observe(simulation, &run.summary).ok()?;
+            for probe in &mut probes {
+                probe.recorder.observe(simulation, &run.summary).ok()?;
+            }
         }
     }
     if let Some(StepFailure::Interrupted(_)) = run.failure {
@@ -107,7 +120,8 @@ fn sample(experiment: &dyn Experiment, settings: Settings, last: u64, frames: u6
     }
     let mean = vertices / u64::max(samples_taken, 1);
     let min_bytes = frames.saturating_mul(mean).saturating_mul(MIN_VERTEX_BYTES);
-    Some(Sampled { bytes: probe.finish(frames)?.max(min_bytes), seen: run.simulation.steps_taken() })
+    let bytes = probes.into_iter().map(|probe| Some(probe.finish(frames)?.max(min_bytes)));
+    Some(Sampled { bytes: bytes.collect::<Option<_>>()?, seen: run.simulation.steps_taken() })
 }
 
 /// A recording whose messages are measured and discarded.

@@ -394,6 +394,19 @@ fn two_sweeps_never_share_a_folder() {
     }
 }
 
+/// Where a plane moves a body out, rows that place it differently are the same run.
+#[test]
+fn a_sweep_warns_of_a_body_that_a_plane_moves() {
+    let sweep =
+        "scene = 'falling.toml'\n[[axis]]\nkey = 'body.a.motion.free.from[2]'\nfrom = 0.1\nto = 0.2\ncount = 2\n";
+    let dir = folder(sweep);
+    let falling = "duration = 0.2\n[[plane]]\nnormal = [0, 0, 1]\n[[body]]\nname = 'a'\nradius = 1.0\n\
+                   shape = { sphere = { stacks = 3, slices = 4 } }\nmotion = { free = { from = [0, 0, 0.1] } }\n";
+    fs::write(dir.file("falling.toml"), falling).unwrap();
+    let output = succeeds(&dir, "s.toml --out out");
+    assert!(output.contains("warning: a is placed 0.900 deep in a plane"), "{output}");
+}
+
 #[test]
 fn a_sweep_replaces_no_file_of_the_user() {
     let dir = folder(OVER_OFFSETS);
