@@ -210,7 +210,7 @@ entities! {
     STAGES = "/stages" ["TextLog"]
         "One line per stage of the steps recorded in detail, with the largest displacement and how far vertices moved since the stage before, on the timeline stage, which the entities under /world have too, and on that of steps.";
     MOVES = "/stages/moves" ["Arrows3D"]
-        "On the timeline stage: how vertices moved since the stage before, from where they are now; the longest arrow is half as long as the largest radius.";
+        "On the timeline stage: how vertices moved since the stage before, from where they are now; the longest arrow of a step is half as long as the largest radius.";
     FURTHEST = "/stages/furthest" ["Points3D, LineStrips3D"]
         "The vertex that moved furthest, and above it a label with how far [radii].";
     CHECKSUM = "/checksum" ["checksum"]

@@ -93,7 +93,7 @@
 //! | `/largest` | Points3D, LineStrips3D | The vertex with the largest displacement of those that lie in no other body, and above it its label, also with the largest of all. |
 //! | `/largest/bodies` | Points3D | Of the five bodies with the largest displacements, the names and these [radii], where there is room. |
 //! | `/stages` | TextLog | One line per stage of the steps recorded in detail, with the largest displacement and how far vertices moved since the stage before, on the timeline stage, which the entities under /world have too, and on that of steps. |
-//! | `/stages/moves` | Arrows3D | On the timeline stage: how vertices moved since the stage before, from where they are now; the longest arrow is half as long as the largest radius. |
+//! | `/stages/moves` | Arrows3D | On the timeline stage: how vertices moved since the stage before, from where they are now; the longest arrow of a step is half as long as the largest radius. |
 //! | `/stages/furthest` | Points3D, LineStrips3D | The vertex that moved furthest, and above it a label with how far [radii]. |
 //! | `/checksum` | checksum | A hash of the exact state after every step; a thin recording has several steps per row, at the time of the last one. |
 //! | `/about` | TextDocument | The text of the panel. |

@@ -38,7 +38,7 @@ use super::{
         lines::Lines,
         marks, merged,
         merged::MergedEntities,
-        moves::{Furthest, Moves},
+        moves::{self, Furthest, Moves},
         numbers::FrameNumbers,
         pairs,
         pairs::PairPlots,
@@ -396,6 +396,8 @@ impl Recorder {
 
     fn log_stages(&mut self, stages: &[StageFrame], at: Instant) {
         let Some((state, moves)) = &mut self.stages else { return };
+        let moves_of = |ends: &[StageFrame]| moves::longest(&self.schema, [&ends[0].frame, &ends[1].frame]);
+        let longest = stages.windows(2).map(moves_of).fold(0.0, f64::max);
         let mut before: Option<&Frame> = None;
         for StageFrame { name: stage, frame } in stages {
             self.chunks.set_stage(Some(self.stage_count));
@@ -403,7 +405,7 @@ impl Recorder {
             let displacements = view.bodies().map(|(body, now)| now.max_displacement / body.radius);
             let (displaced, largest) = largest(displacements);
             let name = |body: usize| self.schema.bodies[body].name.as_str();
-            let moved = match moves.log(before, view, &mut state.extractor, &mut self.chunks) {
+            let moved = match moves.log(before, (view, longest), &mut state.extractor, &mut self.chunks) {
                 Some(Furthest { body, vertex, distance }) => {
                     format!("largest move {}:{vertex} {} R, ", name(body), significant(distance))
                 }

@@ -420,6 +420,21 @@ fn long_and_crowded_thin_recordings_are_replayed() {
     }
 }
 
+/// b leaves a, and its reach, between two frames.
+#[test]
+fn a_pair_that_leaves_between_frames_is_apart() {
+    let dir = Dir::new();
+    let body = |name: &str, motion: &str| format!("[[body]]\nname = \"{name}\"\nradius = 1.0\nmotion = {motion}\n");
+    let text = "duration = 4.0\n".to_owned()
+        + &body("a", "{ fixed = [0, 0, 0] }")
+        + &body("b", "{ line = { from = [-3, 0, 0], velocity = [2, 0, 0] } }");
+    fs::write(dir.file("pass.toml"), text).expect("a temporary directory");
+    succeeds(&dir, &["run", "pass.toml", "--every", "60", "-q"]);
+    let lane = Recording::open(&dir.file("pass.rrd")).changes("/pairs/a~b/contact");
+    let lane: Vec<_> = lane.iter().map(|row| (row.step, row.text("StateChange:state"))).collect();
+    assert_eq!(lane, [(60, "joined and touching".to_owned()), (180, "apart".to_owned())]);
+}
+
 /// The name of a scene without one is that of its file, wherever its recordings are moved.
 #[test]
 fn a_recording_keeps_the_name_of_its_scene() {

@@ -177,7 +177,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             // marks of events on lines that are left out would be puzzling
             lines = vec![including(&MARKS_AT_Q.of(&["ends"]))];
             let changes = if changed.is_empty() { "" } else { ", with changes throughout the run" };
-            let pairs = format!("{} of {all} pairs{changes}", moving.len());
+            let pairs = format!("{} of the {all} pairs with plots{changes}", moving.len());
             for plot in &layout.distances.clone() {
                 let title = ViewBlueprint::update_fields().with_display_name(format!("Pair distances q: {pairs}"));
                 layout.log(plot, &title);

@@ -72,7 +72,7 @@ pub fn arrows(schema: &Schema) -> String {
 pub fn stages() -> String {
     format!(
         "**How does a step come about?** The timeline `stage` counts the rows below: each is a state inside a step.\n\n\
-         - **{} arrows**: how vertices moved since the stage before; the longest is half of the largest radius long. \
+         - **{} arrows**, on this timeline alone: how vertices moved since the stage before; the longest of a step is half of the largest radius long. \
          The end is compared with the stage before it, too\n\
          - **Other arrows**: the forces in that state, as in Scene\n",
         capitalized(colors::name(moves::MOVED)),

@@ -380,8 +380,10 @@ impl Layout {
         self.keep_camera(settings);
         let white = sdk::Rgba32::WHITE;
         let opaque = Mesh3D::update_fields().with_albedo_factor(white).with_vertex_colors([white]);
+        // on many, small bodies they would hide the colours
+        let radius = if is_ranked(schema) { 1.5 } else { 2.5 };
         let dots = Points3D::update_fields()
-            .with_radii([sdk::Radius::new_ui_points(2.5)])
+            .with_radii([sdk::Radius::new_ui_points(radius)])
             .with_colors([palette::color(palette::DOT)]);
         for surface in surfaces(schema, settings) {
             self.visualize(

@@ -51,11 +51,12 @@ impl Moves {
         Moves { arrows: chunks.track(MOVES.path, components), mark: Callout::new(FURTHEST.path, MOVED, chunks) }
     }
 
-    /// Logs how vertices moved since the stage before, if there is one. Returns the furthest, unless nothing moved.
+    /// Logs how vertices moved since the stage before, if there is one; `longest` is the longest move between two stages of
+    /// the step [scene unit]. Returns the vertex that moved furthest, unless none moved.
     pub fn log(
         &self,
         before: Option<&Frame>,
-        view: FrameView<'_>,
+        (view, longest): (FrameView<'_>, f64),
         extractor: &mut Extractor,
         chunks: &mut Chunks,
     ) -> Option<Furthest> {
@@ -65,7 +66,6 @@ impl Moves {
         let mut mark = None;
         if let Some(Furthest { body, vertex, distance }) = furthest {
             let of_body = |body: usize| (&view.schema.bodies[body], &view.frame.bodies[body]);
-            let longest = distance * view.schema.bodies[body].radius;
             let scale = LONGEST * view.schema.largest_radius() / longest;
             let mut ends = Vec::new();
             for (index, mut moved) in moved.into_iter().enumerate() {
@@ -91,6 +91,12 @@ impl Moves {
         self.mark.log(mark, view.at, chunks);
         furthest
     }
+}
+
+/// The longest move of a vertex between two successive frames [scene unit]; 0 if none moved.
+pub fn longest(schema: &Schema, frames: [&Frame; 2]) -> f64 {
+    let moves = moves(schema, frames);
+    moves.iter().flat_map(|moved| moved.iter().map(|vector| vector.length())).fold(0.0, f64::max)
 }
 
 /// How each vertex of each body moved [scene unit]; none of a body whose vertices are not the same.

@@ -311,7 +311,13 @@ impl PairPlots {
             self.next_in_reach.insert((pair.a, pair.b));
         }
         for left in self.in_reach.difference(&self.next_in_reach) {
-            let PairPlot { distance, thresholds, measures, scalars, .. } = &self.known[left];
+            let Some(known) = self.known.get_mut(left) else { continue };
+            // it may have parted and left between two frames
+            if known.last_contact.is_some_and(|last| last != APART) {
+                known.last_contact = Some(APART);
+                chunks.log(&known.contact, at, &StateChange::single(CONTACTS[APART].0));
+            }
+            let PairPlot { distance, thresholds, measures, scalars, .. } = &*known;
             for line in measures.iter().chain(scalars).chain([distance]) {
                 series.interrupt(chunks, *line, at);
             }
