@@ -1,7 +1,7 @@
 //! The instant at which a recording opens: its first event or the one requested, or else the closest approach of two
 //! bodies.
 
-use glam::DVec3;
+use glam::{BVec3, DVec3};
 
 use super::{
     parts::{FrameView, recent},
@@ -11,6 +11,8 @@ use super::{
 use crate::geometry::bounds;
 use crate::observe::{PairEvent, Schema};
 
+/// Upper limit on the events between two frames whose pairs are kept in view.
+const MOST_PAIRS: usize = 64;
 /// How long the viewer plays on after the instant, at most [s].
 const AFTER: f64 = 1.0;
 
@@ -86,6 +88,11 @@ fn width(spheres: &[(DVec3, f64)]) -> f64 {
     low.distance(high)
 }
 
+/// One of the eight combinations of coordinates.
+fn mask(number: u8) -> BVec3 {
+    BVec3::new(number & 1 != 0, number & 2 != 0, number & 4 != 0)
+}
+
 /// Finds the focus of a run while it proceeds.
 #[derive(Debug, Default)]
 pub struct FocusFinder {
@@ -102,6 +109,9 @@ pub struct FocusFinder {
     next: f64,
     /// The extents of the bodies in evenly spaced frames of the run so far.
     run: Vec<Vec<(DVec3, f64)>>,
+    /// The pairs of events since the last frame, and the box around those of all events, where they were then.
+    pairs: Vec<[usize; 2]>,
+    events: Option<[DVec3; 2]>,
     /// Number of frames so far, and from one of these extents to the next, as a power of two.
     frames: u64,
     spacing: u32,
@@ -122,6 +132,9 @@ impl FocusFinder {
             is_kind && *seen == around.number
         });
         let is_shown = self.only.is_empty() || self.only.contains(&schema.pair_name(event.a, event.b));
+        if is_shown && self.pairs.len() < MOST_PAIRS {
+            self.pairs.push([event.a, event.b]);
+        }
         if is_requested || (self.event.is_none() && is_shown) {
             self.event = Some((event.time, [event.a, event.b]));
             self.focus = None;
@@ -139,6 +152,14 @@ impl FocusFinder {
         // of several variants, the whole run would be too small
         if self.frames.is_multiple_of(1_u64 << self.spacing) && schema.variants.is_empty() {
             self.run.push(extent(view));
+        }
+        let bodies = self.pairs.drain(..).flatten();
+        let bodies = bodies.map(|body| (frame.bodies[body].centre, schema.bodies[body].radius));
+        let bodies: Vec<(DVec3, f64)> = bodies.filter(|(centre, _)| centre.is_finite()).collect();
+        if let Some(&(centre, _)) = bodies.first().filter(|_| schema.variants.is_empty()) {
+            let known = self.events.into_iter().flatten().map(|corner| (corner, 0.0));
+            let label = (centre.with_z(recent::label_height(view)), 0.0);
+            self.events = Some(bounds(known.chain(bodies).chain([label])));
         }
         self.frames += 1;
         if self.run.len() > MOST_EXTENTS {
@@ -166,15 +187,23 @@ impl FocusFinder {
     }
 
     /// The focus of the run so far, if any bodies came within reach. The whole run is kept in view unless bodies would be
-    /// much smaller then.
+    /// much smaller then; or else the pairs of all events, unless they would be.
     pub fn focus(&self) -> Option<Focus> {
         /// How much wider the box around the whole run may be than that around the instant.
         const WIDER: f64 = 1.6;
+        /// The same with the pairs of all events.
+        const WIDER_FOR_EVENTS: f64 = 2.0;
 
         let mut focus = self.focus.clone()?;
+        let at_instant = width(&focus.spheres);
         let whole = self.run.concat();
-        if width(&whole) <= WIDER * width(&focus.spheres) {
+        let corners = |[low, high]: [DVec3; 2]| (0..8).map(move |number| (DVec3::select(mask(number), low, high), 0.0));
+        let events: Vec<(DVec3, f64)> =
+            self.events.into_iter().flat_map(corners).chain(focus.spheres.iter().copied()).collect();
+        if width(&whole) <= WIDER * at_instant {
             focus.spheres.extend(whole);
+        } else if width(&events) <= WIDER_FOR_EVENTS * at_instant {
+            focus.spheres = events;
         }
         Some(focus)
     }
