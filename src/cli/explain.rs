@@ -333,15 +333,15 @@ impl Explained<'_> {
             text,
             "\n  q = {:.6}: centre distance {} over {} + {}",
             pair.q,
-            exact(distance, one.radius),
-            exact(one.radius, 0.0),
-            exact(other.radius, 0.0)
+            exact(rounded(distance, one.radius)),
+            exact(one.radius),
+            exact(other.radius)
         );
         for (index, threshold) in schema.thresholds.iter().enumerate() {
             if let Some(level) = schema.level(index, [a, b], frame.at.time).filter(|&level| level > 0.0) {
                 let side = if pair.q < level { "below" } else { "above" };
                 let off = short((pair.q - level).abs());
-                let _ = write!(text, "\n  {} {}: q is {off} {side}", threshold.label, exact(level, 1.0));
+                let _ = write!(text, "\n  {} {}: q is {off} {side}", threshold.label, exact(level));
             }
         }
         match after {
@@ -403,19 +403,23 @@ fn largest(of: &Vectors) -> Option<(f64, usize)> {
 /// A smaller share of the usual size is rounding.
 const ROUNDING: f64 = 1e-12;
 
-/// A number that a scene gives, without the rounding of its arithmetic, from numbers of the size `usual`.
-fn exact(x: f64, usual: f64) -> String {
+/// A number, or 0 if it is below the rounding of the arithmetic that made it from numbers of the size `usual`.
+fn rounded(x: f64, usual: f64) -> f64 {
+    if x.abs() < ROUNDING * usual { 0.0 } else { x }
+}
+
+/// A number that a scene gives, without the rounding of its arithmetic.
+fn exact(x: f64) -> String {
     match x.abs() {
         0.0 | 1e-3.. => trimmed(&format!("{x:.9}")).to_owned(),
-        tiny if tiny < ROUNDING * usual => "0".to_owned(),
         _ => format!("{:e}", format!("{x:.9e}").parse().unwrap_or(x)),
     }
 }
 
 /// A vector; 0 where it is below the rounding of the arithmetic that made it, from numbers of the size `usual`.
 fn vector(of: DVec3, usual: f64) -> String {
-    let least = ROUNDING * of.length().max(usual);
-    let [x, y, z] = of.to_array().map(|part| short(if part.abs() < least { 0.0 } else { part }));
+    let usual = of.length().max(usual);
+    let [x, y, z] = of.to_array().map(|part| short(rounded(part, usual)));
     format!("({x}, {y}, {z})")
 }
 
@@ -436,8 +440,8 @@ mod tests {
     #[test]
     fn the_numbers_of_small_scenes_are_not_zero() {
         for (number, text) in [(8.05e-7, "8.05e-7"), (1e-10, "1e-10"), (0.1 + 0.2, "0.3"), (0.0, "0"), (1.9, "1.9")] {
-            assert_eq!(exact(number, number), text);
+            assert_eq!(exact(number), text);
         }
-        assert_eq!(exact(1.1e-16, 1.0), "0");
+        assert_eq!(exact(rounded(1.1e-16, 1.0)), "0");
     }
 }

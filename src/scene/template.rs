@@ -291,7 +291,7 @@ fn written<'s>(settings: impl IntoIterator<Item = (&'s KeyPath, impl fmt::Displa
 /// Sets the value at a path of a document.
 ///
 /// # Errors
-/// There is no such place. The document is then empty.
+/// There is no such place. The document may then be empty.
 pub(super) fn replace<'a>(document: &mut DeTable<'a>, path: &KeyPath, value: DeValue<'a>) -> Result<(), String> {
     if let [Part::Name(name), _, ..] = &path.parts[..]
         && ARRAYS.contains(&name.as_str())

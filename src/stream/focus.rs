@@ -213,3 +213,45 @@ impl FocusFinder {
         self.around.as_ref().filter(|(around, seen)| *seen < around.number).map(|(around, seen)| (around, *seen))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        Scene, World,
+        observe::{Frame, Simulation, Want},
+        stream::instant::Instant,
+        view,
+    };
+
+    /// Two bodies move on side by side, with an event at the start and a later one: the camera has that in view, too, unless
+    /// it is far away.
+    #[test]
+    fn pairs_of_later_events_stay_in_view() {
+        let body = |name: &str, y: f64| {
+            format!(
+                "[[body]]\nname = '{name}'\nradius = 1.0\nmotion = {{ line = {{ from = [0, {y}, 0], velocity = [3, 0, 0] }} }}\n"
+            )
+        };
+        let scene =
+            Scene::parse(&format!("duration = 8.0\ndt = 0.25\n{}{}", body("a", 0.0), body("b", 2.2)), "moving.toml");
+        let scene = scene.unwrap();
+        let schema = view::schema(&scene);
+        for (late, right) in [(12, 10.0), (28, 22.0)] {
+            let (mut world, mut finder) = (World::new(scene.clone()).unwrap(), FocusFinder::default());
+            for step in 1..=scene.steps() {
+                let _ = world.step();
+                let at = Instant { step, time: world.time() };
+                if step == 1 || step == late {
+                    finder.event(&schema, &PairEvent::new("merge", at, [0, 1], 1.1, [0, 1]));
+                }
+                let mut frame = Frame::default();
+                world.observe(Want::default(), &mut frame);
+                finder.frame(FrameView { schema: &schema, frame: &frame, at });
+            }
+            let [_, high] = bounds(finder.focus().unwrap().spheres.into_iter());
+            assert_eq!(high.x >= right, late == 12, "an event at step {late}: up to {}", high.x);
+            assert!(high.x < 12.0, "the whole run would be too small: up to {}", high.x);
+        }
+    }
+}

@@ -396,16 +396,16 @@ impl Recorder {
 
     fn log_stages(&mut self, stages: &[StageFrame], at: Instant) {
         let Some((state, moves)) = &mut self.stages else { return };
-        let moves_of = |ends: &[StageFrame]| moves::longest(&self.schema, [&ends[0].frame, &ends[1].frame]);
-        let longest = stages.windows(2).map(moves_of).fold(0.0, f64::max);
-        let mut before: Option<&Frame> = None;
-        for StageFrame { name: stage, frame } in stages {
+        let moved = stages.windows(2).map(|ends| moves::between(&self.schema, [&ends[0].frame, &ends[1].frame]));
+        let moved: Vec<_> = [Vec::new()].into_iter().chain(moved).collect();
+        let longest = moved.iter().map(|moved| moves::longest(moved)).fold(0.0, f64::max);
+        for (StageFrame { name: stage, frame }, moved) in stages.iter().zip(moved) {
             self.chunks.set_stage(Some(self.stage_count));
             let view = FrameView { schema: &self.schema, frame, at };
             let displacements = view.bodies().map(|(body, now)| now.max_displacement / body.radius);
             let (displaced, largest) = largest(displacements);
             let name = |body: usize| self.schema.bodies[body].name.as_str();
-            let moved = match moves.log(before, (view, longest), &mut state.extractor, &mut self.chunks) {
+            let moved = match moves.log(moved, (view, longest), &mut state.extractor, &mut self.chunks) {
                 Some(Furthest { body, vertex, distance }) => {
                     format!("largest move {}:{vertex} {} R, ", name(body), significant(distance))
                 }
@@ -413,7 +413,6 @@ impl Recorder {
             };
             let displaced = format!("largest displacement {} {largest:.4} R", name(displaced));
             let line = format!("step {}: {stage} — {moved}{displaced}", at.step);
-            before = Some(frame);
             // also by step, where it says when there are stages
             let when = at.time_point().with(Timeline::new_sequence(STAGE), self.stage_count as i64);
             self.chunks.row(STAGES.path, when, &TextLog::new(line).with_level("stage"));
@@ -504,6 +503,7 @@ impl Recorder {
         }
     }
 
+    /// The instant after a step.
     fn instant(&self, step: u64) -> Instant {
         Instant { step, time: step as f64 * self.schema.dt }
     }
@@ -589,12 +589,12 @@ impl Recorder {
         if !is_waiting || self.frames_after > 0 {
             self.write_kept();
         }
+        let first = self.instant(self.first);
         if let Some(parts) = self.parts.as_mut().filter(|_| !is_waiting) {
             parts.series.extend_all(&mut self.chunks);
             parts.numbers.log_ranking(&mut self.chunks);
             if self.flight.is_none() {
                 let level = parts.pairs.plotted().map(|[low, _]| low);
-                let first = Instant { step: self.first, time: self.first as f64 * self.schema.dt };
                 marks::log_ends([first, self.at], level, &mut self.chunks);
                 let approaches = self.watch.approaches();
                 let nearest = &approaches[..approaches.len().min(MOST_APPROACHES)];
@@ -607,7 +607,7 @@ impl Recorder {
         let kept = match (&self.flight, ranges.is_empty()) {
             (None, _) => String::new(),
             (Some(_), false) => format!(
-                "**Frames: only of steps {}{more}.** Before them, the 3D views are empty; between and after them, they show the last \
+                "**Frames: only of steps {}{more}.** Before them, the 3D views show no bodies; between and after them, the last \
                  frame, possibly incomplete.\n\n",
                 ranges.join(", ")
             ),

@@ -79,14 +79,14 @@ pub fn project(experiment: &dyn Experiment, settings: &Settings, min_size: u64) 
         _ if schema.bodies.iter().any(|body| body.is_free) => &[Detail::Forces, Detail::Surface],
         _ => &[Detail::Forces],
     };
-    let Sampled { bytes, seen } = sampled(details)?;
-    let with = *bytes.first()?;
-    let without_forces = match bytes.get(1) {
-        _ if details == [Detail::Surface] || with < min_size => None,
+    let Sampled { bytes: sizes, seen } = sampled(details)?;
+    let bytes = *sizes.first()?;
+    let without_forces = match sizes.get(1) {
+        _ if settings.detail == Detail::Surface || bytes < min_size => None,
         Some(&bytes) => Some(bytes),
         None => sampled(&[Detail::Surface])?.bytes.first().copied(),
     };
-    Some(Projection { bytes: with, without_forces, frames, seen })
+    Some(Projection { bytes, without_forces, frames, seen })
 }
 
 /// The sizes of recordings extrapolated from samples [bytes], and the last step simulated for them.

@@ -183,21 +183,42 @@ impl StepContext<'_> {
         breaks.dedup();
     }
 
-    /// The external accelerations of a body between two breaks; with `is_mean`, their averages over a step with breaks
-    /// inside.
+    /// The external accelerations of a body between two breaks.
     pub fn part<'a>(
         &'a self,
         path: &'a Path,
         index: usize,
         sources: &[u32],
         pushes: &[Push],
-        ends: [f64; 2],
-        is_mean: bool,
+        [start, end]: [f64; 2],
     ) -> Part<'a> {
-        let [start, end] = ends;
         // a part may be as short as rounding makes it: a push that begins or ends with it acts if it does in the middle
         let middle = start + 0.5 * (end - start);
-        let [of_sources, of_pushes] = if is_mean { [ends; 2] } else { [[start; 2], [middle; 2]] };
+        self.over(path, index, (sources, [start; 2]), (pushes, [middle; 2]), [start, end])
+    }
+
+    /// The averages of the external accelerations of a body over a step with breaks inside.
+    pub fn mean<'a>(
+        &'a self,
+        path: &'a Path,
+        index: usize,
+        sources: &[u32],
+        pushes: &[Push],
+        ends: [f64; 2],
+    ) -> Part<'a> {
+        self.over(path, index, (sources, ends), (pushes, ends), ends)
+    }
+
+    /// The external accelerations of a body over some time, by sources and pushes as they are on average over others, or at
+    /// an instant.
+    fn over<'a>(
+        &'a self,
+        path: &'a Path,
+        index: usize,
+        (sources, of_sources): (&[u32], [f64; 2]),
+        (pushes, of_pushes): (&[Push], [f64; 2]),
+        [start, end]: [f64; 2],
+    ) -> Part<'a> {
         let mut part = Part {
             scene: self.scene,
             path,

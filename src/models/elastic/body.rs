@@ -335,7 +335,7 @@ impl Body {
                 self.statistics.step_limit = f64::INFINITY;
                 self.statistics.strain = 0.0;
                 for ends in breaks.windows(2) {
-                    let part = around.part(path, self.index, &self.sources, &self.pushes, [ends[0], ends[1]], false);
+                    let part = around.part(path, self.index, &self.sources, &self.pushes, [ends[0], ends[1]]);
                     self.take_explicit(
                         around,
                         &part,
@@ -361,8 +361,7 @@ impl Body {
                         self.failure = Some(StepFailure::Interrupted(format!("interrupted in step {}", around.step)));
                         break;
                     }
-                    let part =
-                        around.part(path, self.index, &self.sources, &self.pushes, [at(step), at(step + 1)], true);
+                    let part = around.mean(path, self.index, &self.sources, &self.pushes, [at(step), at(step + 1)]);
                     self.take_implicit(around, &part, &planes, &mut now);
                 }
                 self.statistics.substeps = divided;

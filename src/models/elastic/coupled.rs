@@ -622,7 +622,7 @@ impl Body {
     ) {
         now.uniform = DVec3::ZERO;
         if let Some(path) = around.scene.bodies[self.index].path() {
-            let part = around.part(path, self.index, &[], &[], ends, false);
+            let part = around.part(path, self.index, &[], &[], ends);
             match t {
                 Some(t) => part.at(t, now),
                 None => part.averaged(now),

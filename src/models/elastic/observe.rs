@@ -279,7 +279,7 @@ impl Elastic {
         let causes: Vec<Cause> = Cause::of(&self.scene).collect();
         let (time, around) = (self.time_of(self.step), self.now_around());
         let mut acting = Instantaneous::default();
-        let part = self.path(body.index).map(|path| around.part(path, body.index, &[], &[], [time, time], false));
+        let part = self.path(body.index).map(|path| around.part(path, body.index, &[], &[], [time, time]));
         if let Some(part) = &part {
             part.at(time, &mut acting);
         }

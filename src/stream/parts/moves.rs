@@ -51,16 +51,15 @@ impl Moves {
         Moves { arrows: chunks.track(MOVES.path, components), mark: Callout::new(FURTHEST.path, MOVED, chunks) }
     }
 
-    /// Logs how vertices moved since the stage before, if there is one; `longest` is the longest move between two stages of
-    /// the step [scene unit]. Returns the vertex that moved furthest, unless none moved.
+    /// Logs how [vertices moved](between) since the stage before; `longest` is the length of the longest move between two
+    /// stages of the step [scene unit]. Returns the vertex that moved furthest, unless none moved.
     pub fn log(
         &self,
-        before: Option<&Frame>,
+        moved: Vec<Vectors>,
         (view, longest): (FrameView<'_>, f64),
         extractor: &mut Extractor,
         chunks: &mut Chunks,
     ) -> Option<Furthest> {
-        let moved = before.map_or_else(Vec::new, |before| moves(view.schema, [before, view.frame]));
         let furthest = furthest(view.schema, &moved);
         let mut arrows = Arrows::default();
         let mut mark = None;
@@ -93,14 +92,13 @@ impl Moves {
     }
 }
 
-/// The longest move of a vertex between two successive frames [scene unit]; 0 if none moved.
-pub fn longest(schema: &Schema, frames: [&Frame; 2]) -> f64 {
-    let moves = moves(schema, frames);
-    moves.iter().flat_map(|moved| moved.iter().map(|vector| vector.length())).fold(0.0, f64::max)
+/// The length of the longest move [scene unit]; 0 if nothing moved.
+pub fn longest(moved: &[Vectors]) -> f64 {
+    moved.iter().flat_map(|moved| moved.iter().map(|vector| vector.length())).fold(0.0, f64::max)
 }
 
-/// How each vertex of each body moved [scene unit]; none of a body whose vertices are not the same.
-fn moves(schema: &Schema, frames: [&Frame; 2]) -> Vec<Vectors> {
+/// How each vertex of each body moved between two frames [scene unit]; none of a body whose vertices are not the same.
+pub fn between(schema: &Schema, frames: [&Frame; 2]) -> Vec<Vectors> {
     let mut positions = [Vectors::default(), Vectors::default()];
     let bodies = schema.bodies.iter().zip(frames[0].bodies.iter().zip(&frames[1].bodies));
     let moved = bodies.map(|(body, (before, now))| {

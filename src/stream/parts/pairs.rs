@@ -397,14 +397,14 @@ impl PairPlots {
 
 /// Of many pairs, the one that changes phase nearest to `opening` [s], and others that do so at times spread over the run.
 fn spread<'p>(mut pairs: Vec<(&'p (usize, usize), &PairPlot)>, opening: f64, most: usize) -> Vec<&'p (usize, usize)> {
+    if pairs.len() <= most {
+        return pairs.into_iter().map(|(pair, _)| pair).collect();
+    }
     let changes = || pairs.iter().flat_map(|(_, plot)| plot.changes.iter().copied());
     let [first, last] = [changes().fold(f64::INFINITY, f64::min), changes().fold(0.0, f64::max)];
     let others = most.saturating_sub(1);
     let times = (0..others).map(|k| first + (k as f64 + 0.5) / others as f64 * (last - first));
     let times: Vec<f64> = [opening].into_iter().chain(times).collect();
-    if pairs.len() <= most {
-        return pairs.into_iter().map(|(pair, _)| pair).collect();
-    }
     let mut chosen = Vec::new();
     for time in times {
         let away = |plot: &PairPlot| plot.changes.iter().map(|at| (at - time).abs()).fold(f64::INFINITY, f64::min);
