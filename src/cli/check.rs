@@ -8,6 +8,7 @@ use std::{
     sync::Arc,
 };
 
+use glam::DVec3;
 use rayon::prelude::*;
 
 use super::{
@@ -24,7 +25,7 @@ use crate::{
     recording::{
         ReadError, events,
         existing::{Existing, Kind, REASONS, replace},
-        golden::{self, Blessed, GoldenDifference, GoldenOutcome},
+        golden::{self, Blessed, GoldenDifference, GoldenOutcome, Moved},
     },
     stream::{settings::application, sinks::Complete},
     text::{self, bytes, counted, thousands},
@@ -117,7 +118,7 @@ fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
                 ));
                 failed.push(name.as_str());
             }
-            Ok(Some(GoldenOutcome::Identical { steps, events, digest, is_rewritten })) => {
+            Ok(Some(GoldenOutcome::Identical { steps, events, digest, is_rewritten, .. })) => {
                 let rewritten = if is_rewritten { " (its text has changed, without effect)" } else { "" };
                 print(&format!(
                     "{name}: identical, {}, {}, {digest:016x}{rewritten}",
@@ -168,6 +169,10 @@ fn report(name: &str, difference: &GoldenDifference, is_accepted: bool) {
             first.step, first.time, first.golden, first.found
         ));
         match first.bodies.first() {
+            _ if !difference.is_golden => print(&format!(
+                "    where and by how much is not known: this is no golden recording; `{} check --bless REASON` makes one",
+                text::program()
+            )),
             None => print(
                 "    no vertex differs there: the difference is in a pair's phase, or in the time of a stored state",
             ),
@@ -204,8 +209,18 @@ fn report(name: &str, difference: &GoldenDifference, is_accepted: bool) {
             if difference.is_within_tolerance { "within" } else { "BEYOND" },
             thousands(worst.vertices as u64),
         )),
-        None if difference.first.is_some() => print("  no state of the golden recording shows the difference"),
+        None if difference.first.is_some() && difference.is_golden => {
+            print("  no state of the golden recording shows the difference");
+        }
         None => {}
+    }
+    if let Some(Moved { step, body, places: [then, now] }) = &difference.moved {
+        let place = |(radius, centre): &(f64, DVec3)| format!("radius {radius}, centre {}", vector(*centre));
+        print(&format!(
+            "  at step {step}: body \"{body}\" has {}, in the golden recording {}; no displacement differs",
+            place(now),
+            place(then)
+        ));
     }
     for change in events::listed(&difference.events, LISTED) {
         print(&format!("  event {change}"));
@@ -235,7 +250,7 @@ fn bless(scripts: &[Script], reason: &str) -> Result<(), Failure> {
             let is_same = script.golden.exists()
                 && matches!(
                     golden::check(experiment, &script.golden, None),
-                    Ok(GoldenOutcome::Identical { is_rewritten: false, .. })
+                    Ok(GoldenOutcome::Identical { is_rewritten: false, is_golden: true, .. })
                 );
             if is_same {
                 return Ok(None);

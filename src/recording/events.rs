@@ -119,16 +119,64 @@ impl RecordedEvent {
     }
 }
 
-/// Compares the events of two runs. The n-th event of a kind of a pair in one run corresponds to the n-th in the other.
+/// For each of some times, the index of its counterpart among at least as many others; both in ascending order. The
+/// differences in time add up to the least.
+fn counterparts(times: &[f64], others: &[f64]) -> Vec<usize> {
+    /// Upper limit on the sums to compare; beyond it, each time has the other of the same number.
+    const MOST: usize = 1 << 22;
+
+    let shifts = others.len() - times.len() + 1;
+    if shifts == 1 || times.len() * shifts > MOST {
+        return (0..times.len()).collect();
+    }
+    // by shift: the least sum of the times so far, whose counterparts are shifted by no more, and the shift of the last one
+    let (mut sums, mut last) = (vec![0.0; shifts], vec![0; times.len() * shifts]);
+    for (number, time) in times.iter().enumerate() {
+        let mut least = (f64::INFINITY, 0);
+        for shift in 0..shifts {
+            let sum = sums[shift] + (time - others[number + shift]).abs();
+            if sum < least.0 {
+                least = (sum, shift);
+            }
+            (sums[shift], last[number * shifts + shift]) = least;
+        }
+    }
+    let mut shift = shifts - 1;
+    let mut found: Vec<usize> = (0..times.len()).collect();
+    for number in found.iter_mut().rev() {
+        shift = last[*number * shifts + shift];
+        *number += shift;
+    }
+    found
+}
+
+/// Compares the events of two runs. As many events of a kind of a pair as there are in both correspond to each other, in
+/// their order, so that their differences in time add up to the least.
 pub fn compare(first: &[RecordedEvent], second: &[RecordedEvent]) -> Vec<Change> {
-    let mut others: BTreeMap<(&str, &str), std::collections::VecDeque<(usize, &RecordedEvent)>> = BTreeMap::new();
-    for (index, event) in second.iter().enumerate() {
-        others.entry((&event.name, &event.pair)).or_default().push_back((index, event));
+    let mut kinds: BTreeMap<(&str, &str), [Vec<usize>; 2]> = BTreeMap::new();
+    for (side, events) in [first, second].into_iter().enumerate() {
+        for (index, event) in events.iter().enumerate() {
+            kinds.entry((&event.name, &event.pair)).or_default()[side].push(index);
+        }
+    }
+    let mut others = vec![None; first.len()];
+    let mut is_matched = vec![false; second.len()];
+    for [of_first, of_second] in kinds.values() {
+        let times = of_first.iter().map(|&index| first[index].time).collect::<Vec<_>>();
+        let other_times = of_second.iter().map(|&index| second[index].time).collect::<Vec<_>>();
+        let pairs: Vec<(usize, usize)> = match times.len() <= other_times.len() {
+            true => counterparts(&times, &other_times).into_iter().enumerate().collect(),
+            false => counterparts(&other_times, &times).into_iter().enumerate().map(|(b, a)| (a, b)).collect(),
+        };
+        for (a, b) in pairs {
+            others[of_first[a]] = Some(of_second[b]);
+            is_matched[of_second[b]] = true;
+        }
     }
     let mut changes = Vec::new();
     let mut latest = None;
-    for event in first {
-        match others.get_mut(&(event.name.as_str(), event.pair.as_str())).and_then(|queue| queue.pop_front()) {
+    for (event, other) in first.iter().zip(others) {
+        match other.map(|index| (index, &second[index])) {
             None => changes.push(Change::Vanished(event.clone())),
             Some((_, other)) if (other.time - event.time).abs() > SAME_TIME => {
                 changes.push(Change::Moved(event.clone(), other.clone()));
@@ -145,7 +193,42 @@ pub fn compare(first: &[RecordedEvent], second: &[RecordedEvent]) -> Vec<Change>
             }
         }
     }
-    changes.extend(others.into_values().flatten().map(|(_, event)| Change::Appeared(event.clone())));
+    let appeared = second.iter().zip(is_matched).filter(|(_, is_matched)| !is_matched);
+    changes.extend(appeared.map(|(event, _)| Change::Appeared(event.clone())));
     changes.sort_by(|a, b| a.event().time.total_cmp(&b.event().time));
     changes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Of more events than the other run has, those that are far from all of its events have no counterpart.
+    #[test]
+    fn events_correspond_to_the_nearest_in_order() {
+        for (times, others, expected) in [
+            (&[3.589][..], &[1.818, 3.538][..], &[1][..]),
+            (&[1.0, 2.0], &[1.1, 1.2], &[0, 1]),
+            (&[1.0, 2.0, 9.0], &[0.9, 1.4, 2.1, 5.0, 8.0, 9.5], &[0, 2, 5]),
+            (&[], &[1.0], &[]),
+        ] {
+            assert_eq!(counterparts(times, others), expected);
+        }
+        // every choice of some of the others
+        let mut random = crate::random::Random::new(1);
+        for _ in 0..200 {
+            let mut times = |count: usize| {
+                let mut times: Vec<f64> = (0..count).map(|_| 9.0 * random.unit()).collect();
+                times.sort_by(f64::total_cmp);
+                times
+            };
+            let (times, others) = (times(3), times(7));
+            let sum =
+                |chosen: &[usize]| chosen.iter().zip(&times).map(|(&of, time)| (others[of] - time).abs()).sum::<f64>();
+            let choices = (0..7).flat_map(|a| (a + 1..7).flat_map(move |b| (b + 1..7).map(move |c| [a, b, c])));
+            let least = choices.map(|choice| sum(&choice)).fold(f64::INFINITY, f64::min);
+            let found = counterparts(&times, &others);
+            assert!(found.is_sorted() && (sum(&found) - least).abs() < 1e-12, "{times:?} {others:?} {found:?}");
+        }
+    }
 }

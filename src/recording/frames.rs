@@ -179,7 +179,7 @@ pub struct FrameReader {
     first: u64,
     /// Rows that do not belong to a frame yet, by step, in the order of the file.
     rows: BTreeMap<i64, Vec<(Arc<Chunk>, usize)>>,
-    /// Steps with a row of [`MARKER`].
+    /// Steps with a row of [`MARKER`] in its last chunk: other entities may still follow.
     marked: Vec<i64>,
     next_chunk: Option<Chunk>,
     /// Steps of complete frames that have not been returned yet.
@@ -255,7 +255,7 @@ impl FrameReader {
     fn gather(&mut self) -> Result<(), ReadError> {
         let path = self.path.clone();
         let damaged = |what| ReadError::Damaged { path: path.clone(), at: None, what };
-        let mut entities = HashSet::new();
+        let (mut entities, mut complete) = (HashSet::new(), Vec::new());
         let marker = TIMING.of(&[MARKER]);
         let states = [&BODY, &BODY_SURFACE, &INFLUENCE, &DEFORMING, &RESTING];
         let is_wanted = |entity: &str| entity == marker || states.iter().any(|state| state.is(entity));
@@ -281,6 +281,9 @@ impl FrameReader {
                 break;
             }
             let chunk = Arc::new(chunk);
+            if entity == marker {
+                complete.append(&mut self.marked);
+            }
             for row in 0..chunk.num_rows() {
                 let step = step_of(&chunk, row).map_err(damaged)?;
                 if entity == marker {
@@ -293,14 +296,17 @@ impl FrameReader {
                 }
             }
         }
+        if self.is_over {
+            complete.append(&mut self.marked);
+        }
         let first = i64::try_from(self.first).unwrap_or(i64::MAX);
         // the first frame has no timings of its own: it is complete when another frame is
-        if !self.has_first && (self.is_over || !self.marked.is_empty()) {
+        if !self.has_first && (self.is_over || !complete.is_empty()) {
             self.has_first = true;
             self.ready.extend(self.rows.contains_key(&first).then_some(first));
         }
-        self.marked.sort_unstable();
-        self.ready.extend(self.marked.drain(..).filter(|&step| step > first));
+        complete.sort_unstable();
+        self.ready.extend(complete.into_iter().filter(|&step| step > first));
         Ok(())
     }
 

@@ -224,6 +224,8 @@ pub enum GoldenOutcome {
         digest: u64,
         /// Whether the text of the scene has changed, without effect on the results.
         is_rewritten: bool,
+        /// Whether it is a golden recording, not any other.
+        is_golden: bool,
     },
     /// Something differs.
     Different(Box<GoldenDifference>),
@@ -238,12 +240,16 @@ pub struct GoldenDifference {
     pub counts: Option<[String; 2]>,
     /// Whether the text of the scene differs from that of the golden recording.
     pub is_rewritten: bool,
+    /// Whether it is a golden recording: any other has no states, to tell where and by how much they differ.
+    pub is_golden: bool,
     /// The first step whose checksums differ.
     pub first: Option<First>,
+    /// The first body that is elsewhere or has another size, if no checksum differs.
+    pub moved: Option<Moved>,
     /// The worst vertex of all later states of the golden recording; its positions are displacements from rest, or
     /// world positions if the body is free.
     pub worst: Option<Worst>,
-    /// Whether no vertex of those states differs by more than the scene's tolerance.
+    /// Whether there are such states, and no vertex of them differs by more than the scene's tolerance.
     pub is_within_tolerance: bool,
     /// Differences between the events.
     pub events: Vec<Change>,
@@ -259,10 +265,23 @@ impl GoldenDifference {
     pub fn is_tolerable(&self) -> bool {
         self.steps.is_none()
             && self.counts.is_none()
+            && self.moved.is_none()
             && self.events.is_empty()
             && self.is_within_tolerance
             && self.surfaces.iter().all(|deviation| deviation.excess <= 1.0)
     }
+}
+
+/// A body that is elsewhere or has another size than with the golden recording's own scene. No checksum shows it if the
+/// body rests on its path.
+#[derive(Clone, Debug)]
+pub struct Moved {
+    /// Step number.
+    pub step: u64,
+    /// Its name.
+    pub body: String,
+    /// Golden and current radius and centre [scene unit].
+    pub places: [(f64, DVec3); 2],
 }
 
 /// The first step at which two states differ.
@@ -323,18 +342,23 @@ pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -
     let is_rewritten = schema.source != recorded.schema.source;
     let steps = [recorded.last(), schema.steps];
     let other_counts = recorded.counts.clone().filter(|then| *then != counts_now);
-    if first.is_none() && steps[0] == steps[1] && other_counts.is_none() && surfaces.is_empty() {
-        let digest = digest(&recorded.checksums);
-        return Ok(GoldenOutcome::Identical { steps: steps[1], events: events.len(), digest, is_rewritten });
+    let is_golden = recorded.blessed.is_some();
+    let is_same = first.is_none() && steps[0] == steps[1] && other_counts.is_none() && surfaces.is_empty();
+    let moved = if is_same && is_rewritten { first_moved(scene, &recorded)? } else { None };
+    if is_same && moved.is_none() {
+        let (steps, events, digest) = (steps[1], events.len(), digest(&recorded.checksums));
+        return Ok(GoldenOutcome::Identical { steps, events, digest, is_rewritten, is_golden });
     }
 
     let mut difference = GoldenDifference {
         steps: (steps[0] != steps[1]).then_some(steps),
         counts: other_counts.map(|then| [then, counts_now]),
         is_rewritten,
+        is_golden,
         first: None,
+        moved,
         worst: None,
-        is_within_tolerance: true,
+        is_within_tolerance: is_golden,
         events: events::compare(&recorded.events, &events),
         surfaces,
         comparison: None,
@@ -344,12 +368,37 @@ pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -
     {
         let details = Details::read(&recorded, step)?;
         compare_details(start(scene, golden)?, &schema, &recorded, &details, step, &mut difference)?;
-        if let Some(path) = comparison {
+        if let Some(path) = comparison.filter(|_| is_golden) {
             let shown = show(start(scene, golden)?, &schema, &details, &difference, path);
             difference.comparison = Some(shown.map(|()| path.to_owned()).map_err(|error| error.to_string()));
         }
     }
     Ok(GoldenOutcome::Different(Box::new(difference)))
+}
+
+/// Runs a scene beside that of its golden recording, up to the first step at which a body is elsewhere or has another size.
+fn first_moved(scene: &dyn Experiment, recorded: &Recorded) -> Result<Option<Moved>, ReadError> {
+    let simulations = [recorded.start()?, start(scene, &recorded.path)?];
+    let schemas = simulations.each_ref().map(|simulation| simulation.schema());
+    let mut runs = simulations.map(|simulation| Run::again(simulation, schemas[0].steps));
+    let mut frames = [Frame::default(), Frame::default()];
+    loop {
+        for (run, frame) in runs.iter().zip(&mut frames) {
+            run.simulation.observe(Want::default(), frame);
+        }
+        let place = |side: usize, body: usize| (schemas[side].bodies[body].radius, frames[side].bodies[body].centre);
+        let bodies = 0..schemas[0].bodies.len().min(schemas[1].bodies.len());
+        let places = |body: usize| [0, 1].map(|side| place(side, body));
+        if let Some(body) = bodies.into_iter().find(|&body| places(body)[0] != places(body)[1]) {
+            let (step, name) = (frames[1].at.step, schemas[1].bodies[body].name.clone());
+            return Ok(Some(Moved { step, body: name, places: places(body) }));
+        }
+        for run in &mut runs {
+            if !replay::step(run, &recorded.path)? {
+                return Ok(None);
+            }
+        }
+    }
 }
 
 /// The geometric quantities of a golden recording, by step.

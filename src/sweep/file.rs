@@ -550,23 +550,28 @@ fn try_values(sweep: &Sweep, axes: &[Table<'_>], sets: &[Table<'_>]) -> Result<(
             return Err(sets[index].error(if is_unknown(&error) { "key" } else { "value" }, in_words(&error)));
         }
     }
+    let of_axis = |index: usize, value: &Setting, error: &SceneError| {
+        let table = &axes[index];
+        if is_unknown(error) {
+            return table.error("key", in_words(error));
+        }
+        let at = if table.get("values").is_some() { "values" } else { "from" };
+        let key = &design.axes[index].key;
+        table.error(at, format!("{key} = {value} makes the scene invalid: {}", in_words(error)))
+    };
+    if check(sweep.set.len(), &first).is_err() {
+        // the first axis with whose first value the scene becomes invalid
+        for (index, value) in first.iter().enumerate() {
+            check(sweep.set.len(), &first[..=index]).map_err(|error| of_axis(index, value, &error))?;
+        }
+    }
     for (index, axis) in design.axes.iter().enumerate() {
         let stride = axis.sample_count().div_ceil(MAX_VALIDATED).max(1);
         let all = (0..axis.sample_count()).step_by(stride as usize).chain([axis.sample_count() - 1]);
         for sample in all {
             let mut point = first.clone();
             point[index] = axis.sample(sample);
-            if let Err(error) = check(sweep.set.len(), &point) {
-                let (key, value) = (&axis.key, &point[index]);
-                let table = &axes[index];
-                return Err(match is_unknown(&error) {
-                    true => table.error("key", in_words(&error)),
-                    false => {
-                        let at = if table.get("values").is_some() { "values" } else { "from" };
-                        table.error(at, format!("{key} = {value} makes the scene invalid: {}", in_words(&error)))
-                    }
-                });
-            }
+            check(sweep.set.len(), &point).map_err(|error| of_axis(index, &point[index], &error))?;
         }
     }
     for corner in 1..1u32 << design.axes.len() {

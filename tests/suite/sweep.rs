@@ -97,6 +97,10 @@ fn broken_sweeps_are_rejected_with_their_position() {
             "s.toml:4:8: axis[0].from: influence.merge_at = 0 makes the scene invalid: influence.merge_at: expected a number between",
         ),
         (
+            &format!("{axis}[[axis]]\nkey = 'influence.merge_at'\nfrom = 1.5\nto = 1.1\ncount = 2\n"),
+            "s.toml:9:8: axis[1].from: influence.merge_at = 1.5 makes the scene invalid: influence.split_at",
+        ),
+        (
             "[[axis]]\nkey = 'influence.merge_at'\nvalues = [1.0, 1.1, 1.3, 1.2]\n",
             "s.toml:4:10: axis[0].values: influence.merge_at = 1.3 makes the scene invalid: influence.split_at: expected a number of at least merge_at (1.3), found 1.2",
         ),
