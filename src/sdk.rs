@@ -1,9 +1,9 @@
 //! The Rerun SDK, in one place: every other module takes its types from here.
 
 pub use rerun::{
-    ApplicationId, AsComponents, ComponentDescriptor, EntityPath, Loggable, RecordingStream, RecordingStreamBuilder,
-    RecordingStreamResult, SerializedComponentBatch, SizeBytes, StoreId, StoreKind, TimeCell, TimePoint, Timeline,
-    TimelineName,
+    ApplicationId, AsComponents, ComponentDescriptor, ComponentIdentifier, EntityPath, Loggable, RecordingStream,
+    RecordingStreamBuilder, RecordingStreamResult, SerializedComponentBatch, SizeBytes, StoreId, StoreKind, TimeCell,
+    TimePoint, Timeline, TimelineName,
     components::{self, Color, Radius},
     datatypes::{self, Quaternion, Rgba32},
     external::{

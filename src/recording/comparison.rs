@@ -118,7 +118,7 @@ impl Comparison {
         let first = plan.listed.first().map(|(first, _)| first.time);
         let pairs: Vec<_> = plan.pairs.iter().map(|&[a, b]| (schema.pair_name(a, b), [a, b])).collect();
         let names: Vec<String> = pairs.iter().map(|(name, _)| name.clone()).collect();
-        for message in blueprint::of_comparison(schema, spheres, (&second, COLORS[1]), &names, first, &store) {
+        for message in blueprint::of_comparison(schema, spheres, (&second, COLORS[1]), (SIDES, &names), first, &store) {
             sinks.send(message)?;
         }
         let mut chunks = Chunks::new(store);
@@ -142,7 +142,7 @@ impl Comparison {
             if pairs.is_empty() {
                 ""
             } else {
-                " Below it, q of pairs whose events differ: \
+                " Below it, q of each pair whose events differ: \
                  the first run thick and blue, the second thin and orange; diamonds are events that differ."
             },
             differ_most(plan.changes),
@@ -178,10 +178,8 @@ impl Comparison {
             for (pair, _) in &pairs {
                 let entity = COMPARED_DISTANCE.of(&[side, pair]);
                 Series::style(&mut chunks, &entity, &format!("q {pair}, {run} run"), rgb, width, Interpolation::Linear);
-            }
-            if !pairs.is_empty() {
                 let marks = marks::style(&format!("events of the {run} run"), rgb, MarkerShape::Diamond, 5.0);
-                chunks.log_static(&COMPARED_EVENTS.of(&[side]), &marks);
+                chunks.log_static(&COMPARED_EVENTS.of(&[side, pair]), &marks);
             }
         }
         // in another colour than the arrows: the line to the label is no difference
@@ -300,11 +298,10 @@ impl Comparison {
             Change::Reordered(_) => [None, None],
         };
         for (side, event) in SIDES.into_iter().zip(runs) {
-            let Some(event) = event.filter(|event| self.pairs.iter().any(|(pair, _)| *pair == event.pair)) else {
-                continue;
-            };
+            let Some(event) = event else { continue };
+            let Some((pair, _)) = self.pairs.iter().find(|(pair, _)| *pair == event.pair) else { continue };
             let at = Instant { step: event.step, time: event.time };
-            self.chunks.log(&COMPARED_EVENTS.of(&[side]), at, &Scalars::single(event.q));
+            self.chunks.log(&COMPARED_EVENTS.of(&[side, pair]), at, &Scalars::single(event.q));
         }
     }
 

@@ -114,7 +114,7 @@ entities! {
     RECENT_NAMES = "/recent/names" ["Points3D"]
         "Their names.";
     NAMES = "/world/names" ["Points3D"]
-        "The names of up to 32 bodies; with several models side by side, of those of the first, and the names of the models.";
+        "The names of bodies for which there is room, in a scene of at most 32; with several models side by side, of those of the first, and the names of the models.";
     FORCES = "/world/forces" ["AnnotationContext"]
         "Names of the pairs of bodies between which forces act, as classes of arrows.";
     FORCE = "/world/forces/CAUSE" ["Arrows3D"]
@@ -126,7 +126,7 @@ entities! {
     STRONGEST = "/strongest" ["Scalars, SeriesLines"]
         "With more than 3 bodies: the largest of the net forces on bodies by each cause, over their masses [scene unit/s²].";
     RANKED_FORCES = "/ranking/forces" ["Points2D, LineStrips2D"]
-        "Rows with labels and bars: the strongest forces on bodies as wholes at an instant; with more than 3 bodies, those with the largest net forces, each with a dot at its strongest cause.";
+        "Rows with labels and bars: the strongest forces on bodies as wholes at an instant; with more than 3 bodies, those with the largest net forces, each with a dot at each cause.";
     RANKED_DISPLACEMENTS = "/ranking/displacements" ["Points2D, LineStrips2D"]
         "With more than 3 bodies: rows with labels and bars, for those with the largest displacements at an instant.";
     RANKED_GROUPS = "/ranking/groups" ["Points2D, LineStrips2D"]
@@ -134,7 +134,7 @@ entities! {
     RANKED_PAIRS = "/ranking/pairs" ["Points2D, LineStrips2D"]
         "With more than 3 bodies: rows with labels, q and thresholds, for the pairs that change phase next.";
     NOT_RECORDED = "/world/not_recorded" ["Points3D"]
-        "In a flight recorder's file: a label while no frames were kept. Until the first of them, a Transform3D of surfaces and influence spheres hides these.";
+        "In a flight recorder's file: a label while no frames were kept, when a Clear ends all else that shows a state.";
     POINTS = "/world/points" ["Ellipsoids3D, Points3D"]
         "The influence spheres of force points, while they act, and above them their names.";
     SPRINGS = "/world/springs/NAME" ["LineStrips3D"]
@@ -183,6 +183,8 @@ entities! {
         "Events as markers on the axis of plots.";
     MARKS_AT_Q = "/marks/q/KIND" ["Scalars, SeriesPoints"]
         "Events as markers in plots of q.";
+    MARKS_OF_DRAWN = "/marks/drawn/KIND" ["Scalars, SeriesPoints"]
+        "The same for the pairs whose q the layout draws, if it leaves some out.";
     TIMING = "/timings/STAGE" ["Scalars"]
         "What a stage of the step or of the recording costs [ms per step].";
     STACKED = "/timings/stacked/N_STAGE" ["Scalars"]
@@ -239,14 +241,14 @@ entities! {
         "In a comparison: the vertex that differs most, and a line to its label.";
     COMPARED_DISTANCE = "/q/SIDE/A~B" ["Scalars"]
         "In a comparison: q in the first or the second run, of the first 4 pairs whose events differ.";
-    COMPARED_EVENTS = "/q/events/SIDE" ["Scalars, SeriesPoints"]
+    COMPARED_EVENTS = "/q/events/SIDE/A~B" ["Scalars, SeriesPoints"]
         "In a comparison: the events of these pairs that differ, as markers at q.";
     DIFFERENCE = "/difference/NAME" ["Scalars"]
         "In a comparison: the largest difference of a body [radii], and the tolerance.";
     LOG_DIFFERENCE = "/log10/difference/NAME" ["Scalars"]
         "In a comparison: the decimal logarithms of these, where they are not 0.";
     MAP = "/map/LAYER" ["Image, LineStrips2D, Points2D"]
-        "In the map of a sweep: its regions, their boundaries, every run as a point, thresholds that were bisected, and ticks; on the timeline slice, which counts maps.";
+        "In the map of a sweep: its regions, their boundaries and names, every run as a point, thresholds that were bisected, and ticks; on the timeline slice, which counts maps.";
     MEASURE = "/along/COLUMN/LINE" ["LineStrips2D, Points2D"]
         "In the map of a sweep: a measure along the first axis, for three values of the second, and ticks.";
 }

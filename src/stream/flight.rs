@@ -1,8 +1,8 @@
 //! A flight recorder: keeps the last frames in memory until a trigger fires.
 //!
 //! Unchanged values are not logged again, so the kept frames alone do not give the full state. For each component, the
-//! last value that has left the window is therefore kept too, and written first. All rows keep their own times, so that
-//! every written row is correct, and the viewer's latest-at query shows every kept frame as it was.
+//! last value that has left the window is therefore kept too, and written at the first kept frame. After the last one,
+//! everything is cleared: where there are no frames, the viewer's latest-at query shows nothing.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -10,7 +10,10 @@ use super::{
     contract::{MARKS_AT_Q, MARKS_ON_AXIS, path_of},
     instant::Instant,
 };
-use crate::sdk::{Chunk, ChunkId, Scalars, SizeBytes as _};
+use crate::sdk::{
+    Chunk, ComponentIdentifier, Scalars, SerializedComponentBatch, SizeBytes as _, StateChange,
+    arrow::array::Array as _,
+};
 use crate::text::bytes;
 
 /// Limit on the size of the kept frames [bytes].
@@ -33,12 +36,26 @@ pub(super) struct FlightRecorder {
     bytes: u64,
     max_bytes: u64,
     is_cut: bool,
-    /// The chunk with the last value that has left `frames`, by entity and component, until a newer value leaves.
-    held: BTreeMap<(String, String), ChunkId>,
-    held_chunks: BTreeMap<ChunkId, (Chunk, usize)>,
+    /// The last value that has left `frames` or was written, by entity and component, until a newer one is.
+    held: BTreeMap<String, BTreeMap<ComponentIdentifier, SerializedComponentBatch>>,
+    /// Whether frames have been dropped since the last ones were written.
+    has_gap: bool,
     /// Lines that were written up to the last frame.
     lines: BTreeSet<String>,
 }
+
+/// What ends with the last frame before a gap.
+pub(super) struct Ended {
+    /// The first instant of the gap.
+    pub at: Instant,
+    /// Lines of plots.
+    pub lines: BTreeSet<String>,
+    /// Entities that show a state.
+    pub shown: Vec<String>,
+}
+
+/// The state at an instant: entities and their components.
+pub(super) type State = (Instant, Vec<(String, Vec<SerializedComponentBatch>)>);
 
 impl FlightRecorder {
     /// Keeps `max_frames` frames.
@@ -51,7 +68,7 @@ impl FlightRecorder {
             max_bytes: MAX_BYTES,
             is_cut: false,
             held: BTreeMap::new(),
-            held_chunks: BTreeMap::new(),
+            has_gap: false,
             lines: BTreeSet::new(),
         }
     }
@@ -61,9 +78,9 @@ impl FlightRecorder {
         self.open.push(chunk);
     }
 
-    /// Ends the current frame, and drops the oldest one if there are too many. If lines were written up to the dropped
-    /// frame, they end there: returns the instant and those lines.
-    pub fn end_frame(&mut self, at: Instant) -> Option<(Instant, BTreeSet<String>)> {
+    /// Ends the current frame, and drops the oldest one if there are too many. If frames were written up to the dropped one,
+    /// returns what ends there.
+    pub fn end_frame(&mut self, at: Instant) -> Option<Ended> {
         self.bytes += size(&self.open);
         self.frames.push_back((at, std::mem::take(&mut self.open)));
         let mut ended = None;
@@ -71,10 +88,14 @@ impl FlightRecorder {
             self.is_cut |= self.frames.len() <= self.max_frames;
             let Some((at, chunks)) = self.frames.pop_front() else { break };
             self.bytes -= size(&chunks);
-            chunks.into_iter().for_each(|chunk| self.hold(chunk));
-            if !self.lines.is_empty() {
-                ended = Some((at, std::mem::take(&mut self.lines)));
+            if !std::mem::replace(&mut self.has_gap, true) {
+                let is_state = |of: &BTreeMap<ComponentIdentifier, _>| {
+                    !of.contains_key(&StateChange::descriptor_state().component)
+                };
+                let shown = self.held.iter().filter(|(_, of)| is_state(of)).map(|(entity, _)| entity.clone());
+                ended = Some(Ended { at, lines: std::mem::take(&mut self.lines), shown: shown.collect() });
             }
+            chunks.iter().for_each(|chunk| self.hold(chunk));
         }
         ended
     }
@@ -95,38 +116,45 @@ impl FlightRecorder {
         self.is_cut.then(|| format!("--keep {}: only the last frames that fit into {limit} are kept", self.max_frames))
     }
 
-    fn hold(&mut self, chunk: Chunk) {
-        if is_plotted(&chunk) {
+    fn hold(&mut self, chunk: &Chunk) {
+        if is_plotted(chunk) {
             return;
         }
-        let id = chunk.id();
-        let entity = chunk.entity_path().to_string();
-        let mut users = 0;
-        for component in chunk.components().keys() {
-            users += 1;
-            if let Some(old) = self.held.insert((entity.clone(), component.to_string()), id)
-                && let Some((_, users)) = self.held_chunks.get_mut(&old)
-            {
-                *users -= 1;
-                if *users == 0 {
-                    self.held_chunks.remove(&old);
-                }
+        let held = self.held.entry(path_of(chunk)).or_default();
+        for (component, column) in chunk.components().iter() {
+            let rows = &column.list_array;
+            if let Some(last) = (0..rows.len()).rev().find(|&row| rows.is_valid(row)) {
+                let batch = SerializedComponentBatch::new(rows.value(last), column.descriptor.clone());
+                held.insert(*component, batch);
             }
         }
-        if users > 0 {
-            self.held_chunks.insert(id, (chunk, users));
+    }
+
+    /// After a gap, the state at the first frame that is kept, as far as that frame does not have it.
+    pub fn state_after_gap(&self) -> Option<State> {
+        let (at, chunks) = self.frames.front().filter(|_| self.has_gap)?;
+        let mut present: BTreeSet<(String, ComponentIdentifier)> = BTreeSet::new();
+        for chunk in chunks {
+            present.extend(chunk.components().keys().map(|component| (path_of(chunk), *component)));
         }
+        let state = self.held.iter().map(|(entity, held)| {
+            let is_missing = |component: &_| !present.contains(&(entity.clone(), *component));
+            let missing = held.iter().filter(|(component, _)| is_missing(*component));
+            (entity.clone(), missing.map(|(_, batch)| batch.clone()).collect::<Vec<_>>())
+        });
+        Some((*at, state.filter(|(_, missing)| !missing.is_empty()).collect()))
     }
 
     /// Takes everything kept, to be written, with the number of frames. The recorder is empty afterwards.
     pub fn take(&mut self) -> (Vec<Chunk>, u64) {
-        self.held.clear();
         self.bytes = 0;
-        let held = std::mem::take(&mut self.held_chunks).into_values().map(|(chunk, _)| chunk);
+        self.has_gap = false;
         let count = self.frames.len() as u64;
         let frames = self.frames.drain(..).flat_map(|(_, chunks)| chunks);
-        let chunks = concatenated(held.chain(frames).chain(self.open.drain(..)));
-        self.lines.extend(chunks.iter().filter(|chunk| is_line(chunk)).map(|chunk| chunk.entity_path().to_string()));
+        let chunks: Vec<Chunk> = frames.chain(self.open.drain(..)).collect();
+        chunks.iter().for_each(|chunk| self.hold(chunk));
+        let chunks = concatenated(chunks.into_iter());
+        self.lines.extend(chunks.iter().filter(|chunk| is_line(chunk)).map(path_of));
         (chunks, count)
     }
 }
@@ -176,7 +204,7 @@ fn is_plotted(chunk: &Chunk) -> bool {
 
 /// Whether a chunk has points of a plot line. Markers are no lines: the viewer draws a marker without a value at 0.
 fn is_line(chunk: &Chunk) -> bool {
-    let entity = chunk.entity_path().to_string();
+    let entity = path_of(chunk);
     is_plotted(chunk) && ![&MARKS_ON_AXIS, &MARKS_AT_Q].iter().any(|marks| marks.is(&entity))
 }
 

@@ -141,6 +141,11 @@ impl FocusFinder {
         }
     }
 
+    /// The time of the event in focus, if there is one [s].
+    pub fn event_time(&self) -> Option<f64> {
+        self.event.map(|(time, _)| time)
+    }
+
     /// Adds a frame.
     pub fn frame(&mut self, view: FrameView<'_>) {
         /// Upper limit on the number of extents that are kept of a run.

@@ -45,17 +45,17 @@
 //! | `/recent/pair` | Mesh3D, lit_colors, unlit_normals | With more than 8 bodies: the two of the last event alone, about the point midway between them [radii of the larger]. |
 //! | `/recent/spheres` | Ellipsoids3D | Their influence spheres. |
 //! | `/recent/names` | Points3D | Their names. |
-//! | `/world/names` | Points3D | The names of up to 32 bodies; with several models side by side, of those of the first, and the names of the models. |
+//! | `/world/names` | Points3D | The names of bodies for which there is room, in a scene of at most 32; with several models side by side, of those of the first, and the names of the models. |
 //! | `/world/forces` | AnnotationContext | Names of the pairs of bodies between which forces act, as classes of arrows. |
 //! | `/world/forces/CAUSE` | Arrows3D | Accelerations of vertices and of points of contact by one cause, times the arrow scale given in the panel; those of uniform forces, net_force and torque: one arrow per free body, at its centre. |
 //! | `/forces/NAME/CAUSE` | Scalars | Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, by mass if it is free, and of that by forces at points [scene unit/s²]; with at most 16 bodies, from the first frame in which it acts. |
 //! | `/world/resultants` | Arrows3D | The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre; all on one scale, on which the longest of an instant is 1.5 times as long as the largest radius. Of the five bodies with the largest net forces, those for which there is room are labelled with the body, its net force and its strongest cause [scene unit/s²]; with at most 5 bodies, those on which nothing acts have arrows of no length with their names. |
 //! | `/strongest` | Scalars, SeriesLines | With more than 3 bodies: the largest of the net forces on bodies by each cause, over their masses [scene unit/s²]. |
-//! | `/ranking/forces` | Points2D, LineStrips2D | Rows with labels and bars: the strongest forces on bodies as wholes at an instant; with more than 3 bodies, those with the largest net forces, each with a dot at its strongest cause. |
+//! | `/ranking/forces` | Points2D, LineStrips2D | Rows with labels and bars: the strongest forces on bodies as wholes at an instant; with more than 3 bodies, those with the largest net forces, each with a dot at each cause. |
 //! | `/ranking/displacements` | Points2D, LineStrips2D | With more than 3 bodies: rows with labels and bars, for those with the largest displacements at an instant. |
 //! | `/ranking/groups` | Points2D, LineStrips2D | With more than 3 bodies: rows with labels and bars, for the largest groups at an instant: their pieces and volumes [scene unit³], and with at most 64 bodies how these differ from the volumes of their bodies one by one. |
 //! | `/ranking/pairs` | Points2D, LineStrips2D | With more than 3 bodies: rows with labels, q and thresholds, for the pairs that change phase next. |
-//! | `/world/not_recorded` | Points3D | In a flight recorder's file: a label while no frames were kept. Until the first of them, a Transform3D of surfaces and influence spheres hides these. |
+//! | `/world/not_recorded` | Points3D | In a flight recorder's file: a label while no frames were kept, when a Clear ends all else that shows a state. |
 //! | `/world/points` | Ellipsoids3D, Points3D | The influence spheres of force points, while they act, and above them their names. |
 //! | `/world/springs/NAME` | LineStrips3D | The springs of a body, blue where they are shorter than at rest, red-orange where longer; with forces, and of at most 64 cells. |
 //! | `/world/trails` | LineStrips3D | The path of the centre of each free body, one segment per frame; not with more than 64 bodies. |
@@ -80,6 +80,7 @@
 //! | `/events/bodies` | TextLog | One line per event of a single body, with its position. |
 //! | `/marks/axis/KIND` | Scalars, SeriesPoints | Events as markers on the axis of plots. |
 //! | `/marks/q/KIND` | Scalars, SeriesPoints | Events as markers in plots of q. |
+//! | `/marks/drawn/KIND` | Scalars, SeriesPoints | The same for the pairs whose q the layout draws, if it leaves some out. |
 //! | `/timings/STAGE` | Scalars | What a stage of the step or of the recording costs [ms per step]. |
 //! | `/timings/stacked/N_STAGE` | Scalars | The same, with the stages before it on the same thread; numbered from the top of the stack. |
 //! | `/ranking/energies/N` | Points2D, LineStrips2D | Rows with labels and bars: the scalars in a plot of energies at an instant, those that have not been 0 in all frames; those in a plot of one line follow those of the plot before it, and the first has its value at the start beside it. |
@@ -108,10 +109,10 @@
 //! | `/world/error` | Arrows3D | In a comparison: arrows from the vertices of the first run towards those of the second; the longest of an instant has a length of at least 0.3 radii. |
 //! | `/world/worst` | Points3D, LineStrips3D | In a comparison: the vertex that differs most, and a line to its label. |
 //! | `/q/SIDE/A~B` | Scalars | In a comparison: q in the first or the second run, of the first 4 pairs whose events differ. |
-//! | `/q/events/SIDE` | Scalars, SeriesPoints | In a comparison: the events of these pairs that differ, as markers at q. |
+//! | `/q/events/SIDE/A~B` | Scalars, SeriesPoints | In a comparison: the events of these pairs that differ, as markers at q. |
 //! | `/difference/NAME` | Scalars | In a comparison: the largest difference of a body [radii], and the tolerance. |
 //! | `/log10/difference/NAME` | Scalars | In a comparison: the decimal logarithms of these, where they are not 0. |
-//! | `/map/LAYER` | Image, LineStrips2D, Points2D | In the map of a sweep: its regions, their boundaries, every run as a point, thresholds that were bisected, and ticks; on the timeline slice, which counts maps. |
+//! | `/map/LAYER` | Image, LineStrips2D, Points2D | In the map of a sweep: its regions, their boundaries and names, every run as a point, thresholds that were bisected, and ticks; on the timeline slice, which counts maps. |
 //! | `/along/COLUMN/LINE` | LineStrips2D, Points2D | In the map of a sweep: a measure along the first axis, for three values of the second, and ticks. |
 
 pub mod blueprint;

@@ -17,12 +17,12 @@ use super::{
     checksums::Checksums,
     chunks::{Audience, Chunks},
     contract::{
-        self, ABOUT, ABOUT_STAGES, ACCURACY, ARROWS, BODY_EVENTS, BODY_SURFACE, Component, DIGEST, EVENTS, Entity,
-        FAILED, FAILURE, INFLUENCE, INTEGRATOR, MACHINE, MODEL, NOT_RECORDED, OVERRIDES, PAIR_PHASE, PROPERTIES,
-        RECORDING_INFO, RESTING, SCENE, SETTINGS, STAGE, STAGES, STEPS, SURFACE_EVENTS, VERSION, WORLD, path_of,
+        self, ABOUT, ABOUT_STAGES, ACCURACY, ARROWS, BODY_EVENTS, Component, DIGEST, EVENTS, Entity, FAILED, FAILURE,
+        INTEGRATOR, MACHINE, MODEL, NOT_RECORDED, OVERRIDES, PAIR_PHASE, PROPERTIES, RECORDING_INFO, SCENE, SETTINGS,
+        STAGE, STAGES, STEPS, SURFACE_EVENTS, VERSION, WORLD, path_of,
     },
     extract::Extractor,
-    flight::FlightRecorder,
+    flight::{Ended, FlightRecorder},
     focus::FocusFinder,
     instant::Instant,
     machine, palette,
@@ -41,10 +41,9 @@ use super::{
         moves::{self, Furthest, Moves},
         numbers::FrameNumbers,
         pairs,
-        pairs::PairPlots,
+        pairs::{PairPlots, Told},
         planes,
         points::Points,
-        recent,
         spheres::SphereEntities,
         springs::Springs,
         touching::Touching,
@@ -61,8 +60,8 @@ pub use super::{
 use crate::{
     observe::{Frame, Schema, Simulation, StageFrame, StepSummary, row::rows, verify},
     sdk::{
-        self, AnyValues, ApplicationId, AsComponents, LogMsg, Points3D, Scalars, StoreId, StoreKind, TextDocument,
-        TextLog, Timeline, Transform3D, ViewCoordinates,
+        self, AnyValues, ApplicationId, AsComponents, Clear, LogMsg, Points3D, Scalars, StoreId, StoreKind,
+        TextDocument, TextLog, Timeline, ViewCoordinates,
         components::{MediaType, Scalar, Text},
     },
     text::{counted, significant},
@@ -97,12 +96,14 @@ pub struct Recorder {
     written: u64,
     /// The ranges of them without a gap, of a flight recorder.
     kept: Vec<Kept>,
-    /// Below the middle of all bodies in the last frame.
-    below: DVec3,
+    /// The middle of all bodies in the last frame.
+    middle: DVec3,
     /// The parts that show stages inside steps.
     stages: Option<(StateParts, Moves)>,
     /// Number of stages shown.
     stage_count: u64,
+    /// The first and the last stage of the step with the event at which the viewer opens.
+    opening_stages: Option<[u64; 2]>,
     /// Whether the run has failed.
     has_failed: bool,
     /// The last step.
@@ -117,8 +118,8 @@ pub struct Recorder {
 struct Kept {
     first: Instant,
     last: Instant,
-    /// Where there is room for a label after them.
-    below: DVec3,
+    /// Where a label stands after them.
+    middle: DVec3,
 }
 
 /// The parts of a frame.
@@ -217,12 +218,13 @@ impl Recorder {
             first: simulation.steps_taken(),
             written: 0,
             kept: Vec::new(),
-            below: DVec3::ZERO,
+            middle: DVec3::ZERO,
             stages: matches!(settings.detail, Detail::Stages { .. }).then(|| {
                 log_text(&ABOUT_STAGES, blueprint::stages(), &mut chunks);
                 (StateParts::new(&schema, &settings, simulation.interrupt(), &mut chunks), Moves::new(&mut chunks))
             }),
             stage_count: 0,
+            opening_stages: None,
             has_failed: false,
             at: now(simulation),
             watch: StepWatch::new(simulation, &settings),
@@ -290,13 +292,15 @@ impl Recorder {
     pub fn measured_layout(&self, simulation: &dyn Simulation, tab: Tab) -> Vec<LogMsg> {
         let Some(parts) = &self.parts else { return Vec::new() };
         let focus = parts.focus.focus();
+        let pairs = parts.told(&self.schema);
         let measured = Measured {
             duration: self.at.time,
             durations: Some(parts.numbers.totals()),
             fastest: parts.numbers.fastest(),
             distances: parts.pairs.plotted(),
             lines: parts.series.outlines().collect(),
-            pairs: parts.pairs.told(&self.schema, focus.as_ref().map_or(0.0, |focus| focus.time)),
+            pairs,
+            stages: self.opening_stages,
             focus: focus.filter(|_| self.flight.is_none()), // a flight recorder may have dropped it
             kept: self.kept.first().zip(self.kept.last()).map(|(first, last)| [first.first.time, last.last.time]),
             have_acted: parts.body_forces.as_ref().map_or(&[], BodyForces::have_acted),
@@ -380,6 +384,7 @@ impl Recorder {
         }
         let Some(parts) = &mut self.parts else { return };
         parts.numbers.add(step);
+        let opening = parts.focus.event_time();
         for event in &step.summary.events {
             parts.pairs.log_event(&self.schema, event, &mut parts.series, &mut self.chunks);
             parts.focus.event(&self.schema, event);
@@ -387,6 +392,9 @@ impl Recorder {
         parts.state.lines.events(&self.schema, &step.summary.events, &step.pairs, &mut self.chunks);
         parts.pairs.log_shortfall(&self.schema, step.summary.shortfall.as_ref(), at, &mut self.chunks);
         parts.numbers.add_recording(Duration::ZERO, start.elapsed());
+        if parts.focus.event_time() != opening && !step.stages.is_empty() {
+            self.opening_stages = Some([self.stage_count, self.stage_count + step.stages.len() as u64 - 1]);
+        }
         self.log_stages(&step.stages, at);
         if let Some(frame) = frame {
             self.log_frame(frame, at);
@@ -428,7 +436,7 @@ impl Recorder {
             parts.log(view, self.frames, &mut self.chunks);
             if self.flight.is_some() {
                 let [low, high] = view.bounds();
-                self.below = (0.5 * (low + high)).with_z(low.z - (recent::label_height(view) - high.z));
+                self.middle = 0.5 * (low + high);
             }
             self.frames += 1;
             self.written += u64::from(self.flight.is_none());
@@ -473,12 +481,11 @@ impl Recorder {
         if is_on {
             self.frames_after = *after;
         }
-        if has_frame && let Some((at, lines)) = flight.end_frame(summary.at) {
-            for line in lines {
-                self.chunks.log(&line, at, &Scalars::new([0.0; 0]));
-            }
-            for gap in self.chunks.drain() {
-                self.chunks.send(gap);
+        if has_frame && let Some(Ended { at, lines, shown }) = flight.end_frame(summary.at) {
+            lines.iter().for_each(|line| self.chunks.log(line, at, &Scalars::new([0.0; 0])));
+            shown.iter().for_each(|entity| self.chunks.log(entity, at, &Clear::new(false)));
+            for ended in self.chunks.drain() {
+                self.chunks.send(ended);
             }
         }
         // together they take less room than one by one
@@ -489,17 +496,23 @@ impl Recorder {
 
     /// Writes the contents of the flight recorder.
     fn write_kept(&mut self) {
-        if let Some(flight) = &mut self.flight {
-            if let Some([first, last]) = flight.range() {
-                let below = self.below;
-                match self.kept.last_mut().filter(|kept| first.step <= kept.last.step + self.settings.every) {
-                    Some(before) => (before.last, before.below) = (last, below),
-                    None => self.kept.push(Kept { first, last, below }),
-                }
+        let Some(flight) = &mut self.flight else { return };
+        if let Some([first, last]) = flight.range() {
+            let middle = self.middle;
+            match self.kept.last_mut().filter(|kept| first.step <= kept.last.step + self.settings.every) {
+                Some(before) => (before.last, before.middle) = (last, middle),
+                None => self.kept.push(Kept { first, last, middle }),
             }
-            let (chunks, frames) = flight.take();
-            chunks.into_iter().for_each(|chunk| self.chunks.send(chunk));
-            self.written += frames;
+        }
+        let state = flight.state_after_gap();
+        let (chunks, frames) = flight.take();
+        chunks.into_iter().for_each(|chunk| self.chunks.send(chunk));
+        self.written += frames;
+        if let Some((at, state)) = state {
+            state.iter().for_each(|(entity, batches)| self.chunks.row(entity, at.time_point(), batches));
+            for chunk in self.chunks.drain() {
+                self.chunks.send(chunk);
+            }
         }
     }
 
@@ -508,28 +521,7 @@ impl Recorder {
         Instant { step, time: step as f64 * self.schema.dt }
     }
 
-    /// Hides what has a shape, but no place before the first frame of a flight recorder: it would stand at the origin. A scale
-    /// of 0 the viewer ignores.
-    fn hide_until_first_frame(&mut self) {
-        let begin = self.kept.first().map(|kept| kept.first.step.saturating_sub(self.settings.every));
-        if self.flight.is_none() || begin.is_some_and(|begin| begin <= self.first) {
-            return;
-        }
-        // not the bodies themselves, whose transforms a row of scales would replace
-        let mut entities: Vec<String> = match self.settings.entities {
-            Entities::Body => self.schema.bodies.iter().map(|body| BODY_SURFACE.of(&[&body.name])).collect(),
-            Entities::Batch => self.schema.shapes().keys().map(|shape| RESTING.of(&[shape])).collect(),
-        };
-        entities.push(INFLUENCE.path.to_owned());
-        for entity in entities {
-            for (step, scale) in [(self.first, 1e-6)].into_iter().chain(begin.map(|begin| (begin, 1.0))) {
-                let scale = Transform3D::update_fields().with_scale([scale; 3]);
-                self.chunks.log(&entity, self.instant(step), &scale);
-            }
-        }
-    }
-
-    /// Labels where a flight recorder has no frames. The state in the frame before each range is known: what was dropped last.
+    /// Labels where a flight recorder has no frames.
     fn label_gaps(&mut self) {
         let every = self.settings.every;
         let style = Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.0)]);
@@ -537,21 +529,20 @@ impl Recorder {
             let label = style.clone().with_positions([place.as_vec3().to_array()]).with_labels([text]);
             label.with_colors([palette::color(crate::colors::VERMILION)]).with_show_labels(true)
         };
-        let Some(below) = self.kept.first().map(|kept| kept.below) else { return };
-        let mut gap = (self.first, below);
-        let ends = self.kept.iter().map(|kept| (kept.first.step, Some(kept))).chain([(self.at.step + 1 + every, None)]);
+        let Some(middle) = self.kept.first().map(|kept| kept.middle) else { return };
+        let mut gap = (self.first, middle);
+        let ends = self.kept.iter().map(|kept| (kept.first.step, Some(kept))).chain([(self.at.step + 1, None)]);
         for (next, kept) in ends {
-            let (from, below) = gap;
-            let to = next.saturating_sub(every);
-            if from < to {
-                let text = format!("no frames of steps {from} to {}", to - 1);
-                self.chunks.log(NOT_RECORDED.path, self.instant(from), &label(below, text));
-                if to <= self.at.step {
-                    self.chunks.log(NOT_RECORDED.path, self.instant(to), &Points3D::clear_fields());
+            let (from, middle) = gap;
+            if from < next {
+                let text = format!("no frames of steps {from} to {}", next - 1);
+                self.chunks.log(NOT_RECORDED.path, self.instant(from), &label(middle, text));
+                if kept.is_some() {
+                    self.chunks.log(NOT_RECORDED.path, self.instant(next), &Points3D::clear_fields());
                 }
             }
-            if let Some(Kept { last, below, .. }) = kept {
-                gap = (last.step + every, *below);
+            if let Some(Kept { last, middle, .. }) = kept {
+                gap = (last.step + every, *middle);
             }
         }
     }
@@ -596,6 +587,7 @@ impl Recorder {
             if self.flight.is_none() {
                 let level = parts.pairs.plotted().map(|[low, _]| low);
                 marks::log_ends([first, self.at], level, &mut self.chunks);
+                parts.pairs.log_events_of_told(&self.schema, &parts.told(&self.schema), &mut self.chunks);
                 let approaches = self.watch.approaches();
                 let nearest = &approaches[..approaches.len().min(MOST_APPROACHES)];
                 parts.pairs.log_approaches(&self.schema, nearest, &mut self.chunks);
@@ -607,15 +599,13 @@ impl Recorder {
         let kept = match (&self.flight, ranges.is_empty()) {
             (None, _) => String::new(),
             (Some(_), false) => format!(
-                "**Frames: only of steps {}{more}.** Before them, the 3D views show no bodies; between and after them, the last \
-                 frame, possibly incomplete.\n\n",
+                "**Frames: only of steps {}{more}.** At others, views of an instant are empty.\n\n",
                 ranges.join(", ")
             ),
             (Some(_), true) => {
                 "**No frames**: what they are kept for did not happen. Ignore the 3D views.\n\n".to_owned()
             }
         };
-        self.hide_until_first_frame();
         self.label_gaps();
         let mut nearest = String::new();
         for (number, line) in self.approaches().iter().take(MOST_APPROACHES).enumerate() {
@@ -633,6 +623,11 @@ impl Recorder {
 }
 
 impl FrameParts {
+    /// The pairs that have plots worth a look in the layout.
+    fn told(&self, schema: &Schema) -> Told {
+        self.pairs.told(schema, self.focus.focus().map_or(0.0, |focus| focus.time))
+    }
+
     /// Logs static data.
     fn new(
         schema: &Schema,
@@ -698,12 +693,12 @@ impl StateParts {
         interrupt: Option<&'static AtomicBool>,
         chunks: &mut Chunks,
     ) -> StateParts {
-        let mut extractor = Extractor::default();
+        let extractor = Extractor::default();
         let detail = settings.detail;
         let spheres = SphereEntities::new(schema, settings.entities, chunks);
         let surfaces = match settings.entities {
             Entities::Body => Surfaces::Bodies(SeparateBodies::new(schema, detail, chunks)),
-            Entities::Batch => Surfaces::Batch(BatchedBodies::new(schema, detail, &mut extractor, chunks)),
+            Entities::Batch => Surfaces::Batch(BatchedBodies::new(detail, chunks)),
         };
         let forces = (detail != Detail::Surface).then(|| Forces::new(schema, settings.entities, chunks));
         let springs = if detail != Detail::Surface { Springs::new(schema, chunks) } else { None };

@@ -288,6 +288,67 @@ pub fn boundary(slice: &Slice) -> Vec<[[f64; 2]; 2]> {
     lines
 }
 
+/// The largest region of each class, if it is large enough for a name: the class, and the place furthest from the region's
+/// boundary, as fractions of the axes.
+pub fn regions(slice: &Slice) -> Vec<(u8, [f64; 2])> {
+    /// Least area of a region with a name [map].
+    const LEAST: f64 = 0.01;
+
+    let [width, height] = slice.size;
+    let neighbours = |cell: usize| {
+        let (i, j) = (cell % width, cell / width);
+        let sides = [(i > 0, -1), (i + 1 < width, 1), (j > 0, -(width as isize)), (j + 1 < height, width as isize)];
+        let inside = sides.into_iter().filter(|(is_inside, _)| *is_inside);
+        inside.map(move |(_, offset)| cell.wrapping_add_signed(offset))
+    };
+    let is_same = |cell: usize, other: &usize| slice.classes[cell] == slice.classes[*other];
+    // from the boundaries inwards, so that the last cell of a region is its furthest from them
+    let at_boundary = |cell: &usize| neighbours(*cell).filter(|other| is_same(*cell, other)).count() < 4;
+    let mut inwards: Vec<usize> = (0..slice.classes.len()).filter(at_boundary).collect();
+    let mut is_queued = vec![false; slice.classes.len()];
+    inwards.iter().for_each(|&cell| is_queued[cell] = true);
+    let mut next = 0;
+    while let Some(&cell) = inwards.get(next) {
+        next += 1;
+        for other in neighbours(cell) {
+            if !std::mem::replace(&mut is_queued[other], true) {
+                inwards.push(other);
+            }
+        }
+    }
+    let [x, y] = &slice.edges;
+    let area = |cell: usize| {
+        let (i, j) = (cell % width, cell / width);
+        (x[i + 1] - x[i]) * (y[j + 1] - y[j])
+    };
+    let mut largest: BTreeMap<u8, (f64, usize)> = BTreeMap::new();
+    let mut is_known = vec![false; slice.classes.len()];
+    for &deepest in inwards.iter().rev() {
+        if std::mem::replace(&mut is_known[deepest], true) {
+            continue;
+        }
+        let (mut region, mut next) = (vec![deepest], 0);
+        while let Some(&cell) = region.get(next) {
+            next += 1;
+            for other in neighbours(cell).filter(|other| is_same(cell, other)) {
+                if !std::mem::replace(&mut is_known[other], true) {
+                    region.push(other);
+                }
+            }
+        }
+        let size = region.into_iter().map(area).sum::<f64>();
+        let before = largest.entry(slice.classes[deepest]).or_default();
+        if size > before.0 {
+            *before = (size, deepest);
+        }
+    }
+    largest.remove(&u8::MAX); // unknown
+    let middle = |edges: &[f64], cell: usize| 0.5 * (edges[cell] + edges[cell + 1]);
+    let place = |cell: usize| [middle(x, cell % width), middle(y, cell / width)];
+    let named = largest.into_iter().filter(|(_, (size, _))| *size >= LEAST);
+    named.map(|(class, (_, deepest))| (class, place(deepest))).collect()
+}
+
 /// Tick positions of an axis, as fractions of it, with their labels.
 pub fn ticks(axis: &Axis) -> Vec<(f64, String)> {
     let (from, to, scale) = match &axis.values {
@@ -305,4 +366,30 @@ pub fn ticks(axis: &Axis) -> Vec<(f64, String)> {
 /// A number of an axis, without trailing zeros.
 pub fn written(x: f64) -> String {
     if x != 0.0 && !(1e-3..1e6).contains(&x.abs()) { format!("{x:e}") } else { trimmed(&format!("{x:.6}")).to_owned() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Of each class the largest region has a name, inside, unless it is small or unknown.
+    #[test]
+    fn regions_have_names_inside() {
+        let rows = ["aaaaaa", "abbbaa", "abbbac", "abbba?", "aaaaa?"];
+        let class = |letter: char| if letter == '?' { u8::MAX } else { letter as u8 - b'a' };
+        let edges = |count: usize| (0..=count).map(|edge| edge as f64 / count as f64).collect::<Vec<_>>();
+        let mut slice = Slice {
+            size: [6, 5],
+            edges: [edges(6), edges(5)],
+            classes: rows.iter().flat_map(|row| row.chars().map(class)).collect(),
+            ..Slice::default()
+        };
+        let named = regions(&slice);
+        assert_eq!(named.iter().map(|(class, _)| *class).collect::<Vec<_>>(), [0, 1, 2]);
+        let cell = |[x, y]: [f64; 2]| slice.classes[(y * 5.0) as usize * 6 + (x * 6.0) as usize];
+        assert!(named.iter().all(|&(class, at)| cell(at) == class), "{named:?}");
+        assert_eq!(named[1].1.map(|share| (share * 60.0).round()), [25.0, 30.0], "the middle of its region");
+        slice.edges[0] = [0.0, 0.2, 0.4, 0.6, 0.8, 0.99, 1.0].to_vec();
+        assert_eq!(regions(&slice).len(), 2, "the last column is thin");
+    }
 }

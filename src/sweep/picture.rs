@@ -6,7 +6,7 @@ use super::{
     Sweep,
     classes::{self, FAILED},
     design::Axis,
-    map::{MISSABLE, Map, Slice, boundary, ticks, written},
+    map::{MISSABLE, Map, Slice, boundary, regions, ticks, written},
     row::Cell,
     store::{Store, StoreError},
 };
@@ -140,6 +140,18 @@ fn log_slice(chunks: &mut Chunks, map: &Map, slice: &Slice, at: &TimePoint) {
         let lines =
             LineStrips2D::new(lines).with_colors([color([30, 30, 30])]).with_radii([Radius::new_ui_points(0.9)]);
         chunks.row(&MAP.of(&["boundary"]), at.clone(), &lines.with_draw_order(10.0));
+        let regions = regions(slice);
+        let place = |at: [f64; 2]| {
+            let [x, y] = pixel(at);
+            [x, y - LABEL_BELOW]
+        };
+        let names = Points2D::new(regions.iter().map(|&(_, at)| place(at)))
+            .with_labels(regions.iter().map(|&(class, _)| map.classes.name(class)))
+            .with_show_labels(true)
+            .with_colors([color([255; 3])])
+            .with_radii([Radius::new_ui_points(0.1)])
+            .with_draw_order(40.0);
+        chunks.row(&MAP.of(&["names"]), at.clone(), &names);
     }
     // on areas of their own colour they would not be seen
     let shade = if map.range.is_none() { 2 } else { 1 };

@@ -1508,21 +1508,49 @@ fn a_flight_recorder_writes_frames_after_its_trigger() {
     assert!(is_in(&kept("2+40", "merge", &[]), 83..=124));
     assert!(is_in(&kept("5+120", "merge,split", &[]), 80..=300));
     assert!(is_in(&kept("30+50", "merge", &["--steps", "100"]), 55..=100));
-    // of two windows, the panel says where there is nothing; the names of a group end with it
+    // of two windows, the panel says where there is nothing; the names of a group end with each window and with the group
     run(&dir, &["run", "two", "--save", "x.rrd", "--keep", "3", "--on", "merge,split"]).succeeded();
     let recording = Recording::open(&dir.file("x.rrd"));
     let about = recording.fixed("/about").text("TextDocument:text");
     assert!(about.starts_with("**Frames: only of steps 82 to 84, 197 to 199.**"), "{about}");
-    // of the frame before each window, the state is known
     let gaps = recording.changes("/world/not_recorded");
     let gaps: Vec<(i64, String)> = gaps.iter().map(|row| (row.step, row.texts("Points3D:labels").concat())).collect();
     let gap = |from: i64, to: i64| (from, format!("no frames of steps {from} to {to}"));
     let none = |step: i64| (step, String::new());
-    assert_eq!(gaps, [gap(0, 80), none(81), gap(85, 195), none(196), gap(200, 300)]);
+    assert_eq!(gaps, [gap(0, 81), none(82), gap(85, 196), none(197), gap(200, 300)]);
     let groups: Vec<Vec<String>> = recording.changes("/groups/a").iter().map(|row| row.texts("bodies")).collect();
-    assert_eq!(groups, [vec!["a".to_owned(), "b".to_owned()], vec![]]);
+    let joined = vec!["a".to_owned(), "b".to_owned()];
+    assert_eq!(groups, [joined.clone(), vec![], joined, vec![], vec![]]);
     let error = run(&dir, &["run", "two", "--keep", "3+5"]).failed(2);
     assert!(error.contains("--on"), "{error}");
+}
+
+/// Where the layout leaves out lines of q, the events of the pairs that it draws are marked, and no others.
+#[test]
+fn events_are_marked_on_the_lines_of_a_crowd() {
+    let dir = Dir::new();
+    run(&dir, &["run", "crowd", "--save", "x.rrd"]).succeeded();
+    let recording = Recording::open(&dir.file("x.rrd"));
+    let events = recording.rows(&"/events".into());
+    let events: Vec<(String, i64, f64)> = events
+        .iter()
+        .map(|(_, row)| {
+            (
+                row.text("TextLog:level").replace(' ', "_"),
+                row.time,
+                row.get::<meldscope::sdk::datatypes::Float64>("q")[0].0,
+            )
+        })
+        .collect();
+    let mut marks = 0;
+    for entity in recording.entities() {
+        let Some(kind) = entity.to_string().strip_prefix("/marks/drawn/").map(str::to_owned) else { continue };
+        for (_, row) in recording.rows(&entity) {
+            assert!(events.contains(&(kind.clone(), row.time, row.scalar().expect("a number"))), "{kind} {}", row.time);
+            marks += 1;
+        }
+    }
+    assert!(0 < marks && marks < events.len(), "{marks} marks of {} events", events.len());
 }
 
 /// The size of a file is within a fifth of the projection.

@@ -207,13 +207,12 @@ impl Row {
         self.cells.get(component).map_or_else(Vec::new, |cell| T::from_arrow(cell).expect("the type of its archetype"))
     }
 
-    fn has(&self, component: &str) -> bool {
+    pub fn has(&self, component: &str) -> bool {
         self.cells.contains_key(component)
     }
 
-    /// The step, and the cells but for that of a component.
-    pub fn without(mut self, component: &str) -> (i64, BTreeMap<String, ArrayRef>) {
-        self.cells.remove(component);
+    /// The step, and the values without the instant at which they were logged.
+    pub fn values(self) -> (i64, BTreeMap<String, ArrayRef>) {
         (self.step, self.cells)
     }
 
@@ -484,10 +483,11 @@ impl Run {
         if self.scene.bodies.len() > 1 {
             entities.extend(["/world/merged", "/world/merged/surface", "/world/merged/seams"].map(str::to_owned));
         }
-        // these depend on groups, on touching surfaces, on the forces that act, and on how close pairs come
+        // these depend on groups, on touching surfaces, on the forces that act, on how close pairs come, and on the pairs drawn
         let depends = |path: &String| {
             path.starts_with("/groups/")
                 || path.starts_with("/forces/")
+                || path.starts_with("/marks/drawn/")
                 || ["/events/surfaces", "/marks/q/near_miss"].contains(&path.as_str())
         };
         entities.extend(self.recording.entities().iter().map(ToString::to_string).filter(depends));
@@ -668,13 +668,13 @@ impl Run {
             let mesh = shape.mesh();
             let rest: Vec<DVec3> = mesh.positions().iter().collect();
             let unit: Vec<Vec3> = rest.iter().map(|v| v.as_vec3()).collect();
-            let fixed = self.recording.fixed(&track.entity);
-            assert_eq!(fixed.vectors(POSITIONS), unit);
+            let drawn = &track.held[0];
+            assert_eq!(drawn.vectors(POSITIONS), unit);
             let expected = area_normals(&rest, mesh.triangles());
-            for (normal, expected) in fixed.vectors(NORMALS).iter().zip(expected) {
+            for (normal, expected) in drawn.vectors(NORMALS).iter().zip(expected) {
                 assert!(normal.as_dvec3().distance(expected) < 1e-6, "{normal} {expected}");
             }
-            assert_eq!(triangles(&fixed), mesh.triangles());
+            assert_eq!(triangles(drawn), mesh.triangles());
         }
         let deforming = self.track("/world/deforming/surface");
         let mut last_deformed = Vec::new();
@@ -747,7 +747,6 @@ impl Run {
         let fixed = self.recording.fixed("/world/influence");
         let radii = self.scene.bodies.iter().map(|body| body.reach * body.radius);
         let half_sizes: Vec<Vec3> = radii.map(|radius| Vec3::splat(radius as f32)).collect();
-        assert_eq!(fixed.vectors("Ellipsoids3D:half_sizes"), half_sizes);
         let names: Vec<&str> = self.scene.bodies.iter().map(|body| body.name.as_str()).collect();
         assert_eq!(fixed.texts("Ellipsoids3D:labels"), names);
 
@@ -768,6 +767,7 @@ impl Run {
             let colors: Vec<Rgba32> = (0..world.body_count()).map(of_body).collect();
             let held = &track.held[frame];
             assert_same(&held.vectors(CENTERS), &centres, &format!("centres at step {step}"));
+            assert_same(&held.vectors("Ellipsoids3D:half_sizes"), &half_sizes, &format!("radii at step {step}"));
             assert_same(&held.colors(COLORS), &colors, &format!("colours at step {step}"));
             assert_eq!(track.logged(step, &[CENTERS]), last.0 != centres, "centres at step {step}");
             assert_eq!(track.logged(step, &[COLORS]), last.1 != colors, "colours at step {step}");
@@ -942,7 +942,20 @@ impl Run {
             };
             let acting: Vec<usize> = (0..bodies.len()).filter(|&index| strongest_on(index) > 0.0).collect();
             let labelled: Vec<usize> = acting.iter().copied().filter(is_labelled).collect();
-            assert_labelled(world, &labelled, &acting, net_on, &at);
+            let label_of = |index: usize| {
+                let of_body = || expected.iter().filter(|(body, cause, ..)| *body == index && *cause != "net");
+                let strongest = of_body().max_by(|one, other| one.3.length().total_cmp(&other.3.length()));
+                let (net, (_, cause, centre, mean)) = (net_on(index), *strongest.expect("a force"));
+                let label = format!(
+                    "{}: net {}, strongest {cause} {}",
+                    self.scene.bodies[index].name,
+                    significant(net),
+                    significant(mean.length())
+                );
+                let arrow = expected.iter().find(|(body, cause, ..)| *body == index && *cause == "net");
+                (centre + 0.5 * scale * arrow.map_or(mean, |(.., mean)| *mean), label.len())
+            };
+            assert_labelled(world, &labelled, &acting, net_on, label_of, &at);
             for (index, body) in self.scene.bodies.iter().enumerate() {
                 let of_body = || expected.iter().zip(&labels).filter(|((body, ..), _)| *body == index);
                 let labelled: Vec<_> = of_body().filter(|(_, label)| !label.is_empty()).collect();
@@ -1038,7 +1051,8 @@ impl Run {
             let labels = of_bodies.held[frame].texts("Points3D:labels");
             let labelled: Vec<usize> = all.iter().copied().filter(|&index| labels.contains(&label(index))).collect();
             assert_eq!(labelled.len(), labels.len(), "{at}: {labels:?}");
-            assert_labelled(world, &labelled, &all, |index| largest_of(&world.body(index)), &at);
+            let label_of = |index: usize| (name_place(world, index), label(index).len());
+            assert_labelled(world, &labelled, &all, |index| largest_of(&world.body(index)), label_of, &at);
             if let Some((displacement, position, label)) = largest {
                 let held = &track.held[frame];
                 let logged = held.texts("Points3D:labels").concat();
@@ -1235,31 +1249,22 @@ impl Run {
                 };
                 highlighted.iter().any(is_of)
             };
-            // labels that would cover each other are left out
-            let [low, high] = world.bodies().fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[low, high], body| {
-                let radius = body.scene().radius;
-                [low.min(body.centre() - radius), high.max(body.centre() + radius)]
-            });
+            // labels that would cover each other are left out; those of events stand above
             let between = |a: usize, b: usize| 0.5 * (world.body(a).centre() + world.body(b).centre());
-            let middle = |pair: &PairView| between(pair.a, pair.b);
+            let label = |pair: &PairView| format!("{} q = {:.3}", self.pair_name((pair.a, pair.b)), pair.q);
+            let place = |pair: &PairView| (between(pair.a, pair.b), label(pair).len());
             let all = (0..self.scene.bodies.len()).flat_map(|b| (0..b).map(move |a| (a, b)));
             let is_named =
                 |&(a, b): &(usize, usize)| highlighted.iter().any(|label| names(label, &self.pair_name((a, b))));
-            let highlighted: Vec<DVec3> = all.filter(is_named).map(|(a, b)| between(a, b)).collect();
+            let highlighted = all.filter(is_named).count();
             let (mut first, mut rest): (Vec<PairView>, Vec<PairView>) = (vec![], vec![]);
             for pair in pairs {
-                let mut taken = highlighted.iter().copied().chain(first.iter().map(middle));
-                // labels are wider than high
-                let is_clear = taken.all(|other| {
-                    let apart = (other - middle(&pair)) / low.distance(high);
-                    apart.z.abs() > 0.08 || apart.truncate().length() > 0.25
-                });
-                let is_labelled = !is_highlighted(&pair) && is_clear && highlighted.len() + first.len() < 3;
+                let is_clear = !first.iter().any(|other| covers(world, [place(other), place(&pair)]));
+                let is_labelled = !is_highlighted(&pair) && is_clear && highlighted + first.len() < 3;
                 if is_labelled { first.push(pair) } else { rest.push(pair) }
             }
             let labelled = first.len();
             let pairs = [first, rest].concat();
-            let label = |pair: &PairView| format!("{} q = {:.3}", self.pair_name((pair.a, pair.b)), pair.q);
             let mut labels: Vec<String> = pairs[..labelled].iter().map(label).collect();
             if labelled == 1 && pairs.len() > 1 {
                 labels.push(String::new());
@@ -1661,14 +1666,48 @@ fn winding_number(positions: &[DVec3], triangles: &[[u32; 3]], at: DVec3) -> f64
     triangles.iter().map(angle).sum::<f64>() / (4.0 * std::f64::consts::PI)
 }
 
-/// Verifies which bodies are labelled: of the five strongest of `all`, those whose labels do not cover one of a stronger.
-fn assert_labelled(world: &World, labelled: &[usize], all: &[usize], strength: impl Fn(usize) -> f64, at: &str) {
+/// Where the name of a body stands: away from the bodies within its reach, and above its centre.
+fn name_place(world: &World, index: usize) -> DVec3 {
+    let centre = |body: usize| world.body(body).centre();
+    let met = world.pairs().filter(|pair| pair.a == index || pair.b == index);
+    let others = met.map(|pair| if pair.a == index { pair.b } else { pair.a });
+    let away: DVec3 = others.map(|other| (centre(index) - centre(other)).normalize_or_zero()).sum();
+    let aside = if index.is_multiple_of(2) { DVec3::NEG_X } else { DVec3::X };
+    let direction = (away + 0.05 * aside).normalize_or(DVec3::Z);
+    centre(index) + world.body(index).scene().radius * (0.9 * direction + 0.35 * DVec3::Z)
+}
+
+/// A number with at least three digits.
+fn significant(x: f64) -> String {
+    let digits = 2 - x.abs().log10().floor().clamp(-9.0, 2.0) as i32;
+    if x == 0.0 { "0".to_owned() } else { format!("{x:.*}", digits as usize) }
+}
+
+/// Whether one of two labels, of which the places of the middle and the numbers of characters are given, covers the other;
+/// seen from the front and above.
+fn covers(world: &World, labels: [(DVec3, usize); 2]) -> bool {
     let corners = world.bodies().map(|body| [-1.0, 1.0].map(|side| body.centre() + side * body.scene().radius));
     let [low, high] = corners.reduce(|one, other| [one[0].min(other[0]), one[1].max(other[1])]).expect("a body");
-    let covers = |one: usize, other: usize| {
-        let apart = (world.body(one).centre() - world.body(other).centre()) / low.distance(high);
-        apart.z.abs() <= 0.08 && apart.truncate().length() <= 0.25
-    };
+    let towards_eye = DVec3::new(-0.2, -1.0, 0.4).normalize();
+    let right = DVec3::new(1.0, -0.2, 0.0).normalize();
+    let up = towards_eye.cross(right);
+    let [(place, length), (other, other_length)] = labels;
+    let apart = (place - other) / low.distance(high);
+    let widths = 0.02 + 0.006 * (length + other_length) as f64;
+    apart.dot(right).abs() <= widths && apart.dot(up).abs() <= 0.05
+}
+
+/// Verifies which bodies are labelled: of the five strongest of `all`, those whose labels do not cover one of a stronger.
+/// `label` is the place of the middle of a body's label, and its number of characters.
+fn assert_labelled(
+    world: &World,
+    labelled: &[usize],
+    all: &[usize],
+    strength: impl Fn(usize) -> f64,
+    label: impl Fn(usize) -> (DVec3, usize),
+    at: &str,
+) {
+    let covers = |one: usize, other: usize| covers(world, [one, other].map(&label));
     // equal ones are in any order
     let stronger = |body: usize, by: f64| {
         let limit = strength(body) * by;

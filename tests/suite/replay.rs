@@ -27,7 +27,7 @@ use meldscope::{
     },
 };
 
-use crate::recording::{Dir, Recording};
+use crate::recording::{Dir, Recording, Row};
 
 /// A world of another version of the program, in which its text described it although that here describes another one.
 struct AnotherVersion<'a>(&'a World);
@@ -492,22 +492,17 @@ fn a_flight_recorder_holds_the_frames_before_its_trigger() {
     assert!(output.contains("saved split.rrd: 10 frames"), "{output}");
     succeeds(&dir, &["run", "two", "--quiet", "--save", "all.rrd"]);
     let (kept, all) = (Recording::open(&dir.file("split.rrd")), Recording::open(&dir.file("all.rrd")));
-    let shown = |of: &Recording, entity: &str, steps: Vec<u64>| {
-        let rows = of.held(entity, steps).into_iter();
-        rows.map(|row| row.without("Transform3D:scale")).collect::<Vec<_>>()
-    };
     let frames: Vec<u64> = (190..=199).collect();
-    for entity in
-        ["/world/bodies/a/surface", "/world/bodies/a", "/world/bodies/b", "/world/influence", "/world/forces/net"]
-    {
-        assert_eq!(shown(&kept, entity, frames.clone()), shown(&all, entity, frames.clone()), "{entity}");
-    }
-    // before the first frame, what has no place yet is too small to be seen
-    for entity in ["/world/bodies/a/surface", "/world/bodies/b/surface", "/world/influence"] {
-        for (step, expected) in [(0, 1e-6), (188, 1e-6), (189, 1.0), (199, 1.0)] {
-            let scale = kept.held(entity, [step])[0].vectors("Transform3D:scale");
-            assert_eq!(scale, [glam::Vec3::splat(expected)], "{entity} at step {step}");
-        }
+    let shown =
+        ["/world/bodies/a/surface", "/world/bodies/a", "/world/bodies/b", "/world/influence", "/world/forces/net"];
+    for entity in shown {
+        let shown = |of: &Recording| of.held(entity, frames.clone()).into_iter().map(Row::values).collect::<Vec<_>>();
+        assert_eq!(shown(&kept), shown(&all), "{entity}");
+        // before the first frame and after the last one, views of an instant are empty
+        let rows: Vec<_> = kept.rows(&entity.into()).into_iter().map(|(_, row)| row).collect();
+        let cleared: Vec<i64> = rows.iter().filter(|row| row.has("Clear:is_recursive")).map(|row| row.step).collect();
+        assert_eq!(cleared, [200], "{entity}");
+        assert!(rows.iter().all(|row| (190..=200).contains(&row.step)), "{entity}");
     }
     // the last row is all that the viewer takes of a transform
     for entity in ["/world/bodies/a", "/world/bodies/b"] {
@@ -517,15 +512,13 @@ fn a_flight_recorder_holds_the_frames_before_its_trigger() {
     for entity in ["/checksum", "/events", "/pairs/a~b/phase"] {
         assert_eq!(kept.changes(entity), all.changes(entity), "{entity}");
     }
-    assert!(kept.changes("/world/forces/net").iter().all(|row| row.step <= 199));
-
     let output = succeeds(&dir, &["run", "two", "--keep", "10", "--on", "core,diverge", "--save", "none.rrd"]);
     assert!(output.contains("no --on event occurred: none.rrd is not written"), "{output}");
     assert!(!dir.file("none.rrd").exists());
     let output = succeeds(&dir, &["run", "two", "--keep", "4", "--save", "end.rrd"]);
     assert!(output.contains("4 frames"), "{output}");
     let end = Recording::open(&dir.file("end.rrd"));
-    let surface = |of| shown(of, "/world/bodies/a/surface", vec![297, 300]);
+    let surface = |of: &Recording| of.held("/world/bodies/a/surface", vec![297, 300]);
     assert_eq!(surface(&end), surface(&all));
     let output = succeeds(&dir, &["run", "three", "--keep", "3", "--on", "merge,split", "--save", "three.rrd"]);
     assert!(output.contains("saved three.rrd: 13 frames"), "each window once: steps 80, 81, 170, 178, 185: {output}");
@@ -693,6 +686,54 @@ fn check_reports_differences_and_bless_needs_a_reason() {
     fails(&dir, 2, &["check", "."]);
 }
 
+/// Bodies at rest on their paths have no part in checksums.
+#[test]
+fn check_sees_bodies_that_are_elsewhere() {
+    let dir = Dir::new();
+    let text = "duration = 1.0\n[[body]]\nname = 'a'\nradius = 1.0\nmotion = { line = { from = [0, 0, 0], velocity = [1, 0, 0] } }\n\
+        [[body]]\nname = 'b'\nradius = 1.0\nmotion = { fixed = [0, 9, 0] }\n";
+    fs::write(dir.file("far.toml"), text).expect("disk space");
+    succeeds(&dir, &["check", ".", "--bless", "a test"]);
+    fs::write(dir.file("far.toml"), text.replace("duration = 1.0", "duration = 1")).expect("disk space");
+    assert!(succeeds(&dir, &["check", "."]).contains("without effect"));
+    for (old, new, step, expected) in [
+        (
+            "[1, 0, 0]",
+            "[3, 0, 0]",
+            1,
+            "body \"a\" has radius 1, centre (0.05, 0.0, 0.0), in the golden recording radius 1, centre (0.01",
+        ),
+        ("[0, 9, 0]", "[0, 90, 0]", 0, "body \"b\" has radius 1, centre (0.0, 90.0, 0.0)"),
+        ("'b'\nradius = 1.0", "'b'\nradius = 2.0", 0, "body \"b\" has radius 2, centre (0.0, 9.0, 0.0)"),
+    ] {
+        fs::write(dir.file("far.toml"), text.replace(old, new)).expect("disk space");
+        for tolerant in [&["check", "."][..], &["check", ".", "--tolerant"]] {
+            let output = fails(&dir, 1, tolerant);
+            assert!(output.contains(&format!("  at step {step}: {expected}")), "{output}");
+        }
+    }
+}
+
+/// Any recording has checksums, but only a golden one has states, without which no difference is tolerable.
+#[test]
+fn check_says_what_an_ordinary_recording_lacks() {
+    let dir = Dir::new();
+    let text = builtin::ALL[1].text;
+    fs::write(dir.file("two.toml"), text).expect("disk space");
+    succeeds(&dir, &["run", "two.toml", "--quiet", "--save", "two.rrd"]);
+    assert!(succeeds(&dir, &["check", "."]).starts_with("two: identical"));
+    fs::write(dir.file("two.toml"), text.replace("alpha = 220", "alpha = 221")).expect("disk space");
+    for tolerant in [&["check", "."][..], &["check", ".", "--tolerant"]] {
+        let output = fails(&dir, 1, tolerant);
+        assert!(output.contains("this is no golden recording; ") && !output.contains("body \""), "{output}");
+    }
+    assert!(!dir.names().contains(&"two.check.rrd".to_owned()));
+    fs::write(dir.file("two.toml"), text).expect("disk space");
+    let (status, out, err) = meldscope(&dir, &["check", ".", "--bless", "it has states now"]);
+    assert!(status == 0 && !out.contains("kept") && err.contains("two.rrd is replaced, a recording of"), "{out}{err}");
+    assert_eq!(succeeds(&dir, &["check", ".", "--bless", "again"]), "two: identical, kept\n");
+}
+
 // ---- diff ----------------------------------------------------------------------------------------------------------
 
 #[test]
@@ -749,6 +790,34 @@ fn diff_compares_two_runs_of_a_scene() {
     let events = Recording::open(&dir.file("moved.rrd")).rows(&"/events".into());
     let is_there = |part: &str| events.iter().any(|(_, row)| row.text("TextLog:text").contains(part));
     assert!(is_there("s earlier: merge a~b at t = ") && is_there("gap of a~b: "), "{events:?}");
+}
+
+/// The frames of a flight recorder are those of the whole run.
+#[test]
+fn diff_reads_the_frames_of_a_flight_recorder() {
+    let dir = Dir::new();
+    let stronger = ["--set", "influence.beta=90"];
+    for scene in ["two", "collide"] {
+        let run = |name: &str, how: &[&str]| {
+            let save = format!("{scene}-{name}.rrd");
+            succeeds(&dir, &[&["run", scene, "--quiet", "--save", &save], how].concat());
+            save
+        };
+        let [plain, other] = [run("plain", &[]), run("other", &stronger)];
+        let keeps = [&["--keep", "100000"][..], &["--keep", "50"], &["--keep", "8+4", "--on", "merge,split"]];
+        for (number, keep) in keeps.iter().enumerate() {
+            let output = succeeds(&dir, &["diff", &plain, &run(&format!("kept-{number}"), keep)]);
+            assert!(output.contains("bits: the same") && output.contains("no body differs"), "{keep:?}: {output}");
+        }
+        let bodies = |first: &str, second: &str| {
+            let output = fails(&dir, 1, &["diff", first, second]);
+            output.lines().filter(|line| line.contains("body \"")).map(str::to_owned).collect::<Vec<_>>()
+        };
+        let differing = bodies(&plain, &other);
+        assert!(differing.len() > 2, "{differing:?}");
+        let other_kept = run("other-kept", &[&stronger[..], keeps[0]].concat());
+        assert_eq!(bodies(&format!("{scene}-kept-0.rrd"), &other_kept), differing);
+    }
 }
 
 /// Surfaces may touch and part at other times though all phases change at the same.
@@ -829,8 +898,7 @@ fn a_flight_recorder_keeps_whole_lines() {
     while let Some(frame) = frames.next().expect("a recording") {
         seen.push(frame.step as i64);
     }
-    // static values from the start keep their time
-    assert_eq!((seen[0], &seen[1..]), (0, &windows[..]));
+    assert_eq!(seen, windows);
 }
 
 #[test]

@@ -7,6 +7,7 @@ use crate::sdk::{
     blueprint::{archetypes::EyeControls3D, components::Eye3DKind},
     components::{Position3D, Vector3D},
 };
+use crate::stream::parts::TOWARDS_EYE;
 
 /// Spheres (centre and radius) to keep in view, and the aspect ratio of the view.
 pub type Framing<'a> = (&'a [(DVec3, f64)], f64);
@@ -27,7 +28,7 @@ pub fn camera_past(
     let [low, high] = bounds(spheres.iter().copied());
     let (middle, extent) = (0.5 * (low + high), high - low);
     let is_flat = laid_out || extent.z < 0.2 * f64::min(extent.x, extent.y);
-    let first = DVec3::new(-0.2, -1.0, if is_flat { 1.0 } else { 0.4 }).normalize(); // towards the eye
+    let first = if is_flat { TOWARDS_EYE.with_z(1.0) } else { TOWARDS_EYE }.normalize();
     let mut best = (eye(spheres, first, aspect), first);
     let mut least = hidden(best.0, wanted, others);
     // a smaller gain does not justify turning away from the default direction

@@ -141,8 +141,17 @@ impl Layout {
 
     /// Opens the viewer in this interval of time [s], which it repeats: there is no other way to set its time cursor.
     pub fn open_at(&mut self, interval: [f64; 2]) {
-        let [min, max] = interval.map(|time| ((1e9 * time) as i64).into());
-        let time_panel = TimePanelBlueprint::update_fields()
+        self.play(interval.map(|time| (1e9 * time) as i64), TimePanelBlueprint::update_fields());
+    }
+
+    /// Plays the stages from the first to the last in a loop, one per second.
+    pub fn open_at_stages(&mut self, [first, last]: [u64; 2]) {
+        self.play([first as i64, last as i64 + 1], TimePanelBlueprint::update_fields().with_fps(1.0));
+    }
+
+    fn play(&mut self, interval: [i64; 2], time_panel: TimePanelBlueprint) {
+        let [min, max] = interval.map(Into::into);
+        let time_panel = time_panel
             .with_time_selection(AbsoluteTimeRange::from(datatypes::AbsoluteTimeRange { min, max }))
             .with_loop_mode(LoopMode::Selection)
             .with_play_state(PlayState::Playing);

@@ -13,7 +13,8 @@ use crate::{
     },
     stream::{
         contract::{
-            DIAGNOSTIC, Entity, MARKS_AT_Q, MARKS_ON_AXIS, PAIR_CONTACT, PAIR_DISTANCE, PAIR_LEVEL, PAIR_PHASE,
+            DIAGNOSTIC, Entity, MARKS_AT_Q, MARKS_OF_DRAWN, MARKS_ON_AXIS, PAIR_CONTACT, PAIR_DISTANCE, PAIR_LEVEL,
+            PAIR_PHASE,
         },
         focus::Focus,
         palette,
@@ -41,6 +42,8 @@ pub struct Measured<'a> {
     pub lines: Vec<(&'a str, &'a Outline)>,
     /// The pairs that have plots.
     pub pairs: Told,
+    /// The first and the last stage of the step at which the viewer opens, if its stages are recorded.
+    pub stages: Option<[u64; 2]>,
     /// The initial focus of the viewer.
     pub focus: Option<Focus>,
     /// The times between which a flight recorder has frames [s], if there is one and it has some.
@@ -152,8 +155,10 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         layout.open_at(kept);
     }
     if let Some(focus) = &measured.focus {
-        if tab != Tab::Stages {
-            layout.open_at(focus.interval(measured.duration));
+        match measured.stages.filter(|_| tab == Tab::Stages) {
+            Some(stages) => layout.open_at_stages(stages),
+            None if tab == Tab::Stages => {}
+            None => layout.open_at(focus.interval(measured.duration)),
         }
         let spaces = std::mem::take(&mut layout.spaces);
         for aspect in [WIDE, NARROW] {
@@ -175,7 +180,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         let mut lines = vec![family(&MARKS_AT_Q)];
         if *left_out > 0 {
             // marks of events on lines that are left out would be puzzling
-            lines = vec![including(&MARKS_AT_Q.of(&["ends"]))];
+            lines = vec![family(&MARKS_OF_DRAWN), including(&MARKS_AT_Q.of(&["ends"]))];
             let changes = if changed.is_empty() { "" } else { ", with changes throughout the run" };
             let pairs = format!("{} of the {all} pairs with plots{changes}", moving.len());
             for plot in &layout.distances.clone() {

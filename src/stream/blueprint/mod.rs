@@ -89,13 +89,13 @@ pub fn beside_controls(subject: &Subject<'_>, recording: &StoreId) -> Vec<LogMsg
 
 /// The layout of a comparison of two runs: surfaces and error arrows, differences over time, events.
 ///
-/// `second` are the surfaces of the second run, drawn as dots of the colour `rgb`; `pairs`: those of which q is compared; the
-/// viewer opens at `first` [s], if there is one.
+/// `second` are the surfaces of the second run, drawn as dots of the colour `rgb`; `sides`: the two runs in the names of
+/// entities; `pairs`: those of which q is compared; the viewer opens at `first` [s], if there is one.
 pub fn of_comparison(
     schema: &Schema,
     spheres: &[(DVec3, f64)],
     (second, rgb): (&[String], palette::Rgb),
-    pairs: &[String],
+    (sides, pairs): ([&str; 2], &[String]),
     first: Option<f64>,
     recording: &StoreId,
 ) -> Vec<LogMsg> {
@@ -119,12 +119,16 @@ pub fn of_comparison(
     let events = layout.lines("Events", EVENTS.path);
     let (mut parts, mut shares) = (vec![plot, events], vec![1.5, 1.0]);
     if !pairs.is_empty() {
-        let distances = format!("q in both runs: {}", pairs.join(", "));
-        let contents = [&COMPARED_DISTANCE, &COMPARED_EVENTS].map(family);
-        let plot = layout.time_series(&distances, "/", &contents, Corner2D::RightBottom);
-        // it would cover a third of the lines, whose colours are those of the surfaces
-        layout.hide_legend(&plot);
-        parts.insert(1, plot);
+        let mut plot = |pair: &String| {
+            let lines =
+                [&COMPARED_DISTANCE, &COMPARED_EVENTS].map(|of| sides.map(|side| including(&of.of(&[side, pair]))));
+            let plot = layout.time_series(&format!("q of {pair}"), "/", lines.as_flattened(), Corner2D::RightBottom);
+            // it would cover a third of the lines, whose colours are those of the surfaces
+            layout.hide_legend(&plot);
+            plot
+        };
+        let plots = pairs.iter().map(&mut plot).collect();
+        parts.insert(1, layout.container(ContainerKind::Tabs, "q in both runs", plots, &[]));
         shares.insert(1, 1.0);
     }
     let right = layout.container(ContainerKind::Vertical, "Differences", parts, &shares);

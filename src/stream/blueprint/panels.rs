@@ -58,13 +58,13 @@ pub fn arrows(schema: &Schema) -> String {
         return "No force can act in this scene.\n".to_owned();
     }
     format!(
-        "**By body**: what each cause does to a body as a whole, all on one scale, on which the strongest of an instant is 1.5 R long; bodies \
-         are labelled with the net force and its strongest cause [unit/s²] where there is room.\n\n\
-         **Others**: an arrow of **1 R = {} unit** means: {}.\n\nArrows begin at vertices{}. \
-         The plots use the same colours and show means over bodies.\n",
+        "**By body**: the mean of each cause over a body, in the colours below; the strongest of an instant is 1.5 R long. \
+         Labels: the net force and its strongest cause [unit/s²], where there is room.\n\n\
+         **Others**: at vertices{}. An arrow of **1 R = {} unit** means: {}.\n\n\
+         **Plots and rows**: means over bodies, in the same colours.\n",
+        if is_uniform { "; uniform forces at the centre" } else { "" },
         rounded(radius),
         lengths(schema, |_| true),
-        if is_uniform { "; those of uniform forces, at the centre" } else { "" },
     )
 }
 
@@ -72,8 +72,7 @@ pub fn arrows(schema: &Schema) -> String {
 pub fn stages() -> String {
     format!(
         "**How does a step come about?** The timeline `stage` counts the rows below: each is a state inside a step.\n\n\
-         - **{} arrows**, on this timeline alone: how vertices moved since the stage before; the longest of a step is half of the largest radius long. \
-         The end is compared with the stage before it, too\n\
+         - **{} arrows**, on this timeline alone: how vertices moved since the stage before; the longest of a step is half of the largest radius long\n\
          - **Other arrows**: the forces in that state, as in Scene\n",
         capitalized(colors::name(moves::MOVED)),
     )

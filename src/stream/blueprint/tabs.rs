@@ -22,10 +22,10 @@ use crate::{
         contract::{
             ABOUT, ABOUT_STAGES, ACCURACY, ARROWS, BODY, BODY_FORCE, BODY_SCALAR, BODY_SURFACE, DEFORMING, DIAGNOSTIC,
             EVENTS, Entity, FORCE, FURTHEST, INFLUENCE, LAG, LARGEST, LEGEND, MARKS_AT_Q, MERGED, MERGED_SURFACE,
-            MOVES, NAMES, PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR,
-            PLANE, POINTS, RANKED_DISPLACEMENTS, RANKED_FORCES, RANKED_GROUPS, RANKED_PAIRS, RANKED_STAGES,
-            RECENT_NAMES, RECENT_PAIR, RECENT_SPHERES, RESTING, RESULTANTS, SIM_TIME, SPEED, STAGE, STAGES, STEP,
-            STRONGEST, TIMING, TOUCHING, TRAILS, VOLUME, WORLD,
+            MOVES, NAMES, NOT_RECORDED, PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE,
+            PAIR_SCALAR, PLANE, POINTS, RANKED_DISPLACEMENTS, RANKED_FORCES, RANKED_GROUPS, RANKED_PAIRS,
+            RANKED_STAGES, RECENT_NAMES, RECENT_PAIR, RECENT_SPHERES, RESTING, RESULTANTS, SIM_TIME, SPEED, STAGE,
+            STAGES, STEP, STRONGEST, TIMING, TOUCHING, TRAILS, VOLUME, WORLD,
         },
         palette,
         parts::{
@@ -247,7 +247,7 @@ impl Layout {
         };
         if groups::has_volume(schema) {
             // no marks of events, which are at 0: a change of a hundredth is visible
-            let title = "Volume [unit³]: merging loses what is between the lines";
+            let title = "Volume [unit³]; between the lines: what bodies share";
             parts.push(self.time_series(title, "/", &[family(&VOLUME)], Corner2D::LeftBottom));
         }
         parts.push(self.events());
@@ -260,7 +260,7 @@ impl Layout {
     pub fn surface_view(&mut self, framing: Framing<'_>, name: &str, schema: &Schema, settings: &Settings) -> Part {
         // a seam lies inside the smooth surface and would show through in places
         let merged = if schema.blend > 0.0 { including(MERGED_SURFACE.path) } else { family(&MERGED) };
-        let bodies = [&BODY, &DEFORMING, &RESTING, &PLANE, &NAMES].map(family);
+        let bodies = [&BODY, &DEFORMING, &RESTING, &PLANE, &NAMES, &NOT_RECORDED].map(family);
         let contents = [&bodies[..], &[merged]].concat();
         let view = self.space(framing, name, &contents);
         for (index, surface) in surfaces(schema, settings).into_iter().enumerate() {
@@ -331,7 +331,7 @@ impl Layout {
         let kind = if is_ranked { ContainerKind::Tabs } else { ContainerKind::Vertical };
         let plots = self.container(kind, "Net forces", plots, &shares);
         let title = match is_ranked {
-            true => "Bodies with the largest net forces now [unit/s²]; dot: the strongest cause",
+            true => "Bodies with the largest net forces now [unit/s²]; dots: causes",
             false => "The strongest forces on bodies now [unit/s²]",
         };
         let ranking = self.ranking(title, RANKED_FORCES.path);
@@ -350,7 +350,7 @@ impl Layout {
         settings: &Settings,
     ) -> Part {
         const WHITE: palette::Rgb = [0xFF; 3];
-        let bodies = [&BODY, &DEFORMING, &PLANE, &NAMES, &POINTS].map(family);
+        let bodies = [&BODY, &DEFORMING, &PLANE, &NAMES, &POINTS, &NOT_RECORDED].map(family);
         let view = self.space((framing, WIDE), name, &[&bodies[..], arrows].concat());
         self.keep_camera(settings);
         if schema.bodies.len() <= MAX_SHEER || settings.entities == Entities::Batch {
@@ -374,7 +374,7 @@ impl Layout {
     /// Surfaces coloured by displacement, with selectable vertices, above the colour scale.
     pub fn displacement_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         let names = if heat::are_bodies_labelled(schema) { &LARGEST } else { &NAMES };
-        let contents = [&BODY, &DEFORMING, &PLANE, &LARGEST, names].map(family);
+        let contents = [&BODY, &DEFORMING, &PLANE, &LARGEST, names, &NOT_RECORDED].map(family);
         let title = "Displacement from rest; select a vertex to see its numbers";
         let view = self.space((framing, WIDE), title, &contents);
         self.keep_camera(settings);

@@ -11,7 +11,6 @@ use super::{
 };
 use crate::{
     geometry::Mesh,
-    observe::Schema,
     sdk::{AnyValues, InstancePoses3D, Mesh3D, Quaternion, arrow::array::UInt32Array, components::Text},
     stream::{
         chunks::{Chunks, TrackId},
@@ -51,20 +50,7 @@ pub struct BatchedBodies {
 
 impl BatchedBodies {
     /// Logs static data.
-    pub fn new(schema: &Schema, detail: Detail, extractor: &mut Extractor, chunks: &mut Chunks) -> BatchedBodies {
-        for (shape, mesh) in schema.shapes() {
-            let normals = extractor.normals(mesh, mesh.positions());
-            // shared by all instances: the light rotates with a rotated instance
-            let lit: Vec<u32> = normals.iter().map(|&normal| Light::in_world().white(normal)).collect();
-            let lit = light::unlit().with_component_from_data(LIT.0, Arc::new(UInt32Array::from(lit)));
-            chunks.log_static(&RESTING.of(&[shape]), &lit);
-            let positions = vertices::indices(mesh).into_iter().map(|i| mesh.positions().get(i as usize).as_vec3());
-            let mesh = Mesh3D::new(positions)
-                .with_vertex_normals(normals)
-                .with_triangle_indices(mesh.drawn_triangles().iter().copied())
-                .with_albedo_factor(palette::opaque(palette::RESTING));
-            chunks.log_static(&RESTING.of(&[shape]), &mesh);
-        }
+    pub fn new(detail: Detail, chunks: &mut Chunks) -> BatchedBodies {
         chunks.log_static(DEFORMING.path, &light::unlit());
         let components = [Mesh3D::descriptor_vertex_positions(), Mesh3D::descriptor_vertex_normals(), LIT.descriptor()];
         let track = chunks.track(DEFORMING.path, components);
@@ -130,9 +116,29 @@ impl BatchedBodies {
         let instance =
             |i: usize| (i, radius(i), now[i].centre.as_vec3().to_array(), now[i].rotation.as_quat().to_array());
         let resting = resting.into_iter().map(instance).collect();
+        if self.resting.is_none() {
+            BatchedBodies::log_shapes(view, extractor, chunks);
+        }
         if self.resting.as_ref() != Some(&resting) {
             self.log_resting(view, &resting, chunks);
             self.resting = Some(resting);
+        }
+    }
+
+    /// Logs the shapes of bodies at rest.
+    fn log_shapes(view: FrameView<'_>, extractor: &mut Extractor, chunks: &mut Chunks) {
+        for (shape, mesh) in view.schema.shapes() {
+            let normals = extractor.normals(mesh, mesh.positions());
+            // shared by all instances: the light rotates with a rotated instance
+            let lit: Vec<u32> = normals.iter().map(|&normal| Light::in_world().white(normal)).collect();
+            let lit = light::unlit().with_component_from_data(LIT.0, Arc::new(UInt32Array::from(lit)));
+            chunks.log(&RESTING.of(&[shape]), view.at, &lit);
+            let positions = vertices::indices(mesh).into_iter().map(|i| mesh.positions().get(i as usize).as_vec3());
+            let mesh = Mesh3D::new(positions)
+                .with_vertex_normals(normals)
+                .with_triangle_indices(mesh.drawn_triangles().iter().copied())
+                .with_albedo_factor(palette::opaque(palette::RESTING));
+            chunks.log(&RESTING.of(&[shape]), view.at, &mesh);
         }
     }
 

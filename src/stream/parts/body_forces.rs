@@ -4,7 +4,7 @@
 use glam::DVec3;
 
 use super::{
-    FrameView,
+    FrameView, Labels,
     ranking::{self, Mark, Ranking, Row, is_ranked},
 };
 use crate::{
@@ -130,9 +130,7 @@ impl BodyForces {
             }
         }
         let of_bodies = of_bodies(view.schema, &resultants);
-        let labelled = ranking::labelled(view, of_bodies.iter().map(|of| of.body));
-        let labels: Vec<&OfBody> = of_bodies.iter().filter(|of| labelled.contains(&of.body)).collect();
-        let now = ResultantRows::of(view, &resultants, &labels);
+        let now = ResultantRows::of(view, &resultants, &of_bodies);
         chunks.push_changed(self.arrows, view.at, &[&now.origins, &now.vectors, &now.colors, &now.labels]);
         let rows = match is_ranked(view.schema) {
             true => rows_of_bodies(view.schema, &of_bodies),
@@ -154,55 +152,63 @@ fn is_plotted(term: &TermSchema) -> bool {
 }
 
 /// What acts on a body as a whole.
-struct OfBody {
-    body: usize,
-    /// The strength of all together [scene unit/s²]; without a sum in the schema, that of the strongest cause.
-    strength: f64,
-    strongest: Resultant,
-    /// The arrow that has the label: the sum's if there is one.
-    labelled: Resultant,
+struct OfBody<'a> {
+    /// By each cause, and all together.
+    all: &'a [Resultant],
+    strongest: &'a Resultant,
+    /// All together, if the schema has a sum and it is not 0.
+    net: Option<&'a Resultant>,
 }
 
-impl OfBody {
+impl OfBody<'_> {
+    /// That of the net force; without a sum in the schema, of the strongest cause [scene unit/s²].
+    fn strength(&self, schema: &Schema) -> f64 {
+        let net = self.net.map_or(0.0, Resultant::strength);
+        if schema.sum_of_terms().is_some() { net } else { self.strongest.strength() }
+    }
+
     /// Its name, the sum and the strongest cause.
     fn label(&self, schema: &Schema) -> String {
         let value = |term: usize, strength: f64| format!("{} {}", schema.terms[term].name, significant(strength));
-        let sum = schema.sum_of_terms().map_or(String::new(), |sum| value(sum, self.strength) + ", strongest ");
+        let net = self.net.map_or(0.0, Resultant::strength);
+        let sum = schema.sum_of_terms().map_or(String::new(), |sum| value(sum, net) + ", strongest ");
         let cause = value(self.strongest.term, self.strongest.strength());
-        format!("{}: {sum}{cause}", schema.bodies[self.body].name)
+        format!("{}: {sum}{cause}", schema.bodies[self.strongest.body].name)
+    }
+
+    /// The arrow that has the label.
+    fn labelled(&self) -> &Resultant {
+        self.net.unwrap_or(self.strongest)
     }
 }
 
 /// The bodies on which a force acts, those with the largest sums first.
-fn of_bodies(schema: &Schema, resultants: &[Resultant]) -> Vec<OfBody> {
+fn of_bodies<'a>(schema: &Schema, resultants: &'a [Resultant]) -> Vec<OfBody<'a>> {
     let sum = schema.sum_of_terms();
-    let of_body = |all: &[Resultant]| {
+    let of_body = |all: &'a [Resultant]| {
         let causes = all.iter().filter(|of| Some(of.term) != sum);
-        let strongest = *causes.max_by(|one, other| one.strength().total_cmp(&other.strength()))?;
-        let net = all.iter().find(|of| Some(of.term) == sum);
-        let strength = match sum {
-            Some(_) => net.map_or(0.0, Resultant::strength),
-            None => strongest.strength(),
-        };
-        Some(OfBody { body: strongest.body, strength, strongest, labelled: *net.unwrap_or(&strongest) })
+        let strongest = causes.max_by(|one, other| one.strength().total_cmp(&other.strength()))?;
+        Some(OfBody { all, strongest, net: all.iter().find(|of| Some(of.term) == sum) })
     };
     let mut of_bodies: Vec<OfBody> =
         resultants.chunk_by(|one, other| one.body == other.body).filter_map(of_body).collect();
-    of_bodies.sort_by(|one, other| other.strength.total_cmp(&one.strength));
+    of_bodies.sort_by(|one, other| other.strength(schema).total_cmp(&one.strength(schema)));
     of_bodies
 }
 
-/// A bar for the sum on each body, with a dot at its strongest cause.
-fn rows_of_bodies(schema: &Schema, of_bodies: &[OfBody]) -> Vec<Row> {
-    let largest = of_bodies.first().map_or(0.0, |of| of.strength);
-    let listed = || of_bodies.iter().filter(|of| of.strength > WEAK * largest).take(ranking::ROWS);
-    let longest = listed().map(|of| of.strength.max(of.strongest.strength())).fold(0.0, f64::max);
-    let row = |of: &OfBody| {
-        let cause = schema.terms[of.strongest.term].color;
-        let color = schema.sum_of_terms().map_or(cause, |sum| schema.terms[sum].color);
-        let marks =
-            vec![(Mark::Bar(of.strength / longest), color), (Mark::Dot(of.strongest.strength() / longest), cause)];
-        Row { label: of.label(schema), color, marks }
+/// A bar for the sum on each body, with a dot at each cause.
+fn rows_of_bodies(schema: &Schema, of_bodies: &[OfBody<'_>]) -> Vec<Row> {
+    let (largest, sum) = (of_bodies.first().map_or(0.0, |of| of.strength(schema)), schema.sum_of_terms());
+    let listed = || of_bodies.iter().take_while(|of| of.strength(schema) > WEAK * largest).take(ranking::ROWS);
+    let longest = listed().map(|of| of.strength(schema).max(of.strongest.strength())).fold(0.0, f64::max);
+    let row = |of: &OfBody<'_>| {
+        let color_of = |of: &Resultant| schema.terms[of.term].color;
+        let share = |of: &Resultant| of.strength() / longest;
+        let net = of.net.map(|net| (Mark::Bar(share(net)), color_of(net)));
+        let causes = of.all.iter().filter(|cause| Some(cause.term) != sum && cause.strength() > WEAK * longest);
+        let causes = causes.map(|cause| (Mark::Dot(share(cause)), color_of(cause)));
+        let color = sum.map_or(color_of(of.strongest), |sum| schema.terms[sum].color);
+        Row { label: of.label(schema), color, marks: net.into_iter().chain(causes).collect() }
     };
     listed().map(row).collect()
 }
@@ -220,19 +226,26 @@ fn rows_of_causes(schema: &Schema, mut resultants: Vec<Resultant>) -> Vec<Row> {
 }
 
 impl ResultantRows {
-    /// Arrows from the centres, all on one scale, on which the longest is [`LONGEST`]. The bodies of `labelled` have their
-    /// names, net forces and strongest causes as labels, on the arrow of the net force if there is one.
-    fn of(view: FrameView<'_>, resultants: &[Resultant], labelled: &[&OfBody]) -> ResultantRows {
+    /// Arrows from the centres, all on one scale, on which the longest is [`LONGEST`]. The first of `ranked` for which there
+    /// is room are labelled, on the arrow of the net force if there is one.
+    fn of(view: FrameView<'_>, resultants: &[Resultant], ranked: &[OfBody<'_>]) -> ResultantRows {
         let FrameView { schema, frame, .. } = view;
         let longest = resultants.iter().map(Resultant::strength).fold(0.0, f64::max);
         let scale = LONGEST * schema.largest_radius() / longest;
+        let mut labels = Labels::new(view);
+        let labelled = ranked.iter().take(ranking::LABELLED).map(|of| (of.labelled(), of.label(schema)));
+        let has_room = |(arrow, label): &(&Resultant, String)| {
+            let middle = frame.bodies[arrow.body].centre + 0.5 * scale * arrow.acceleration;
+            labels.take(middle, label.len())
+        };
+        let labelled: Vec<(&Resultant, String)> = labelled.filter(has_room).collect();
         let mut arrows = ResultantRows::default();
         for resultant @ &Resultant { body, term, acceleration } in resultants {
             arrows.origins.push(frame.bodies[body].centre.as_vec3().to_array());
             arrows.vectors.push((scale * acceleration).as_vec3().to_array());
             arrows.colors.push(color(schema.terms[term].color).to_u32());
-            let of = labelled.iter().find(|of| of.labelled == *resultant);
-            arrows.labels.push(of.map_or(String::new(), |of| of.label(schema)));
+            let label = labelled.iter().find(|(arrow, _)| *arrow == resultant).map(|(_, label)| label.clone());
+            arrows.labels.push(label.unwrap_or_default());
         }
         // the others have their names alone, on arrows of no length
         let is_idle = |index: usize| !resultants.iter().any(|of| of.body == index);

@@ -211,15 +211,20 @@ impl GroupPlots {
     }
 }
 
-/// The names of the bodies of a group, as far as there is room beside a bar, or the first and the number of others.
+/// The names of the bodies of a group, as far as there is room beside a bar, and the number of others.
 fn names(schema: &Schema, bodies: &[usize]) -> String {
-    const ROOM: usize = 16;
-    let name = |body: &usize| schema.bodies[*body].name.as_str();
-    let all = bodies.iter().map(name).collect::<Vec<&str>>().join("+");
-    match bodies {
-        [first, others @ ..] if all.len() > ROOM => format!("{}+{}", name(first), others.len()),
-        _ => all,
+    const ROOM: usize = 24;
+
+    let mut names = String::new();
+    for (number, &body) in bodies.iter().enumerate() {
+        let name = &schema.bodies[body].name;
+        if number > 0 && names.len() + name.len() >= ROOM {
+            return format!("{names}+{}", bodies.len() - number);
+        }
+        names += if number > 0 { "+" } else { "" };
+        names += name;
     }
+    names
 }
 
 /// The volume that a closed mesh encloses, in the unit of its positions cubed.

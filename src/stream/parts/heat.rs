@@ -8,7 +8,7 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use super::{
-    FrameView,
+    FrameView, Labels,
     callout::Callout,
     lines,
     ranking::{self, Mark, Ranking, Row, is_ranked},
@@ -128,13 +128,17 @@ impl Heat {
         let mut ranked: Vec<usize> = (0..view.schema.bodies.len()).collect();
         ranked.sort_by(|&one, &other| largest(other).total_cmp(&largest(one)));
         if let Some(bodies) = self.bodies {
-            let labelled = ranking::labelled(view, ranked.iter().copied());
-            let places: Vec<Float3> = labelled.iter().map(|&body| lines::name_place(view, body)).collect();
+            let mut labels = Labels::new(view);
             let label = |&body: &usize| match largest(body) {
                 0.0 => view.schema.bodies[body].name.clone(),
                 largest => format!("{} {largest:.3} R", view.schema.bodies[body].name),
             };
-            chunks.push_changed(bodies, view.at, &[&places, &labelled.iter().map(label).collect::<Vec<_>>()]);
+            let ranked =
+                ranked.iter().take(ranking::LABELLED).map(|body| (lines::name_place(view, *body), label(body)));
+            let labelled = ranked.filter(|(place, label)| labels.take(*place, label.len()));
+            let labelled = labelled.map(|(place, label)| (place.as_vec3().to_array(), label));
+            let (places, labels): (Vec<Float3>, Vec<String>) = labelled.unzip();
+            chunks.push_changed(bodies, view.at, &[&places, &labels]);
         }
         if let Some(ranking) = &self.ranking {
             let longest = ranked.first().map_or(0.0, |&body| largest(body));

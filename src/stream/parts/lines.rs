@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::{FrameView, Labels, MAX_LABELS, recent::Recent};
+use super::{FrameView, Labels, MAX_LABELS, TOWARDS_EYE, recent::Recent};
 use crate::{
     observe::{BodyFrame, PairEvent, PairFrame, Schema},
     sdk::{self, LineStrips3D, Points3D},
@@ -47,14 +47,13 @@ struct LineRows {
     labels: Vec<String>,
 }
 
-/// The names of bodies, each on the side away from its neighbours: labels at the centres would cover each other. Of several
-/// variants, the first one's, and the names of all variants.
+/// The names of bodies for which there is room, each on the side away from its neighbours: labels at the centres would
+/// cover each other. Of several variants, the first one's, and the names of all variants.
 struct Names {
-    track: TrackId,
-    /// Where the names stand in the frame. Reused.
-    places: Vec<Float3>,
-    /// The bodies that were named last.
-    named: Vec<usize>,
+    places: TrackId,
+    texts: TrackId,
+    /// The bodies that were named last, ascending; `None` if nothing is logged yet.
+    named: Option<Vec<usize>>,
 }
 
 impl Lines {
@@ -74,7 +73,7 @@ impl Lines {
             only: settings.only.clone(),
             rows: LineRows::default(),
             has_begun: false,
-            names: has_names.then(|| Names::new(schema, chunks)),
+            names: has_names.then(|| Names::new(chunks)),
             recent: Recent::new(schema, chunks),
             closest: Vec::new(),
         }
@@ -97,16 +96,15 @@ impl Lines {
         // the viewer labels the first lines, as many as there are labels; highlighted pairs have theirs there
         self.recent.forget_old();
         let recent: Vec<[usize; 2]> = self.recent.pairs().collect();
+        let label = |pair: &PairFrame| format!("{} q = {:.3}", view.schema.pair_name(pair.a, pair.b), pair.q);
         let middle = |a: usize, b: usize| 0.5 * (view.frame.bodies[a].centre + view.frame.bodies[b].centre);
         let mut labels_in_space = Labels::new(view);
-        for &[a, b] in &recent {
-            labels_in_space.take(middle(a, b));
-        }
         let most = MAX_LABELLED.saturating_sub(recent.len());
         let mut labelled = 0;
         for index in 0..self.closest.len() {
-            let PairFrame { a, b, .. } = self.closest[index];
-            if !recent.contains(&[a, b]) && labelled < most && labels_in_space.take(middle(a, b)) {
+            let pair = self.closest[index];
+            let mut has_room = || labels_in_space.take(middle(pair.a, pair.b), label(&pair).len());
+            if !recent.contains(&[pair.a, pair.b]) && labelled < most && has_room() {
                 self.closest[labelled..=index].rotate_right(1);
                 labelled += 1;
             }
@@ -117,7 +115,6 @@ impl Lines {
         colors.clear();
         colors.extend(self.closest.iter().map(|pair| color(view.schema.phases[pair.phase].color).to_u32()));
         labels.clear();
-        let label = |pair: &PairFrame| format!("{} q = {:.3}", view.schema.pair_name(pair.a, pair.b), pair.q);
         labels.extend(self.closest[..labelled].iter().map(label));
         if labelled == 1 && self.closest.len() > 1 {
             labels.push(String::new()); // the viewer would take a single label for that of all lines
@@ -127,38 +124,52 @@ impl Lines {
             chunks.push(self.track, view.at, &cells);
         }
         if let Some(names) = &mut self.names {
-            names.log(view, chunks);
+            names.log(view, recent.as_flattened(), chunks);
         }
         self.recent.log(view, chunks);
     }
 }
 
 impl Names {
-    fn new(schema: &Schema, chunks: &mut Chunks) -> Names {
-        let mut style = Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.5)]).with_show_labels(true);
-        let named: Vec<usize> = (0..nameable(schema)).collect();
-        if !schema.bodies.iter().any(|body| body.can_be_absent) {
-            style = labelled(style, schema, &named); // what is static could not change later
-        }
+    fn new(chunks: &mut Chunks) -> Names {
+        let style = Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.5)]).with_show_labels(true);
         chunks.log_static(NAMES.path, &style);
         Names {
-            track: chunks.track(NAMES.path, [Points3D::descriptor_positions()]),
-            places: Vec::new(),
-            named: if schema.bodies.iter().any(|body| body.can_be_absent) { Vec::new() } else { named },
+            texts: chunks.track(NAMES.path, [Points3D::descriptor_labels(), Points3D::descriptor_colors()]),
+            places: chunks.track(NAMES.path, [Points3D::descriptor_positions()]),
+            named: None,
         }
     }
 
-    fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
-        self.places.clear();
-        let bodies = &view.frame.bodies[..nameable(view.schema)];
-        let named: Vec<usize> = (0..bodies.len()).filter(|&i| !bodies[i].is_absent).collect();
-        if named != self.named {
-            chunks.log(NAMES.path, view.at, &labelled(Points3D::update_fields(), view.schema, &named));
-            self.named = named;
+    /// Names the bodies in `first`, then those that had names, then those in front.
+    fn log(&mut self, view: FrameView<'_>, first: &[usize], chunks: &mut Chunks) {
+        let FrameView { schema, frame, at } = view;
+        let mut labels = Labels::new(view);
+        for variant in &schema.variants {
+            labels.take(variant.heading, variant.name.len());
         }
-        self.places.extend(self.named.iter().map(|&body| name_place(view, body)));
-        self.places.extend(view.schema.variants.iter().map(|variant| variant.heading.as_vec3().to_array()));
-        chunks.push_changed(self.track, view.at, &[&self.places]);
+        let mut bodies: Vec<usize> = (0..nameable(schema)).filter(|&body| !frame.bodies[body].is_absent).collect();
+        let depth = |body: usize| -frame.bodies[body].centre.dot(TOWARDS_EYE);
+        let rank = |body: usize| match self.named.as_deref().unwrap_or_default().binary_search(&body) {
+            _ if first.contains(&body) => 0,
+            Ok(_) => 1,
+            Err(_) => 2,
+        };
+        bodies.sort_by(|&one, &other| rank(one).cmp(&rank(other)).then(depth(one).total_cmp(&depth(other))));
+        bodies.retain(|&body| labels.take(name_place(view, body), schema.plain_name(body).len()));
+        bodies.sort_unstable();
+        let headings = schema.variants.iter().map(|variant| variant.heading);
+        let places = bodies.iter().map(|&body| name_place(view, body)).chain(headings);
+        let places: Vec<Float3> = places.map(|place| place.as_vec3().to_array()).collect();
+        if self.named.as_ref() != Some(&bodies) {
+            let names = bodies.iter().map(|&body| (schema.plain_name(body), palette::of_body(schema, body)));
+            let names = names.chain(schema.variants.iter().map(|variant| (variant.name, palette::SEAM)));
+            let (names, colors): (Vec<String>, Vec<u32>) =
+                names.map(|(name, rgb)| (name.to_owned(), color(rgb).to_u32())).unzip();
+            chunks.push(self.texts, at, &[&names, &colors]);
+            self.named = Some(bodies);
+        }
+        chunks.push_changed(self.places, at, &[&places]);
     }
 }
 
@@ -170,7 +181,7 @@ pub fn track_labels(entity: &str, chunks: &mut Chunks) -> TrackId {
 }
 
 /// Where the name of a body stands [scene unit]: off its centre, away from the bodies near it.
-pub fn name_place(view: FrameView<'_>, index: usize) -> Float3 {
+pub fn name_place(view: FrameView<'_>, index: usize) -> DVec3 {
     let (body, now) = (&view.schema.bodies[index], &view.frame.bodies[index]);
     let met = view.frame.pairs.iter().filter_map(|pair| match (pair.a == index, pair.b == index) {
         (true, _) => Some(view.frame.bodies[pair.b].centre),
@@ -181,19 +192,10 @@ pub fn name_place(view: FrameView<'_>, index: usize) -> Float3 {
     // for bodies at the same position, every other name is on the left
     let aside = if index.is_multiple_of(2) { DVec3::NEG_X } else { DVec3::X };
     let direction = (away + 0.05 * aside).normalize_or(DVec3::Z);
-    let position = now.centre + body.radius * (0.9 * direction + 0.35 * DVec3::Z);
-    position.as_vec3().to_array()
+    now.centre + body.radius * (0.9 * direction + 0.35 * DVec3::Z)
 }
 
 /// Number of bodies that have names, the first ones.
 fn nameable(schema: &Schema) -> usize {
     Some(schema.variant_size()).filter(|&bodies| bodies <= MAX_NAMED).unwrap_or(0)
-}
-
-/// Points with the names and colours of these bodies, and of the variants.
-fn labelled(points: Points3D, schema: &Schema, bodies: &[usize]) -> Points3D {
-    let headings = schema.variants.iter().map(|variant| (variant.name, palette::SEAM));
-    let named = bodies.iter().map(|&body| (schema.plain_name(body), palette::of_body(schema, body))).chain(headings);
-    let (names, colors): (Vec<_>, Vec<_>) = named.map(|(name, rgb)| (name, color(rgb))).unzip();
-    points.with_labels(names).with_colors(colors)
 }

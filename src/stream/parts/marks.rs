@@ -7,7 +7,7 @@ use crate::{
     sdk::{Scalars, SeriesPoints, components::MarkerShape},
     stream::{
         chunks::Chunks,
-        contract::{Entity, MARKS_AT_Q, MARKS_ON_AXIS},
+        contract::{Entity, MARKS_AT_Q, MARKS_OF_DRAWN, MARKS_ON_AXIS},
         instant::Instant,
         palette::{Rgb, color},
     },
@@ -21,14 +21,15 @@ pub struct Marks {
 
 /// The name of all marks on the axis.
 const ON_AXIS: &str = "phase changes";
+/// Shape and size of the marks of events on lines of q.
+const AT_Q: (MarkerShape, f32) = (MarkerShape::Diamond, 5.0);
 
 impl Marks {
     /// Logs the markers of an event; `is_plotted`: whether its pair has a plot of q.
     pub fn log(&mut self, schema: &Schema, event: &PairEvent, is_plotted: bool, chunks: &mut Chunks) {
         let rgb = schema.phases[event.to].color;
         // on the axis with one name: those of all kinds would fill the legends of all plots
-        let markers =
-            [(&MARKS_ON_AXIS, ON_AXIS, MarkerShape::Up, 5.0), (&MARKS_AT_Q, event.name, MarkerShape::Diamond, 5.0)];
+        let markers = [(&MARKS_ON_AXIS, ON_AXIS, MarkerShape::Up, 5.0), (&MARKS_AT_Q, event.name, AT_Q.0, AT_Q.1)];
         if !self.styled.contains(&event.name) {
             self.styled.push(event.name);
             for (parent, name, shape, size) in markers {
@@ -52,6 +53,20 @@ fn entity(family: &Entity, event: &str) -> String {
 pub fn style(name: &str, rgb: Rgb, shape: MarkerShape, size: f32) -> SeriesPoints {
     let style = SeriesPoints::new().with_names([name]).with_colors([color(rgb)]);
     style.with_markers([shape]).with_marker_sizes([size])
+}
+
+/// Marks the events of the pairs whose lines are drawn, in the order of time.
+pub fn log_events(schema: &Schema, events: &[&PairEvent], chunks: &mut Chunks) {
+    let mut styled = Vec::new();
+    for event in events {
+        let of_kind = entity(&MARKS_OF_DRAWN, event.name);
+        if !styled.contains(&event.name) {
+            styled.push(event.name);
+            let rgb = schema.phases[event.to].color;
+            chunks.log_static(&of_kind, &style(event.name, rgb, AT_Q.0, AT_Q.1));
+        }
+        chunks.log(&of_kind, Instant { step: event.step, time: event.time }, &Scalars::new([event.q]));
+    }
 }
 
 /// Marks where pairs came closest that stayed in their first phase, on their lines of q.

@@ -51,7 +51,7 @@ pub mod touching;
 pub mod trails;
 pub mod vertices;
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 
 use super::instant::Instant;
 use crate::geometry::bounds;
@@ -60,31 +60,43 @@ use crate::observe::{BodyFrame, Frame, Schema, schema::BodySchema};
 /// Upper limit on the number of bodies whose names are shown in the 3D view.
 const MAX_LABELS: usize = 8;
 
-/// Places of labels in space, none of which covers another.
+/// From the bodies towards the eye, unless they are flat or one hides another; not normalized.
+pub const TOWARDS_EYE: DVec3 = DVec3::new(-0.2, -1.0, 0.4);
+
+/// Labels in space, none of which covers another from the usual direction of the camera.
 struct Labels {
+    right: DVec3,
+    up: DVec3,
     /// Of the box around the bodies [scene unit].
     diagonal: f64,
-    taken: Vec<DVec3>,
+    /// Middles and half widths [scene unit].
+    taken: Vec<(DVec2, f64)>,
 }
 
 impl Labels {
-    /// Labels whose places are nearer to each other than this, both upward and across, cover each other [diagonals].
-    const HEIGHT: f64 = 0.08;
-    const WIDTH: f64 = 0.25;
+    /// The size of a label in a view in which the bodies are small: its height, and the widths of its margins and of a
+    /// character [diagonals].
+    const HEIGHT: f64 = 0.05;
+    const MARGINS: f64 = 0.02;
+    const CHARACTER: f64 = 0.012;
 
     fn new(view: FrameView<'_>) -> Labels {
         let [low, high] = view.bounds();
-        Labels { diagonal: low.distance(high), taken: Vec::new() }
+        let right = DVec3::Z.cross(TOWARDS_EYE).normalize();
+        let up = TOWARDS_EYE.cross(right).normalize();
+        Labels { right, up, diagonal: low.distance(high), taken: Vec::new() }
     }
 
-    /// Takes this place if there is room for a label.
-    fn take(&mut self, place: DVec3) -> bool {
-        let is_clear = self.taken.iter().all(|other| {
-            let apart = (other - place) / self.diagonal;
-            apart.z.abs() > Labels::HEIGHT || apart.truncate().length() > Labels::WIDTH
+    /// Takes this place for a label of so many characters if there is room.
+    fn take(&mut self, place: DVec3, characters: usize) -> bool {
+        let middle = DVec2::new(place.dot(self.right), place.dot(self.up));
+        let half = 0.5 * self.diagonal * (Labels::MARGINS + Labels::CHARACTER * characters as f64);
+        let is_clear = self.taken.iter().all(|&(other, other_half)| {
+            let apart = (other - middle).abs();
+            apart.x > half + other_half || apart.y > Labels::HEIGHT * self.diagonal
         });
         if is_clear {
-            self.taken.push(place);
+            self.taken.push((middle, half));
         }
         is_clear
     }

@@ -163,17 +163,20 @@ impl FrameNumbers {
             }
         });
         let timings = timings.collect();
+        let energies = energies(schema);
         let scalars = schema.scalars.iter().enumerate().map(|(i, scalar)| {
             let entity = DIAGNOSTIC.of(&[scalar.name]);
             let shape = if scalar.is_smooth { Interpolation::Linear } else { Interpolation::Step };
-            let place = schema.scalars[..i].iter().filter(|before| before.plot == scalar.plot).count();
-            let color = palette::line(place);
+            let before = schema.scalars[..i].iter().filter(|before| before.plot == scalar.plot).count();
+            // those in a ranking all have different colours
+            let ranked = energies.iter().find_map(|(_, ranked)| ranked.iter().position(|of| *of == i));
+            let color = palette::line(ranked.unwrap_or(before));
             Series::style(chunks, &entity, scalar.label, color, 1.5, shape);
             let id = series.line(chunks, &entity, shape);
             ScalarLine { id, of: scalar.of, value: 0.0, label: scalar.label, color, first: None, has_occurred: false }
         });
         let scalars = scalars.collect();
-        let energies = energies(schema).into_iter().enumerate();
+        let energies = energies.into_iter().enumerate();
         let energies = energies.map(|(number, (_, scalars))| (Ranking::new(&ranked_energies(number), chunks), scalars));
         let energies = energies.collect();
         let of_bodies = schema.bodies.iter().take(MAX_BODY_ENTITIES).enumerate().flat_map(|(index, body)| {

@@ -78,8 +78,8 @@ fn extended(range: Option<[f64; 2]>, number: f64) -> [f64; 2] {
 
 struct PairPlot {
     phase: String,
-    /// When its phase changed first [s], up to [`MOST_CHANGES`].
-    changes: Vec<f64>,
+    /// The first changes of its phase, up to [`MOST_CHANGES`].
+    changes: Vec<PairEvent>,
     /// Whether its surfaces touched or its phase joined them.
     has_met: bool,
     /// Smallest and largest q.
@@ -178,18 +178,34 @@ impl PairPlots {
 
     /// The pairs that have plots worth a look, those that change phase at about `opening` [s] among them.
     pub fn told(&self, schema: &Schema, opening: f64) -> Told {
-        let of = |is_told: fn(&PairPlot) -> bool, most: usize| {
+        let of = |is_told: fn(&PairPlot) -> bool, first: &[(usize, usize)], most: usize| {
             // where nothing happens, the plots say so
             let is_any = self.known.values().any(is_told);
-            let told: Vec<_> = self.known.iter().filter(|(_, plot)| is_told(plot) || !is_any).collect();
-            let count = told.len();
-            let names = spread(told, opening, most).into_iter().map(|&(a, b)| schema.pair_name(a, b));
-            (names.collect::<Vec<_>>(), count)
+            let told = self.known.iter().filter(|(_, plot)| is_told(plot) || !is_any);
+            let (mut told, others): (Vec<_>, Vec<_>) = told.partition(|(pair, _)| first.contains(pair));
+            let count = told.len() + others.len();
+            told.extend(spread(others, opening, most.saturating_sub(told.len())));
+            (told.into_iter().map(|(pair, _)| *pair).collect::<Vec<_>>(), count)
         };
-        let (moving, count) = of(|plot| !plot.changes.is_empty() || !plot.is_still(), MOST_LINES);
-        let (changed, _) = of(|plot| !plot.changes.is_empty(), MOST_LANES);
-        let (met, _) = of(|plot| plot.has_met, MOST_LANES);
-        Told { left_out: count - moving.len(), moving, changed, met, all: self.known.len() }
+        let (moving, count) = of(|plot| !plot.changes.is_empty() || !plot.is_still(), &[], MOST_LINES);
+        // lanes of the same pairs, and of others
+        let (changed, _) = of(|plot| !plot.changes.is_empty(), &moving, MOST_LANES);
+        let (met, _) = of(|plot| plot.has_met, &moving, MOST_LANES);
+        let left_out = count - moving.len();
+        let [moving, changed, met] = [moving, changed, met]
+            .map(|pairs| pairs.into_iter().map(|(a, b)| schema.pair_name(a, b)).collect::<Vec<_>>());
+        Told { left_out, moving, changed, met, all: self.known.len() }
+    }
+
+    /// Marks the events of the pairs whose lines are drawn, if not all are.
+    pub fn log_events_of_told(&self, schema: &Schema, told: &Told, chunks: &mut Chunks) {
+        if told.left_out == 0 {
+            return;
+        }
+        let drawn = self.known.iter().filter(|&(&(a, b), _)| told.moving.contains(&schema.pair_name(a, b)));
+        let mut events: Vec<&PairEvent> = drawn.flat_map(|(_, plot)| &plot.changes).collect();
+        events.sort_by(|x, y| x.time.total_cmp(&y.time));
+        marks::log_events(schema, &events, chunks);
     }
 
     /// Marks the closest approaches of pairs that have plots.
@@ -378,7 +394,7 @@ impl PairPlots {
         }
         let plot = self.known.get_mut(&(event.a, event.b)).filter(|plot| plot.changes.len() < MOST_CHANGES);
         if let Some(plot) = plot {
-            plot.changes.push(event.time);
+            plot.changes.push(*event);
         }
         self.marks.log(schema, event, is_plotted, chunks);
     }
@@ -395,25 +411,29 @@ impl PairPlots {
     }
 }
 
+/// A pair that has plots.
+type Known<'p> = (&'p (usize, usize), &'p PairPlot);
+
 /// Of many pairs, the one that changes phase nearest to `opening` [s], and others that do so at times spread over the run.
-fn spread<'p>(mut pairs: Vec<(&'p (usize, usize), &PairPlot)>, opening: f64, most: usize) -> Vec<&'p (usize, usize)> {
+fn spread<'p>(mut pairs: Vec<Known<'p>>, opening: f64, most: usize) -> Vec<Known<'p>> {
     if pairs.len() <= most {
-        return pairs.into_iter().map(|(pair, _)| pair).collect();
+        return pairs;
     }
-    let changes = || pairs.iter().flat_map(|(_, plot)| plot.changes.iter().copied());
+    let changes = || pairs.iter().flat_map(|(_, plot)| plot.changes.iter().map(|event| event.time));
     let [first, last] = [changes().fold(f64::INFINITY, f64::min), changes().fold(0.0, f64::max)];
     let others = most.saturating_sub(1);
     let times = (0..others).map(|k| first + (k as f64 + 0.5) / others as f64 * (last - first));
-    let times: Vec<f64> = [opening].into_iter().chain(times).collect();
+    let times: Vec<f64> = [opening].into_iter().chain(times).take(most).collect();
     let mut chosen = Vec::new();
     for time in times {
-        let away = |plot: &PairPlot| plot.changes.iter().map(|at| (at - time).abs()).fold(f64::INFINITY, f64::min);
+        let away =
+            |plot: &PairPlot| plot.changes.iter().map(|event| (event.time - time).abs()).fold(f64::INFINITY, f64::min);
         let nearest = (0..pairs.len()).min_by(|&x, &y| away(pairs[x].1).total_cmp(&away(pairs[y].1)));
         chosen.extend(nearest.map(|nearest| pairs.remove(nearest)));
     }
-    let start = |plot: &PairPlot| plot.changes.first().copied().unwrap_or(f64::INFINITY);
+    let start = |plot: &PairPlot| plot.changes.first().map_or(f64::INFINITY, |event| event.time);
     chosen.sort_by(|(_, one), (_, other)| start(one).total_cmp(&start(other)));
-    chosen.into_iter().map(|(pair, _)| pair).collect()
+    chosen
 }
 
 /// Whether the layout names every pair of the scene.

@@ -1,7 +1,6 @@
 //! Pictures of what matters most at an instant, where there is too much for names in space and lines in plots: rows, the
 //! most important first, each a label and marks beside it.
 
-use super::{FrameView, Labels};
 use crate::{
     colors::SILVER,
     observe::Schema,
@@ -33,12 +32,6 @@ pub const BOUNDS: [f64; 4] =
 /// Whether a scene has rankings of its bodies and pairs: of few bodies, everything has its own line.
 pub fn is_ranked(schema: &Schema) -> bool {
     schema.bodies.len() > FEW
-}
-
-/// Of the first bodies of a ranking, those for which there is room for a label in space.
-pub fn labelled(view: FrameView<'_>, ranked: impl Iterator<Item = usize>) -> Vec<usize> {
-    let mut labels = Labels::new(view);
-    ranked.take(LABELLED).filter(|&body| labels.take(view.frame.bodies[body].centre)).collect()
 }
 
 /// A row.

@@ -20,7 +20,7 @@ const LINE: f32 = 0.6;
 /// Influence spheres.
 pub struct SphereEntities {
     track: TrackId,
-    /// The radii that were logged last, of spheres that change, as half sizes.
+    /// The radii that were logged last, as half sizes.
     half_sizes: Vec<Float3>,
     /// In a batched scene, spheres that reach another body have a separate entity: thousands of wireframe spheres are
     /// slow to draw, and would hide them.
@@ -46,14 +46,10 @@ struct Reaching {
 impl SphereEntities {
     /// Logs static data.
     pub fn new(schema: &Schema, entities: Entities, chunks: &mut Chunks) -> SphereEntities {
-        let mut spheres = wireframe()
+        let spheres = wireframe()
             .with_labels(schema.bodies.iter().map(|body| body.name.as_str()))
             // several bodies have their names beside them instead
             .with_show_labels(schema.bodies.len() == 1);
-        // what is static could not change later
-        if !is_changing(schema) {
-            spheres = spheres.with_half_sizes((0..schema.bodies.len()).map(|body| half_size(schema, body, 0.0)));
-        }
         chunks.log_static(INFLUENCE.path, &spheres);
         SphereEntities {
             half_sizes: Vec::new(),
@@ -72,17 +68,15 @@ impl SphereEntities {
 
     /// Logs changed values.
     pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
-        if is_changing(view.schema) {
-            let size = |(body, now): (usize, &BodyFrame)| match now.is_absent {
-                true => [0.0; 3],
-                false => half_size(view.schema, body, view.at.time),
-            };
-            let sizes: Vec<Float3> = view.frame.bodies.iter().enumerate().map(size).collect();
-            if self.half_sizes != sizes {
-                let spheres = Ellipsoids3D::update_fields().with_half_sizes(sizes.iter().copied());
-                chunks.log(INFLUENCE.path, view.at, &spheres);
-                self.half_sizes = sizes;
-            }
+        let size = |(body, now): (usize, &BodyFrame)| match now.is_absent {
+            true => [0.0; 3],
+            false => half_size(view.schema, body, view.at.time),
+        };
+        let sizes: Vec<Float3> = view.frame.bodies.iter().enumerate().map(size).collect();
+        if self.half_sizes != sizes {
+            let spheres = Ellipsoids3D::update_fields().with_half_sizes(sizes.iter().copied());
+            chunks.log(INFLUENCE.path, view.at, &spheres);
+            self.half_sizes = sizes;
         }
         self.phases.clear();
         self.phases.resize(view.frame.bodies.len(), None);
@@ -113,11 +107,6 @@ pub fn wireframe() -> Ellipsoids3D {
     Ellipsoids3D::update_fields()
         .with_fill_mode(FillMode::MajorWireframe)
         .with_line_radii([sdk::Radius::new_ui_points(LINE)])
-}
-
-/// Whether the radii of spheres change during the run.
-fn is_changing(schema: &Schema) -> bool {
-    !schema.changes.is_empty() || schema.bodies.iter().any(|body| body.can_be_absent)
 }
 
 /// The radius of the sphere of a body at a time [s], as a half size.
