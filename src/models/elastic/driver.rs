@@ -45,7 +45,7 @@ use crate::{
     models::lattice::Scheme,
     observe::{PairEvent, StepFailure},
     parallel,
-    scene::{Integrator, Model, Path, Scene},
+    scene::{Integrator, Model, Path, Scene, path::Kinematics},
     sim::{
         Event,
         events::{PairPaths, Search},
@@ -62,8 +62,10 @@ const MAX_SPRINGS: f64 = 2e8;
 const MAX_CHANGES: usize = 1000;
 /// Work for finding the phase changes of a step [units of a step's work]: a second or two.
 const MAX_SEARCH: u64 = 1_000_000_000;
-/// With fewer nodes than this, a second thread does not pay off.
+/// With fewer nodes than this, a second thread does not pay off for a step …
 const PARALLEL_NODES: usize = 128;
+/// … and with fewer than this, not for its end.
+const PARALLEL_ENDS: usize = 2048;
 
 impl Elastic {
     pub(super) fn take_step(&mut self) {
@@ -85,7 +87,8 @@ impl Elastic {
             Model::Fem => self.take_implicit(ends),
             _ => self.take_explicit(ends),
         };
-        let taken = taken.and_then(|()| self.for_each_body(ends, &[], |around, body| body.finish(around)));
+        let taken =
+            taken.and_then(|()| self.for_each_body(ends, &[], PARALLEL_ENDS, |around, body| body.finish(around)));
         self.failure = taken.err();
         if self.failure.as_ref().is_none_or(StepFailure::is_whole_step) {
             self.end_step(ends[1]);
@@ -93,18 +96,20 @@ impl Elastic {
         self.timings[2] = begun.elapsed().saturating_sub(self.timings[0] + self.timings[1]);
     }
 
-    /// Works on all bodies, given what they share in an interval [s] and the phase changes in it.
+    /// Works on all bodies, given what they share in an interval [s] and the phase changes in it; on several threads from
+    /// `parallel_from` nodes on.
     fn for_each_body(
         &mut self,
         [start, end]: [f64; 2],
         events: &[PairEvent],
+        parallel_from: usize,
         work: impl Fn(&StepContext<'_>, &mut Body) + Sync + Send,
     ) -> Result<(), StepFailure> {
         let Elastic { scene, bodies, phases, step, .. } = self;
         let courses = courses(scene, bodies, start);
         let around = StepContext { scene, courses: &courses, phases, events, start, end, step: *step + 1 };
         let nodes: usize = bodies.iter().filter(|body| !body.sleeps(&around)).map(Body::node_count).sum();
-        parallel::over(nodes >= PARALLEL_NODES, bodies, |_, body| work(&around, body));
+        parallel::over(nodes >= parallel_from, bodies, |_, body| work(&around, body));
         // that of the first body, whichever thread finished first
         bodies.iter_mut().find_map(|body| body.failure.take()).map_or(Ok(()), Err)
     }
@@ -186,7 +191,7 @@ impl Elastic {
         if !self.has_free || self.bodies.iter().all(Body::is_known) {
             return Ok(());
         }
-        self.for_each_body(ends, &[], |around, body| {
+        self.for_each_body(ends, &[], PARALLEL_NODES, |around, body| {
             if !body.is_known() {
                 body.pull(around, [around.start, around.end], around.start, 0.0, 0);
             }
@@ -198,7 +203,7 @@ impl Elastic {
     /// Advances lattices over an interval, with the phase changes in it, and evaluates the forces at its end.
     fn advance(&mut self, ends: [f64; 2], changes: &[PairEvent]) -> Result<(), StepFailure> {
         let (is_common, interrupt) = (self.has_free, self.options.interrupt);
-        self.for_each_body(ends, changes, |around, body| {
+        self.for_each_body(ends, changes, PARALLEL_NODES, |around, body| {
             body.failure = body.advance(around, is_common, interrupt).err();
         })?;
         let h = ends[1] - ends[0];
@@ -240,21 +245,18 @@ impl Elastic {
             let (ends, h) = ([at(number), at(number + 1)], (end - start) / divided as f64);
             self.find_sources(ends[0], ends[1]);
             for (body, described) in self.bodies.iter_mut().zip(&self.scene.bodies) {
-                match (described.path(), &mut body.free) {
-                    (Some(path), _) => body.kick(carry::kick(&described.material, path, ends[0])),
-                    // only velocities determine the middle, not the accelerations of the last step
-                    (None, Some(free)) => free.acceleration = DVec3::ZERO,
-                    (None, None) => {}
+                if let Some(path) = described.path() {
+                    body.kick(carry::kick(&described.material, path, ends[0]));
                 }
             }
             // how free centres move depends on the forces, which depend on the phases
             if self.has_free {
-                self.for_each_body(ends, &[], |around, body| body.load(around, h))?;
+                self.for_each_body(ends, &[], PARALLEL_NODES, |around, body| body.load(around, h))?;
                 self.accelerate_centres();
             }
             let changes = self.changes(ends, false)?;
             let is_loaded = self.has_free && changes.is_empty();
-            self.for_each_body(ends, &changes, |around, body| {
+            self.for_each_body(ends, &changes, PARALLEL_NODES, |around, body| {
                 if !is_loaded {
                     body.load(around, h);
                 }
@@ -424,7 +426,11 @@ impl Elastic {
 /// The motion of all centres, and of the force points, from `start` on [s].
 fn courses<'a>(scene: &'a Scene, bodies: &[Body], start: f64) -> Vec<Course<'a>> {
     let of_bodies = bodies.iter().zip(&scene.bodies).filter_map(|(body, described)| {
-        let free = body.free.as_ref().map(|free| Course::Parabola(start, free.motion()));
+        let free = body.free.as_ref().map(|free| match scene.model {
+            // only the velocity determines the middle of an implicit step, where its forces are evaluated
+            Model::Fem => Course::Parabola(start, Kinematics { acceleration: DVec3::ZERO, ..free.motion() }),
+            _ => Course::Parabola(start, free.motion()),
+        });
         free.or(described.path().map(Course::Path))
     });
     of_bodies.chain(scene.points.iter().map(|point| Course::Path(&point.path))).collect()
@@ -592,21 +598,23 @@ impl Body {
             (free.rotation, free.fitted) = (best_rotation(fit, free.rotation), t + 0.5 * h);
             axes = DMat3::from_quat(free.rotation);
         }
-        let back = axes.transpose();
+        let (back, is_free) = (axes.transpose(), free.is_some());
+        let in_axes = |v: DVec3| if is_free { back * v } else { v };
+        let from_axes = |v: DVec3| if is_free { axes * v } else { v };
         forces.clear();
         for (i, &node) in element.free.iter().enumerate() {
             let node = node as usize;
-            motion.displacements[i] = back * positions[node] - rest[node];
-            motion.velocities[i] = back * velocities[node];
-            forces.push(back * acted.loads[node] * masses[node]);
+            motion.displacements[i] = in_axes(positions[node]) - rest[node];
+            motion.velocities[i] = in_axes(velocities[node]);
+            forces.push(in_axes(acted.loads[node]) * masses[node]);
         }
         stepper.step(element, motion, forces);
         for (i, &node) in element.free.iter().enumerate() {
             let node = node as usize;
-            positions[node] = axes * (motion.displacements[i] + rest[node]);
-            velocities[node] = axes * motion.velocities[i];
+            positions[node] = from_axes(motion.displacements[i] + rest[node]);
+            velocities[node] = from_axes(motion.velocities[i]);
         }
-        if free.is_none() {
+        if !is_free {
             return;
         }
         // remove the mean, which is only rounding errors

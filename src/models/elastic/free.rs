@@ -127,13 +127,21 @@ impl Body {
         }
     }
 
-    /// Updates the rotation and spin of a free body, and the displacements of the nodes from the rotated rest shape.
+    /// Updates the displacements of the nodes from the rest shape, and for a free body rotation and spin of that.
     pub fn fit(&mut self) {
         let (mut x, mut u) = (std::mem::take(&mut self.x), std::mem::take(&mut self.u));
         let [positions, velocities] = self.state();
         let is_still = velocities.iter().all(|u| *u == DVec3::ZERO) && positions == self.rest;
-        let (mut rotation, mut spin) = (self.rotation(), DVec3::ZERO);
-        if self.free.is_some() && !is_still {
+        x.clear();
+        u.clear();
+        let Some(Free { mut rotation, .. }) = self.free else {
+            x.extend(positions.iter().zip(&self.rest).map(|(s, l)| *s - *l));
+            u.extend_from_slice(velocities);
+            (self.x, self.u) = (x, u);
+            return;
+        };
+        let mut spin = DVec3::ZERO;
+        if !is_still {
             let (masses, held) = (self.masses(), self.held());
             let nodes = || (0..positions.len()).filter(|&node| !held[node]);
             let mut fit = DMat3::ZERO;
@@ -153,9 +161,8 @@ impl Body {
             }
         }
         let axes = DMat3::from_quat(rotation);
-        x.clear();
-        x.extend(positions.iter().zip(&self.rest).map(|(s, l)| if is_still { DVec3::ZERO } else { *s - axes * *l }));
-        u.clear();
+        let displaced = |(s, l): (&DVec3, &DVec3)| if is_still { DVec3::ZERO } else { *s - axes * *l };
+        x.extend(positions.iter().zip(&self.rest).map(displaced));
         u.extend(velocities.iter().zip(&self.rest).map(|(u, l)| *u - spin.cross(axes * *l)));
         (self.x, self.u) = (x, u);
         if let Some(free) = &mut self.free {
