@@ -579,8 +579,8 @@ impl Body {
         let Matter::Fem(finite) = matter else { return };
         let Finite { element, stepper, motion, positions, velocities, forces, .. } = &mut **finite;
         let masses = &element.masses;
-        let stays = acted.loads.iter().chain(velocities.iter()).all(|v| *v == DVec3::ZERO) && positions == rest;
-        if *is_at_rest || stays {
+        let stays = || acted.loads.iter().chain(velocities.iter()).all(|v| *v == DVec3::ZERO) && positions == rest;
+        if *is_at_rest || stays() {
             return;
         }
         statistics.substeps += 1;
