@@ -2,85 +2,63 @@
 
 use std::collections::BTreeMap;
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 
 use crate::{
     model::{
-        PairLaw,
         influence::{Weight, acceleration},
         phase::Phase,
     },
     observe::PairEvent,
-    scene::{Material, Path, Point, Push, Response, Scene, path::Kinematics},
-    sim::{
-        Cause,
-        span::Span,
-        terms::{self, carry},
-    },
+    scene::{Path, Point, Push, Response, Scene, path::Kinematics},
+    sim::{Cause, span::Span},
+    view::terms::PHASES,
 };
 
-use super::PHASES;
+/// The motion of a centre in an interval, known in advance.
+#[derive(Clone, Copy)]
+pub enum Course<'a> {
+    /// A path.
+    Path(&'a Path),
+    /// A constant acceleration, with the motion at a time [s].
+    Parabola(f64, Kinematics),
+}
 
-/// The data of a step that all bodies share.
+impl Course<'_> {
+    /// The motion at time `t` [s]; at `end` [s], that before any jump there.
+    pub fn at(&self, t: f64, end: f64) -> Kinematics {
+        match self {
+            Course::Path(path) if t < end => path.at(t),
+            Course::Path(path) => path.before(end),
+            Course::Parabola(since, Kinematics { position, velocity, acceleration }) => {
+                let ahead = t - since;
+                Kinematics {
+                    position: *position + (*velocity + *acceleration * (0.5 * ahead)) * ahead,
+                    velocity: *velocity + *acceleration * ahead,
+                    acceleration: *acceleration,
+                }
+            }
+        }
+    }
+}
+
+/// An interval in which the motion of all centres is known, and what all bodies share in it.
 #[derive(Clone, Copy)]
 pub struct StepContext<'a> {
     /// The scene.
     pub scene: &'a Scene,
-    /// Phases at the start of the step, of pairs that are not apart.
+    /// The centres of the bodies, then those of the force points.
+    pub courses: &'a [Course<'a>],
+    /// Phases at its start, of pairs that are not apart.
     pub phases: &'a BTreeMap<[u32; 2], Phase>,
-    /// Phase changes in the step, in order of time.
+    /// Phase changes in it, in order of time.
     pub events: &'a [PairEvent],
-    /// Start of the step [s].
+    /// Its start [s].
     pub start: f64,
-    /// End of the step [s].
+    /// Its end [s].
     pub end: f64,
     /// Number of the step.
     pub step: u64,
-}
-
-/// A part of a step without jumps, as seen by one body.
-pub struct Part<'a> {
-    scene: &'a Scene,
-    path: &'a Path,
-    material: Material,
-    /// Start of the part [s].
-    pub start: f64,
-    /// End of the part [s].
-    pub end: f64,
-    sources: Vec<Source<'a>>,
-    pushes: Vec<(DVec3, f64)>,
-}
-
-/// An influence sphere that acts throughout a part, of a body or of a force point, which follow the bodies.
-struct Source<'a> {
-    body: u32,
-    path: &'a Path,
-    sphere: Sphere,
-}
-
-/// The effect of an influence sphere on a body.
-#[derive(Clone, Copy)]
-pub struct Sphere {
-    law: PairLaw,
-    phase: Phase,
-    /// Scaling factor by the radii of the two bodies [–].
-    scale: f64,
-    radius: f64,
-    /// Sum of the radii of the bodies [scene unit].
-    radii: f64,
-    /// Fraction of the time during which it acts [–].
-    share: f64,
-    /// Whether it is a force point's.
-    is_of_point: bool,
-}
-
-impl Sphere {
-    /// The sphere of `source` at a position relative to the body acted on.
-    fn at(&self, source: u32, centre: DVec3) -> ActingSphere {
-        let strength = self.law.strength(self.phase, centre.length() / self.radii) * self.scale;
-        let cause = if self.is_of_point { Cause::Point } else { Cause::of_sphere(self.phase, strength) };
-        ActingSphere { cause, source, centre, strength: strength * self.share, radius: self.radius }
-    }
 }
 
 /// An influence sphere at an instant.
@@ -106,7 +84,7 @@ impl ActingSphere {
     }
 }
 
-/// The sources of acceleration at an instant.
+/// What acts on a body at an instant, or on average over some time.
 #[derive(Clone, Debug, Default)]
 pub struct Instantaneous {
     /// The influence spheres.
@@ -115,6 +93,38 @@ pub struct Instantaneous {
     pub pushes: Vec<(DVec3, f64)>,
     /// The acceleration that all nodes of a body on a path share [scene unit/s²].
     pub uniform: DVec3,
+    /// Position of the centre [scene unit] and its velocity [scene unit/s].
+    pub centre: [DVec3; 2],
+    /// The rotation of the body.
+    pub rotation: DQuat,
+}
+
+/// External forces on the nodes of a body.
+#[derive(Clone, Debug, Default)]
+pub struct ExternalForces {
+    /// f̄ of a free body [scene unit/s²].
+    pub mean: DVec3,
+    /// Σ m f of each sphere, by its body or force point [mass · scene unit/s²].
+    pub pulls: Vec<(u32, DVec3)>,
+    /// Accelerations of the nodes minus their mean [scene unit/s²], `[node_count]`; finite elements only.
+    pub loads: Vec<DVec3>,
+    /// Node positions at which they acted, relative to the centre [scene unit], `[node_count]`; finite elements only.
+    pub places: Vec<DVec3>,
+}
+
+impl ExternalForces {
+    /// Nothing acts.
+    pub fn clear(&mut self) {
+        self.mean = DVec3::ZERO;
+        self.pulls.clear();
+        self.loads.clear();
+        self.places.clear();
+    }
+
+    /// Allocated memory [bytes].
+    pub fn memory(&self) -> usize {
+        (self.loads.capacity() + self.places.capacity()) * size_of::<DVec3>()
+    }
 }
 
 impl StepContext<'_> {
@@ -127,13 +137,13 @@ impl StepContext<'_> {
         last.map_or_else(before, |event| PHASES.get(event.to).copied().unwrap_or(Phase::Apart))
     }
 
-    /// Whether nothing in the step can act on a body at rest.
+    /// Whether nothing in the interval can deform a body at rest.
     pub fn is_calm(&self, index: usize, sources: &[u32], pushes: &[Push]) -> bool {
         let body = &self.scene.bodies[index];
-        let Some(path) = body.path() else { return true };
-        sources.iter().all(|&other| self.is_silent(index, other as usize))
+        let is_still = |path: &Path| body.material.response == Response::Rigid || path.is_still(self.start, self.end);
+        sources.iter().all(|&other| self.is_silent(index, other))
             && pushes.iter().all(|push| push.end() <= self.start || push.start >= self.end)
-            && (body.material.response == Response::Rigid || path.is_still(self.start, self.end))
+            && body.path().is_none_or(is_still)
     }
 
     /// The force point with a number as a source, if it is one.
@@ -141,100 +151,38 @@ impl StepContext<'_> {
         Some(&self.scene.points[(source as usize).checked_sub(self.scene.bodies.len())?])
     }
 
-    /// Whether a sphere has no effect on a body throughout the step.
-    fn is_silent(&self, index: usize, other: usize) -> bool {
-        if self.point(other as u32).is_some() {
-            return false;
-        }
-        let law = self.scene.law(index, other);
-        let is_apart = self.phase(index, other, self.start) == Phase::Apart
-            && self.events.iter().all(|event| ![[index, other], [other, index]].contains(&[event.a, event.b]));
-        is_apart && law.strength(Phase::Apart, f64::INFINITY) == 0.0
+    /// Whether a sphere has no effect on a body throughout the interval.
+    fn is_silent(&self, index: usize, source: u32) -> bool {
+        let other = source as usize;
+        self.point(source).is_none()
+            && self.phase(index, other, self.start) == Phase::Apart
+            && self.events.iter().all(|event| ![[index, other], [other, index]].contains(&[event.a, event.b]))
+            && self.scene.law(index, other).strength(Phase::Apart, f64::INFINITY) == 0.0
     }
 
-    /// Instants in the step at which something that acts on a body jumps [s], including its start and end, ascending.
-    pub fn breaks(&self, index: usize, sources: &[u32], pushes: &[Push], breaks: &mut Vec<f64>) {
-        breaks.clear();
-        breaks.extend([self.start, self.end]);
+    /// Instants in the interval at which something that acts on a body jumps [s], including its start and end, ascending.
+    pub fn breaks(&self, index: usize, sources: &[u32], pushes: &[Push]) -> Vec<f64> {
         let own = self.events.iter().filter(|event| event.a == index || event.b == index);
-        breaks.extend(own.map(|event| event.time));
-        self.add_jumps(sources.iter().copied().chain([index as u32]), pushes, breaks);
-    }
-
-    /// Whether a path, a force point or a push jumps at time `t` [s].
-    pub fn jumps_at(&self, t: f64) -> bool {
-        let mut jumps = Vec::new();
-        StepContext { start: t, end: t, ..*self }.add_all_jumps(&mut jumps);
-        !jumps.is_empty()
-    }
-
-    /// Appends the instants in the step at which any body, force point or push jumps [s], and sorts all.
-    pub fn add_all_jumps(&self, breaks: &mut Vec<f64>) {
-        let all = 0..(self.scene.bodies.len() + self.scene.points.len()) as u32;
-        self.add_jumps(all, &self.scene.pushes, breaks);
-    }
-
-    /// Appends the instants in the step at which one of these bodies or force points jumps, or a push [s], and sorts all.
-    fn add_jumps(&self, sources: impl Iterator<Item = u32>, pushes: &[Push], breaks: &mut Vec<f64>) {
-        Span { start: self.start, end: self.end }.jumps_of(self.scene, sources, breaks);
-        breaks.extend(pushes.iter().flat_map(|push| [push.start, push.end()]));
-        breaks.retain(|&time| (self.start..=self.end).contains(&time));
+        let own = own.map(|event| event.time).filter(|&time| time > self.start && time < self.end);
+        let jumps = self.jumps(sources.iter().copied().chain([index as u32]), pushes);
+        let mut breaks: Vec<f64> = [self.start, self.end].into_iter().chain(own).chain(jumps).collect();
         breaks.sort_unstable_by(f64::total_cmp);
         breaks.dedup();
+        breaks
     }
 
-    /// The external accelerations of a body between two breaks.
-    pub fn part<'a>(
-        &'a self,
-        path: &'a Path,
-        index: usize,
-        sources: &[u32],
-        pushes: &[Push],
-        [start, end]: [f64; 2],
-    ) -> Part<'a> {
-        // a part may be as short as rounding makes it: a push that begins or ends with it acts if it does in the middle
-        let middle = start + 0.5 * (end - start);
-        self.over(path, index, (sources, [start; 2]), (pushes, [middle; 2]), [start, end])
+    /// Instants in the interval at which any body, force point or push jumps [s], its ends included.
+    pub fn all_jumps(&self) -> Vec<f64> {
+        self.jumps(0..(self.scene.bodies.len() + self.scene.points.len()) as u32, &self.scene.pushes)
     }
 
-    /// The averages of the external accelerations of a body over a step with breaks inside.
-    pub fn mean<'a>(
-        &'a self,
-        path: &'a Path,
-        index: usize,
-        sources: &[u32],
-        pushes: &[Push],
-        ends: [f64; 2],
-    ) -> Part<'a> {
-        self.over(path, index, (sources, ends), (pushes, ends), ends)
-    }
-
-    /// The external accelerations of a body over some time, by sources and pushes as they are on average over others, or at
-    /// an instant.
-    fn over<'a>(
-        &'a self,
-        path: &'a Path,
-        index: usize,
-        (sources, of_sources): (&[u32], [f64; 2]),
-        (pushes, of_pushes): (&[Push], [f64; 2]),
-        [start, end]: [f64; 2],
-    ) -> Part<'a> {
-        let mut part = Part {
-            scene: self.scene,
-            path,
-            material: self.scene.bodies[index].material,
-            start,
-            end,
-            sources: Vec::new(),
-            pushes: Vec::new(),
-        };
-        for &other in sources {
-            self.by_share(index, other, of_sources, |from, share| {
-                part.sources.extend(self.source(index, other, from, share))
-            });
-        }
-        add_pushes(pushes, of_pushes, &mut part.pushes);
-        part
+    /// Instants in the interval at which one of these bodies or force points jumps, or a push [s], its ends included.
+    fn jumps(&self, sources: impl Iterator<Item = u32>, pushes: &[Push]) -> Vec<f64> {
+        let mut jumps = Vec::new();
+        Span { start: self.start, end: self.end }.jumps_of(self.scene, sources, &mut jumps);
+        let of_pushes = pushes.iter().flat_map(|push| [push.start, push.end()]);
+        jumps.extend(of_pushes.filter(|time| (self.start..=self.end).contains(time)));
+        jumps
     }
 
     /// Calls `found` for each interval in which a pair stays in one phase, or in which a force point acts, with its start
@@ -261,177 +209,96 @@ impl StepContext<'_> {
         }
     }
 
-    /// Writes the average effect of spheres and pushes on a body over some time, or that at an instant, given the centres
-    /// of all bodies.
+    /// Writes the effect of spheres and pushes on a body, as they act on average over some time, or at an instant if the
+    /// two ends are the same, with all centres where they are at time `t` [s].
     pub fn acting(
         &self,
         index: usize,
         sources: &[u32],
         pushes: &[Push],
         ends: [f64; 2],
-        centres: &[DVec3],
+        t: f64,
         now: &mut Instantaneous,
     ) {
+        let place = |source: usize| self.courses[source].at(t, ends[1]).position;
+        let own = place(index);
         now.spheres.clear();
-        now.pushes.clear();
         for &other in sources {
-            let apart = centres[other as usize] - centres[index];
+            let apart = place(other as usize) - own;
             self.by_share(index, other, ends, |from, share| {
-                now.spheres.extend(self.sphere(index, other, from, share).map(|sphere| sphere.at(other, apart)));
+                now.spheres.extend(self.sphere(index, other, from, share, apart));
             });
         }
-        add_pushes(pushes, ends, &mut now.pushes);
+        now.pushes.clear();
+        let [start, end] = ends;
+        now.pushes.extend(pushes.iter().filter_map(|push| {
+            let share = if end > start {
+                (push.end().min(end) - push.start.max(start)) / (end - start)
+            } else {
+                f64::from(push.acts_at(start))
+            };
+            (share > 0.0).then_some((push.direction, push.strength * share))
+        }));
     }
 
-    /// Upper bound of the spatial derivative of the accelerations by spheres [1/s²]: of a body's nodes, and of its
-    /// centre, on which the reaction to its own sphere also acts.
+    /// Upper bound of the derivative of the accelerations by spheres with respect to positions [1/s²]: of a body's nodes,
+    /// and of its centre if it is free, on which the reaction to its own sphere also acts.
     pub fn stiffness(&self, index: usize, sources: &[u32]) -> f64 {
-        let own = self.scene.bodies[index].mass;
-        let of = |&other: &u32| {
-            if let Some(point) = self.point(other) {
-                return 2.0 * self.scene.point_strength(point, index).abs();
+        let bodies = &self.scene.bodies;
+        let is_free = |body: usize| bodies[body].path().is_none();
+        let of = |&source: &u32| {
+            let other = source as usize;
+            // the distance to a centre changes with the node, and with either centre if that is free
+            let ways = |is_free: bool| if is_free { 2.0 } else { 1.0 };
+            if let Some(point) = self.point(source) {
+                return self.scene.point_strength(point, index).abs() * ways(is_free(index));
             }
-            let body = &self.scene.bodies[other as usize];
-            let law = self.scene.law(index, other as usize);
-            let scale = |to: usize, from: usize| {
-                self.scene.influence.scale(self.scene.bodies[to].radius, self.scene.bodies[from].radius)
-            };
-            let scales = [scale(index, other as usize), scale(other as usize, index)];
-            law.alpha.max(law.beta) * (2.0 * scales[0] + scales[1] * (body.mass / own))
+            let law = self.scene.law(index, other);
+            let scale = |to: usize, from: usize| self.scene.influence.scale(bodies[to].radius, bodies[from].radius);
+            let of_nodes = scale(index, other) * ways(is_free(index) || is_free(other));
+            let mass = if is_free(index) { bodies[other].mass / bodies[index].mass } else { 0.0 };
+            law.alpha.max(law.beta) * (of_nodes + scale(other, index) * mass)
         };
         sources.iter().map(of).sum::<f64>() * steep(self.scene.influence.weight)
     }
 
-    fn sphere(&self, index: usize, other: u32, t: f64, share: f64) -> Option<Sphere> {
-        let (scene, j) = (self.scene, other as usize);
-        if let Some(point) = self.point(other) {
-            let this = scene.bodies[index].radius;
-            let law = PairLaw { alpha: point.strength, beta: 0.0, core_width: 0.0, ..PairLaw::DEFAULT };
-            return point.acts_at(t).then(|| Sphere {
-                law,
-                phase: Phase::Merged,
-                scale: scene.influence.scale(this, point.radius),
-                radius: scene.influence.sphere_radius(point.radius),
-                radii: this + point.radius,
-                share,
-                is_of_point: true,
-            });
-        }
-        let [this, source] = [&scene.bodies[index], &scene.bodies[j]];
-        let (law, phase) = (scene.law(index, j), self.phase(index, j, t));
-        if phase == Phase::Apart && !law.apart_repels {
-            return None;
-        }
-        Some(Sphere {
-            law,
-            phase,
-            scale: scene.influence.scale(this.radius, source.radius),
-            radius: source.sphere_radius(),
-            radii: this.radius + source.radius,
-            share,
-            is_of_point: false,
-        })
+    /// The sphere of a body or force point as it acts on a body from time `t` [s] on, given its position relative to that
+    /// body's and the fraction of the time during which it acts.
+    fn sphere(&self, index: usize, source: u32, t: f64, share: f64, centre: DVec3) -> Option<ActingSphere> {
+        let influence = self.scene.influence;
+        let (cause, strength, radius) = match self.point(source) {
+            Some(point) if !point.acts_at(t) => return None,
+            Some(point) => {
+                (Cause::Point, self.scene.point_strength(point, index), influence.sphere_radius(point.radius))
+            }
+            None => {
+                let (one, other) = (&self.scene.bodies[index], &self.scene.bodies[source as usize]);
+                let (law, phase) = (self.scene.law(index, source as usize), self.phase(index, source as usize, t));
+                if phase == Phase::Apart && !law.apart_repels {
+                    return None;
+                }
+                let strength = law.strength(phase, centre.length() / (one.radius + other.radius))
+                    * influence.scale(one.radius, other.radius);
+                (Cause::of_sphere(phase, strength), strength, other.sphere_radius())
+            }
+        };
+        Some(ActingSphere { cause, source, centre, strength: strength * share, radius })
     }
+}
 
-    fn source(&self, index: usize, other: u32, t: f64, share: f64) -> Option<Source<'_>> {
-        let path = self.scene.source_path(other as usize)?;
-        Some(Source { body: other, path, sphere: self.sphere(index, other, t, share)? })
+/// The motion on a path in the middle of some time [s], but its velocity and acceleration on average, which includes
+/// jumps of the velocity inside.
+pub fn mean_motion(path: &Path, [start, end]: [f64; 2]) -> Kinematics {
+    let (first, last) = (path.at(start), path.before(end));
+    let mean = |of: DVec3| if path.is_held() { DVec3::ZERO } else { of / (end - start) };
+    Kinematics {
+        position: path.position(start + 0.5 * (end - start)),
+        velocity: mean(last.position - first.position),
+        acceleration: mean(last.velocity - first.velocity),
     }
 }
 
 /// Bound on |∂(c − r) W|: 1 for the linear weight, less than 2 for Wendland's.
 pub fn steep(weight: Weight) -> f64 {
     if weight == Weight::Linear { 1.0 } else { 2.0 }
-}
-
-/// Appends pushes averaged over a time interval; those that act at its start if the two ends are one instant.
-fn add_pushes(pushes: &[Push], [start, end]: [f64; 2], into: &mut Vec<(DVec3, f64)>) {
-    into.extend(pushes.iter().filter_map(|push| {
-        let share = if end > start {
-            (push.end().min(end) - push.start.max(start)) / (end - start)
-        } else {
-            f64::from(push.acts_at(start))
-        };
-        (share > 0.0).then_some((push.direction, push.strength * share))
-    }));
-}
-
-impl Part<'_> {
-    /// The accelerations at time `t` in the part [s], into `now`.
-    pub fn at(&self, t: f64, now: &mut Instantaneous) {
-        let centre = self.centre(t);
-        now.uniform = terms::uniform(self.scene, &self.material, &self.motion(t));
-        now.pushes.clear();
-        now.pushes.extend_from_slice(&self.pushes);
-        now.spheres.clear();
-        let of = |source: &Source<'_>| source.sphere.at(source.body, self.place(source.path, t) - centre);
-        now.spheres.extend(self.sources.iter().map(of));
-    }
-
-    /// The motion of the centre at time `t` in the part [s]; the left limit at its end.
-    pub fn motion(&self, t: f64) -> Kinematics {
-        if t == self.end { self.path.before(t) } else { self.path.at(t) }
-    }
-
-    /// Like [`Part::at`], but averaged over the part: the acceleration of its own motion is the change of velocity,
-    /// including jumps inside; for that at its start there is [`Part::kick`].
-    pub fn averaged(&self, now: &mut Instantaneous) {
-        let middle = 0.5 * (self.start + self.end);
-        self.at(middle, now);
-        let (first, last) = (self.path.at(self.start), self.path.before(self.end));
-        let length = self.end - self.start;
-        let still = Kinematics { velocity: DVec3::ZERO, acceleration: DVec3::ZERO, ..first };
-        let mean = Kinematics {
-            velocity: (last.position - first.position) / length,
-            acceleration: (last.velocity - first.velocity) / length,
-            ..first
-        };
-        let motion = if self.path.is_held() { &still } else { &mean };
-        now.uniform = terms::uniform(self.scene, &self.material, motion);
-    }
-
-    /// Jump of the nodes' velocities at the start of the part [scene unit/s]. At t = 0 every velocity is zero.
-    pub fn kick(&self) -> DVec3 {
-        carry::kick(&self.material, self.path, self.start)
-    }
-
-    /// The velocity of the centre at time `t` [scene unit/s].
-    pub fn velocity(&self, t: f64) -> DVec3 {
-        self.path.at(t).velocity
-    }
-
-    /// The position of the centre at time `t` [scene unit].
-    pub fn centre(&self, t: f64) -> DVec3 {
-        self.place(self.path, t)
-    }
-
-    /// The position on a path at time `t` [scene unit]; on one with position jumps, that throughout the part.
-    fn place(&self, path: &Path, t: f64) -> DVec3 {
-        path.position(if path.is_held() { 0.5 * (self.start + self.end) } else { t })
-    }
-
-    /// Upper bound of the derivative of the accelerations by spheres [1/s²].
-    pub fn stiffness(&self) -> f64 {
-        let of = |Source { sphere, .. }: &Source<'_>| sphere.law.alpha.abs().max(sphere.law.beta) * sphere.scale;
-        self.sources.iter().map(of).sum::<f64>() * steep(self.scene.influence.weight)
-    }
-}
-
-impl Instantaneous {
-    /// The acceleration at a position relative to the centre, for a rest position in direction `facing` [scene
-    /// unit/s²].
-    #[inline]
-    pub fn acceleration(&self, weight: Weight, place: DVec3, facing: DVec3) -> DVec3 {
-        let mut sum = self.uniform;
-        for &ActingSphere { centre, strength, radius, .. } in &self.spheres {
-            let to_centre = centre - place;
-            if to_centre.length_squared() < radius * radius {
-                sum += acceleration(weight, strength, radius, to_centre);
-            }
-        }
-        for &(direction, strength) in &self.pushes {
-            sum += direction * (strength * f64::max(0.0, -facing.dot(direction)));
-        }
-        sum
-    }
 }

@@ -5,35 +5,32 @@ use std::{
     sync::{Arc, atomic::AtomicBool},
 };
 
-use glam::{DMat3, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 
 use super::{
     CORE,
-    act::{Instantaneous, Part, StepContext, steep},
-    coupled::{ExternalForces, Free, is_coupled},
+    act::{ExternalForces, Instantaneous, StepContext, steep},
+    free::Free,
+    has_free,
 };
 use crate::{
     geometry::{Mesh, Shape, Vectors},
-    interrupt::is_raised,
+    model::influence::acceleration,
     models::{
         cells::{Cells, boundary},
         fem::{self, Elasticity, Element, Stepper, Unfactored},
-        lattice::{self, Constants, Lattice, Scheme},
+        lattice::{self, Constants, Lattice},
     },
     observe::{SpringFrame, StepFailure},
-    scene::{Integrator, Model, Motion, Plane, Push, Scene, TearMode},
+    scene::{Model, Motion, Plane, Push, Scene, TearMode},
     sim::reach::Ball,
     text::bytes,
 };
 
 /// Length of explicit steps over the limit of their stability: stretched springs are stiffer than at rest.
 pub const OF_LIMIT: f64 = 0.7;
-/// Upper limit on the springs that a body evaluates in a step; more would take forever.
-pub const MAX_SPRINGS: f64 = 2e8;
 /// Upper limit on the cells of finite elements that a body evaluates in a step; they take far longer than springs.
 const MAX_CELLS: f64 = 1e7;
-/// Springs evaluated between two checks of the interrupt.
-const SPRINGS_PER_CHECK: u64 = 1 << 22;
 /// A body whose nodes are farther away than this has diverged [radii].
 const DIVERGED: f64 = 1e6;
 
@@ -55,26 +52,17 @@ pub struct Springs {
 pub struct Finite {
     pub element: Arc<Element>,
     pub stepper: Arc<Stepper>,
+    /// Motion of the free nodes in axes that rotate with the body.
     pub motion: fem::Motion,
-    /// Number of implicit steps in a step of the scene.
-    pub divided: u64,
+    /// Positions of the nodes relative to the centre [scene unit], `[node_count]`.
+    pub positions: Vec<DVec3>,
+    /// Velocities of the nodes relative to the centre [scene unit/s], `[node_count]`.
+    pub velocities: Vec<DVec3>,
     pub forces: Vec<DVec3>,
     /// Whether each node is held.
     pub held: Vec<bool>,
     /// Whether each cell would have torn.
     torn: Vec<bool>,
-}
-
-impl Finite {
-    /// Takes an implicit step of a body on a path with the forces that are set, and updates the displacements and
-    /// velocities of its nodes.
-    pub fn step(&mut self, x: &mut [DVec3], u: &mut [DVec3]) {
-        let Finite { element, stepper, motion, forces, .. } = self;
-        stepper.step(element, motion, forces);
-        for (i, &node) in element.free.iter().enumerate() {
-            (x[node as usize], u[node as usize]) = (motion.displacements[i], motion.velocities[i]);
-        }
-    }
 }
 
 /// Statistics of a body's last step, and of the run so far.
@@ -110,7 +98,7 @@ pub struct Body {
     pub directions: Vec<DVec3>,
     /// Rigid motion of a free body, of which no node is held; `None` on a path.
     pub free: Option<Free>,
-    /// External forces of the last step, in a scene with free bodies.
+    /// External forces of the last step.
     pub acted: ExternalForces,
     /// Displacements of the nodes [scene unit], `[node_count]`; for a free body relative to the rotated rest shape.
     pub x: Vec<DVec3>,
@@ -137,7 +125,6 @@ pub struct Body {
     /// Positions at which it tore in the last step, or would have torn [scene unit].
     pub tears: Vec<DVec3>,
     pub failure: Option<StepFailure>,
-    breaks: Vec<f64>,
     pub now: Instantaneous,
 }
 
@@ -145,9 +132,9 @@ pub struct Body {
 pub struct Shared {
     /// Memory left for factors [bytes].
     left: u64,
-    elements: HashMap<Kind, (Arc<Element>, Arc<Stepper>, u64)>,
-    /// Number of implicit steps in a step of the scene, if it is the same for all bodies.
-    divided: Option<u64>,
+    elements: HashMap<Kind, (Arc<Element>, Arc<Stepper>)>,
+    /// Number of implicit steps in a step of the scene.
+    pub divided: u64,
 }
 
 /// Key of shared elements: shape, the bits of radius, mass, ω and κ, and whether the body is free.
@@ -156,14 +143,14 @@ type Kind = (Shape, [u64; 4], bool);
 impl Shared {
     /// Allocated memory [bytes].
     pub fn memory(&self) -> usize {
-        let of = |(element, stepper, _): &(Arc<Element>, Arc<Stepper>, u64)| element.memory() + stepper.memory();
+        let of = |(element, stepper): &(Arc<Element>, Arc<Stepper>)| element.memory() + stepper.memory();
         self.elements.values().map(of).sum()
     }
 
     /// No elements yet, with this much memory left for factors [bytes]; `contact` is the largest [`contact`] of all
-    /// bodies if they are stepped together.
-    pub fn new(left: u64, scene: &Scene, contact: Option<f64>) -> Shared {
-        Shared { left, elements: HashMap::new(), divided: contact.map(|contact| divisions(scene, contact)) }
+    /// bodies.
+    pub fn new(left: u64, scene: &Scene, contact: f64) -> Shared {
+        Shared { left, elements: HashMap::new(), divided: divisions(scene, contact) }
     }
 }
 
@@ -178,7 +165,7 @@ fn divisions(scene: &Scene, contact: f64) -> u64 {
     let points = steep * scene.points.iter().map(on_any).sum::<f64>();
     let planes = scene.planes.iter().map(|plane| plane.stiffness).sum::<f64>() * contact;
     let of = |pick: fn(f64, f64) -> f64, start| scene.bodies.iter().map(|body| body.mass).fold(start, pick);
-    let ratio = if is_coupled(scene) { of(f64::max, 0.0) / of(f64::min, f64::INFINITY) } else { 0.0 };
+    let ratio = if has_free(scene) { of(f64::max, 0.0) / of(f64::min, f64::INFINITY) } else { 0.0 };
     // explicit forces of stiffness ω² are stable up to a step of 2/ω
     (scene.dt * ((2.0 + ratio) * strongest + points + planes).sqrt() / (2.0 * OF_LIMIT)).ceil().max(1.0) as u64
 }
@@ -221,8 +208,8 @@ impl Body {
             Model::Fem => {
                 let bits = [radius, mass, material.omega, material.damping].map(f64::to_bits);
                 let kind = (described.shape.clone(), bits, motion.is_some());
-                let (element, stepper, divided) = match shared.elements.get(&kind) {
-                    Some((element, stepper, divided)) => (Arc::clone(element), Arc::clone(stepper), *divided),
+                let (element, stepper) = match shared.elements.get(&kind) {
+                    Some((element, stepper)) => (Arc::clone(element), Arc::clone(stepper)),
                     None => {
                         let of = |density| {
                             let Constants { young, damping } = constants(density);
@@ -231,7 +218,7 @@ impl Body {
                         };
                         let element = Element::new(&cells, radius, mass, &held, of, interrupt);
                         let element = element.ok_or("interrupted while the stiffness was assembled")?;
-                        let divided = shared.divided.unwrap_or_else(|| divisions(scene, contact));
+                        let divided = shared.divided;
                         if divided as f64 * cells.cell_count() as f64 > MAX_CELLS {
                             return Err(format!(
                                 "scene \"{}\": the forces on body \"{}\" would need {divided} sub-steps per step, \
@@ -243,13 +230,20 @@ impl Body {
                         let stepper = stepper.map_err(|error| unfactored(scene, index, error))?;
                         shared.left = shared.left.saturating_sub(stepper.memory() as u64);
                         let (element, stepper) = (Arc::new(element), Arc::new(stepper));
-                        shared.elements.insert(kind, (Arc::clone(&element), Arc::clone(&stepper), divided));
-                        (element, stepper, divided)
+                        shared.elements.insert(kind, (Arc::clone(&element), Arc::clone(&stepper)));
+                        (element, stepper)
                     }
                 };
-                let motion = fem::Motion::at_rest(&element);
-                let torn = vec![false; cells.cell_count()];
-                Matter::Fem(Box::new(Finite { element, stepper, motion, divided, forces: Vec::new(), held, torn }))
+                Matter::Fem(Box::new(Finite {
+                    motion: fem::Motion::at_rest(&element),
+                    element,
+                    stepper,
+                    positions: rest.clone(),
+                    velocities: vec![DVec3::ZERO; rest.len()],
+                    forces: Vec::new(),
+                    held,
+                    torn: vec![false; cells.cell_count()],
+                }))
             }
             _ => {
                 let lattice = Lattice::new(&cells, radius, mass, held, constants, interrupt);
@@ -259,14 +253,13 @@ impl Body {
             }
         };
         let n = rest.len();
-        let free = motion.map(|motion| Free::new(motion, &rest, scene.model == Model::Fem));
         let mut body = Body {
             index,
             radius,
             extent: rest.iter().map(|l| l.length()).fold(0.0, f64::max),
             directions: rest.iter().map(|l| l.normalize_or_zero()).collect(),
             rest,
-            free,
+            free: motion.map(Free::new),
             acted: ExternalForces::default(),
             x: vec![DVec3::ZERO; n],
             u: vec![DVec3::ZERO; n],
@@ -284,10 +277,9 @@ impl Body {
             statistics: Statistics { step_limit: f64::INFINITY, ..Statistics::default() },
             tears: Vec::new(),
             failure: None,
-            breaks: Vec::new(),
             now: Instantaneous::default(),
         };
-        body.start();
+        body.spin();
         Ok(body)
     }
 
@@ -296,17 +288,18 @@ impl Body {
         self.rest.len()
     }
 
-    /// Whether it is at rest and nothing acts on it in a step.
+    /// Whether it is at rest, and nothing acts on it in an interval.
     pub fn sleeps(&self, around: &StepContext<'_>) -> bool {
         self.is_at_rest
             && around.is_calm(self.index, &self.sources, &self.pushes)
-            && self.planes(around).next().is_none()
+            && self.planes(around.scene, self.placed.unwrap_or_default().centre).is_empty()
     }
 
-    /// The planes within reach in a step.
-    fn planes<'a>(&'a self, around: &StepContext<'a>) -> impl Iterator<Item = &'a Plane> + 'a {
-        let centre = self.placed.unwrap_or_default().centre;
-        around.scene.planes.iter().filter(move |plane| plane.depth(centre) > -self.reach)
+    /// All planes if it may reach one of them from a position of its centre, otherwise none.
+    pub fn planes<'a>(&self, scene: &'a Scene, centre: DVec3) -> &'a [Plane] {
+        let reach = 1.5 * self.reach.max(self.extent);
+        let is_near = scene.planes.iter().any(|plane| plane.depth(centre) > -reach);
+        if is_near { &scene.planes } else { &[] }
     }
 
     /// The corner nodes of each cell.
@@ -317,173 +310,117 @@ impl Body {
         }
     }
 
-    /// Takes the step; `jumps` says whether forces are discontinuous at its start.
-    pub fn advance(&mut self, around: &StepContext<'_>, mut jumps: bool, interrupt: Option<&'static AtomicBool>) {
-        self.statistics.substeps = 0;
-        self.tears.clear();
-        self.failure = None;
-        let Some(path) = around.scene.bodies[self.index].path() else { return };
-        if self.sleeps(around) {
-            return;
-        }
-        let mut now = std::mem::take(&mut self.now);
-        let planes: Vec<Plane> = self.planes(around).copied().collect();
+    /// Positions of the nodes relative to the centre [scene unit], and velocities relative to it [scene unit/s].
+    pub fn state(&self) -> [&[DVec3]; 2] {
         match &self.matter {
-            Matter::Lattice(_) => {
-                let mut breaks = std::mem::take(&mut self.breaks);
-                around.breaks(self.index, &self.sources, &self.pushes, &mut breaks);
-                self.statistics.step_limit = f64::INFINITY;
-                self.statistics.strain = 0.0;
-                for ends in breaks.windows(2) {
-                    let part = around.part(path, self.index, &self.sources, &self.pushes, [ends[0], ends[1]]);
-                    self.take_explicit(
-                        around,
-                        &part,
-                        std::mem::replace(&mut jumps, true),
-                        &planes,
-                        &mut now,
-                        interrupt,
-                    );
-                    if self.failure.is_some() {
-                        break;
-                    }
-                }
-                self.breaks = breaks;
-                if self.failure.is_none() {
-                    self.tear(around, path.position(around.end));
-                }
-            }
-            Matter::Fem(finite) => {
-                let divided = finite.divided;
-                let at = |step: u64| around.start + (around.end - around.start) * (step as f64 / divided as f64);
-                for step in 0..divided {
-                    if is_raised(interrupt) {
-                        self.failure = Some(StepFailure::Interrupted(format!("interrupted in step {}", around.step)));
-                        break;
-                    }
-                    let part = around.mean(path, self.index, &self.sources, &self.pushes, [at(step), at(step + 1)]);
-                    self.take_implicit(around, &part, &planes, &mut now);
-                }
-                self.statistics.substeps = divided;
-                self.strain(around, path.position(around.end));
-            }
+            Matter::Lattice(springs) => [&springs.motion.positions, &springs.motion.velocities],
+            Matter::Fem(finite) => [&finite.positions, &finite.velocities],
         }
-        self.now = now;
-        self.update_state(around);
     }
 
-    /// Advances a lattice by a part of a step; `jumps` says whether forces are discontinuous at its start.
-    fn take_explicit(
-        &mut self,
-        around: &StepContext<'_>,
-        part: &Part<'_>,
-        jumps: bool,
-        planes: &[Plane],
-        now: &mut Instantaneous,
-        interrupt: Option<&'static AtomicBool>,
-    ) {
-        let Body { matter, statistics, surface, directions, index, failure, .. } = self;
-        let Matter::Lattice(springs) = matter else { return };
-        let Springs { lattice, motion } = &mut **springs;
-        let (scene, length) = (around.scene, part.end - part.start);
-        let kick = part.kick();
-        if jumps || kick != DVec3::ZERO {
-            motion.accelerations.clear();
-        }
-        if kick != DVec3::ZERO {
-            motion.kick(kick);
-        }
-        let of_planes = planes.iter().map(|plane| plane.stiffness).sum::<f64>() * surface.contact;
-        let limit = lattice.step_limit(part.stiffness() + of_planes);
-        statistics.step_limit = statistics.step_limit.min(limit);
-        let (scheme, count) = match scene.integrator {
-            Integrator::Euler => (Scheme::Euler, 1.0),
-            Integrator::Verlet => (Scheme::Verlet, 1.0),
-            _ => (Scheme::Verlet, (length / (OF_LIMIT * limit)).ceil().max(1.0)),
-        };
-        if count * lattice.spring_count() as f64 > MAX_SPRINGS {
-            *failure = Some(StepFailure::NotTaken(format!(
-                "too much to do in step {} (from t = {:.6} s on): the springs of body \"{}\" need steps below {limit:.1e} s, {count:.0} per step of the \
-                scene; lower `omega`, `damping` or `cells` in [lattice]",
-                around.step, part.start, scene.bodies[*index].name
-            )));
+    /// Adds a velocity to the nodes that are not held [scene unit/s].
+    pub fn kick(&mut self, by: DVec3) {
+        if by == DVec3::ZERO {
             return;
         }
-        let (count, weight) = (count as u64, scene.influence.weight);
-        let h = length / count as f64;
-        let chunk = (SPRINGS_PER_CHECK / (lattice.spring_count() as u64 + 1)).max(1);
-        let mut done = 0;
-        while done < count {
-            if is_raised(interrupt) {
-                *failure = Some(StepFailure::Interrupted(format!("interrupted in step {}", around.step)));
-                return;
-            }
-            let steps = chunk.min(count - done);
-            let corners = &lattice.corners;
-            let outside = |t: f64, positions: &[DVec3], velocities: &[DVec3], into: &mut [DVec3]| {
-                let t = part.start + (done as f64 * h + t).min(length);
-                part.at(if done as f64 * h + t >= part.end { part.end } else { t }, now);
-                let nodes = positions.iter().zip(directions.iter()).zip(&lattice.held);
-                for (into, ((position, facing), is_held)) in into.iter_mut().zip(nodes) {
-                    *into = if *is_held { DVec3::ZERO } else { now.acceleration(weight, *position, *facing) };
-                }
-                if !planes.is_empty() {
-                    let motion = [part.centre(t), part.velocity(t)];
-                    let of = Contact { planes, surface, corners, masses: &lattice.masses, motion, step: h };
-                    of.accelerate(positions, velocities, into);
-                }
-            };
-            let largest = lattice.advance(motion, scheme, h, steps, outside);
-            statistics.strain = statistics.strain.max(largest - 1.0);
-            done += steps;
+        self.is_at_rest = false;
+        self.forget();
+        match &mut self.matter {
+            Matter::Lattice(springs) => springs.motion.kick(by),
+            Matter::Fem(finite) => finite.element.free.iter().for_each(|&node| finite.velocities[node as usize] += by),
         }
-        statistics.substeps += count;
     }
 
-    fn take_implicit(&mut self, around: &StepContext<'_>, part: &Part<'_>, planes: &[Plane], now: &mut Instantaneous) {
-        self.kick(part.kick());
-        let Body { matter, surface, directions, rest, x, u, .. } = self;
-        let Matter::Fem(finite) = matter else { return };
-        let Finite { element, stepper, motion, forces, .. } = &mut **finite;
-        let scene = around.scene;
-        part.averaged(now);
-        forces.clear();
-        let half = 0.5 * stepper.h;
-        for (i, &node) in element.free.iter().enumerate() {
-            let node = node as usize;
-            let place = rest[node] + motion.displacements[i] + motion.velocities[i] * half;
-            let acceleration = now.acceleration(scene.influence.weight, place, directions[node]);
-            forces.push(acceleration * element.masses[node]);
+    /// Writes the external accelerations of the nodes to `into`, for a free body minus their mean, given their positions
+    /// and velocities, and the length of a step [s].
+    pub fn act(
+        &self,
+        scene: &Scene,
+        now: &Instantaneous,
+        step: f64,
+        [positions, velocities]: [&[DVec3]; 2],
+        into: &mut [DVec3],
+        acted: &mut ExternalForces,
+    ) {
+        into.fill(now.uniform);
+        acted.pulls.clear();
+        let (masses, held, is_free) = (self.masses(), self.held(), self.free.is_some());
+        // nodes that are no longer part of a free body have no mass
+        let mass = |node: usize| if is_free && held[node] { 0.0 } else { masses[node] };
+        for sphere in &now.spheres {
+            let mut sum = DVec3::ZERO;
+            for (node, (into, position)) in into.iter_mut().zip(positions).enumerate() {
+                let to_centre = sphere.centre - *position;
+                if to_centre.length_squared() < sphere.radius * sphere.radius {
+                    let pull = acceleration(scene.influence.weight, sphere.strength, sphere.radius, to_centre);
+                    *into += pull;
+                    sum += pull * mass(node);
+                }
+            }
+            acted.pulls.push((sphere.source, sum));
         }
-        if !planes.is_empty() {
-            let middle = 0.5 * (part.start + part.end);
-            let positions: Vec<DVec3> =
-                rest.iter().zip(x.iter()).zip(u.iter()).map(|((l, x), u)| *l + *x + *u * half).collect();
-            let motion = [part.centre(middle), part.velocity(middle)];
-            let (corners, masses, step) = (&surface.cells.corners, &element.masses, stepper.h);
-            let of = Contact { planes, surface, corners, masses, motion, step };
-            let mut pressed = vec![DVec3::ZERO; positions.len()];
-            of.accelerate(&positions, u, &mut pressed);
-            for (force, &node) in forces.iter_mut().zip(&element.free) {
-                *force += pressed[node as usize] * element.masses[node as usize];
+        let turned = now.rotation.inverse();
+        for &(direction, strength) in &now.pushes {
+            let towards = turned * direction;
+            for (into, facing) in into.iter_mut().zip(&self.directions) {
+                *into += direction * (strength * f64::max(0.0, -facing.dot(towards)));
             }
         }
-        finite.step(x, u);
+        self.press(scene, now.centre, step, [positions, velocities], into);
+        acted.mean = DVec3::ZERO;
+        if is_free {
+            let (mut sum, mut all) = (DVec3::ZERO, 0.0);
+            for (node, into) in into.iter().enumerate() {
+                sum += *into * mass(node);
+                all += mass(node);
+            }
+            if all > 0.0 && sum != DVec3::ZERO {
+                acted.mean = sum / all;
+                into.iter_mut().for_each(|into| *into -= acted.mean);
+            }
+        }
     }
 
-    /// Adds a velocity to the nodes of finite elements [scene unit/s].
-    pub fn kick(&mut self, by: DVec3) {
-        let Matter::Fem(finite) = &mut self.matter else { return };
-        if by != DVec3::ZERO {
-            finite.motion.velocities.iter_mut().for_each(|velocity| *velocity += by);
-            finite.element.free.iter().for_each(|&node| self.u[node as usize] += by);
+    /// Adds the accelerations of the nodes by planes [scene unit/s²], given position and velocity of the centre and the
+    /// length of a step [s]. Each vertex, with its share of the body's mass, distributes its force to the nodes of its
+    /// cell; the surface of a body that has torn consists of nodes.
+    pub fn press(
+        &self,
+        scene: &Scene,
+        centre: [DVec3; 2],
+        step: f64,
+        [positions, velocities]: [&[DVec3]; 2],
+        into: &mut [DVec3],
+    ) {
+        let planes = self.planes(scene, centre[0]);
+        if planes.is_empty() {
+            return;
+        }
+        let Surface { cells, mesh, mass, exposed, contact } = &self.surface;
+        let min_stop = contact * step;
+        for node in exposed.iter().map(|&node| node as usize) {
+            into[node] += of_planes(planes, centre, min_stop, positions[node], || velocities[node]);
+        }
+        if !exposed.is_empty() {
+            return;
+        }
+        let (all, masses) = (self.corners(), self.masses());
+        for (embedded, share) in cells.embedded.iter().zip(mesh.shares()) {
+            let corners = &all[embedded.cell as usize];
+            let place = embedded.mean(corners, positions);
+            let force = of_planes(planes, centre, min_stop, place, || embedded.mean(corners, velocities));
+            if force != DVec3::ZERO {
+                for (&node, &weight) in corners.iter().zip(&embedded.weights) {
+                    into[node as usize] += force * (weight * share * mass / masses[node as usize]);
+                }
+            }
         }
     }
 
     /// Tears a lattice where it is overloaded.
     pub fn tear(&mut self, around: &StepContext<'_>, centre: DVec3) {
         let settings = around.scene.lattice;
-        let Body { matter, statistics, tears, rest, directions, x, u, surface, torn, radius, .. } = self;
+        let Body { matter, statistics, tears, rest, directions, surface, torn, radius, .. } = self;
         let Surface { cells, mesh, exposed, .. } = surface;
         let Matter::Lattice(springs) = matter else { return };
         let Springs { lattice, motion } = &mut **springs;
@@ -525,8 +462,6 @@ impl Body {
             let triangles = surface.triangles.iter().map(|triangle| triangle.map(|i| first + i)).collect();
             *torn = Some(Arc::new(Mesh::version(positions, triangles)));
         }
-        x.resize(rest.len(), DVec3::ZERO);
-        u.resize(rest.len(), DVec3::ZERO);
     }
 
     /// Records the cells in which a body of finite elements would tear.
@@ -535,7 +470,6 @@ impl Body {
         let Body { matter, statistics, tears, x, surface, rest, free, .. } = self;
         let Matter::Fem(finite) = matter else { return };
         let Finite { element, torn, .. } = &mut **finite;
-        statistics.tension = 0.0;
         let axes = free.as_ref().map(|free| DMat3::from_quat(free.rotation));
         let turned = axes.map(|axes| x.iter().map(|x| axes.transpose() * *x).collect::<Vec<_>>());
         element.tensions(turned.as_ref().unwrap_or(x), |tension| {
@@ -556,30 +490,16 @@ impl Body {
         });
     }
 
-    /// Updates the state from the nodes, and checks for divergence.
+    /// Updates what is known of the nodes, and checks for divergence.
     pub fn update_state(&mut self, around: &StepContext<'_>) {
-        let Body { matter, rest, x, u, free, .. } = self;
-        if let (Matter::Lattice(springs), None) = (matter, &free) {
-            let motion = &springs.motion;
-            for (i, ((position, velocity), rest)) in
-                motion.positions.iter().zip(&motion.velocities).zip(rest.iter()).enumerate()
-            {
-                (x[i], u[i]) = (*position - *rest, *velocity);
-            }
+        let mut is_finite = self.free.as_ref().is_none_or(|free| free.centre.is_finite() && free.velocity.is_finite());
+        if !self.is_at_rest {
+            self.measure();
+            let is_still = self.free.as_ref().is_none_or(|free| free.spin == DVec3::ZERO);
+            self.is_at_rest = is_still && self.x.iter().chain(&self.u).all(|v| *v == DVec3::ZERO);
+            is_finite &= self.state().into_iter().flatten().all(|v| v.is_finite());
         }
-        let axes = free.as_ref().map_or(DMat3::IDENTITY, |free| DMat3::from_quat(free.rotation));
-        let is_somewhere = free.as_ref().is_none_or(|free| free.centre.is_finite() && free.velocity.is_finite());
-        let spinning = free.as_ref().map_or(0.0, |free| free.spin.length());
-        let (mut farthest, mut fastest, mut is_at_rest) = (0.0, 0.0, spinning == 0.0);
-        for ((rest, x), u) in rest.iter().zip(x.iter()).zip(u.iter()) {
-            farthest = f64::max(farthest, (axes * *rest + *x).length_squared());
-            fastest = f64::max(fastest, u.length_squared());
-            is_at_rest &= *x == DVec3::ZERO && *u == DVec3::ZERO;
-        }
-        let is_finite = x.iter().zip(u.iter()).all(|(x, u)| x.is_finite() && u.is_finite());
-        (self.extent, self.speed, self.is_at_rest) =
-            (farthest.sqrt(), fastest.sqrt() + spinning * farthest.sqrt(), is_at_rest);
-        if self.failure.is_none() && (!(is_finite && is_somewhere) || self.extent > DIVERGED * self.radius) {
+        if self.failure.is_none() && (!is_finite || self.extent > DIVERGED * self.radius) {
             let scene = around.scene;
             self.failure = Some(StepFailure::Diverged(format!(
                 "diverged at step {} (t = {:.6} s): body \"{}\", its nodes are {:e} scene units away; {} with dt = {:e} s, stable below {:.1e} s: use a \
@@ -638,9 +558,14 @@ impl Body {
         }
     }
 
+    /// The rotation of its frame.
+    pub fn rotation(&self) -> DQuat {
+        self.free.as_ref().map_or(DQuat::IDENTITY, |free| free.rotation)
+    }
+
     /// The axes of its frame.
     pub fn axes(&self) -> DMat3 {
-        self.free.as_ref().map_or(DMat3::IDENTITY, |free| DMat3::from_quat(free.rotation))
+        DMat3::from_quat(self.rotation())
     }
 
     /// Vectors of the free nodes in body axes, in the order of elimination.
@@ -651,48 +576,25 @@ impl Body {
 
     /// Whether a node is held.
     pub fn is_held(&self, node: usize) -> bool {
+        self.held()[node]
+    }
+
+    /// Whether each node is held.
+    pub fn held(&self) -> &[bool] {
         match &self.matter {
-            Matter::Lattice(springs) => springs.motion.inverse[node] == 0.0,
-            Matter::Fem(finite) => finite.held[node],
+            Matter::Lattice(springs) => &springs.lattice.held,
+            Matter::Fem(finite) => &finite.held,
         }
-    }
-
-    /// Accelerations of the nodes by planes [scene unit/s²].
-    pub fn pressed(&self, scene: &Scene, centre: DVec3, velocity: DVec3) -> Vec<DVec3> {
-        let positions = self.places();
-        let velocities = self.velocities();
-        let mut into = vec![DVec3::ZERO; positions.len()];
-        let of = Contact {
-            planes: &scene.planes,
-            surface: &self.surface,
-            corners: self.corners(),
-            masses: self.masses(),
-            motion: [centre, velocity],
-            step: 0.0,
-        };
-        of.accelerate(&positions, velocities, &mut into);
-        into
-    }
-
-    /// Positions of the nodes relative to the centre [scene unit].
-    pub fn places(&self) -> Vec<DVec3> {
-        let axes = self.axes();
-        self.rest.iter().zip(&self.x).map(|(l, x)| axes * *l + *x).collect()
     }
 
     /// Adds its springs to `springs`.
     pub fn add_springs(&self, springs: &mut Vec<SpringFrame>) {
         let Matter::Lattice(of) = &self.matter else { return };
-        let places = self.places();
+        let [places, _] = self.state();
         springs.extend(of.lattice.springs().map(|spring| {
             let ends = [spring.a, spring.b].map(|node| places[node as usize]);
             SpringFrame { ends, strain: ends[0].distance(ends[1]) / spring.rest - 1.0 }
         }));
-    }
-
-    /// Velocities of the nodes relative to that of the centre [scene unit/s].
-    pub fn velocities(&self) -> &[DVec3] {
-        self.state().map_or(&self.u, |[_, velocities]| velocities)
     }
 
     /// Allocated memory, without data shared with other bodies [bytes].
@@ -700,11 +602,13 @@ impl Body {
         let vectors = [&self.rest, &self.directions, &self.x, &self.u];
         let matter = match &self.matter {
             Matter::Lattice(springs) => springs.lattice.memory() + springs.motion.memory(),
-            Matter::Fem(finite) => finite.motion.memory() + finite.forces.capacity() * size_of::<DVec3>(),
+            Matter::Fem(finite) => {
+                let vectors = [&finite.positions, &finite.velocities, &finite.forces];
+                finite.motion.memory() + vectors.iter().map(|of| of.capacity() * size_of::<DVec3>()).sum::<usize>()
+            }
         };
         vectors.iter().map(|of| of.capacity() * size_of::<DVec3>()).sum::<usize>()
             + matter
-            + self.free.as_ref().map_or(0, Free::memory)
             + self.acted.memory()
             + self.torn.as_ref().map_or(0, |mesh| mesh.memory())
     }
@@ -722,61 +626,21 @@ pub struct Surface {
     pub contact: f64,
 }
 
-/// Planes and the surface of a body.
-pub struct Contact<'a> {
-    pub planes: &'a [Plane],
-    pub surface: &'a Surface,
-    /// The corner nodes of each cell.
-    pub corners: &'a [[u32; 8]],
-    /// The masses of the nodes.
-    pub masses: &'a [f64],
-    /// Position and velocity of the centre.
-    pub motion: [DVec3; 2],
-    /// Length of a step [s]: friction takes at least a step to stop a node.
-    pub step: f64,
-}
-
-impl Contact<'_> {
-    /// Adds the accelerations of the nodes: each vertex, with its share of the body's mass, distributes its force to
-    /// them. The surface of a body that has torn consists of nodes.
-    pub fn accelerate(&self, positions: &[DVec3], velocities: &[DVec3], into: &mut [DVec3]) {
-        if self.planes.is_empty() {
-            return;
-        }
-        let Surface { cells, mesh, mass, exposed, .. } = self.surface;
-        for node in exposed.iter().map(|&node| node as usize) {
-            into[node] += self.of_planes(positions[node], || velocities[node]);
-        }
-        if !exposed.is_empty() {
-            return;
-        }
-        for (embedded, share) in cells.embedded.iter().zip(mesh.shares()) {
-            let corners = &self.corners[embedded.cell as usize];
-            let force = self.of_planes(embedded.mean(corners, positions), || embedded.mean(corners, velocities));
-            if force != DVec3::ZERO {
-                for (&node, &weight) in corners.iter().zip(&embedded.weights) {
-                    into[node as usize] += force * (weight * share * mass / self.masses[node as usize]);
-                }
-            }
+/// The acceleration of a point of a surface by planes, given its place and velocity relative to those of the centre. Friction
+/// takes at least `min_stop` to stop it [s].
+fn of_planes(planes: &[Plane], centre: [DVec3; 2], min_stop: f64, place: DVec3, velocity: impl Fn() -> DVec3) -> DVec3 {
+    let mut sum = DVec3::ZERO;
+    for plane in planes {
+        let depth = plane.depth(place + centre[0]);
+        if depth > 0.0 {
+            let velocity = velocity() + centre[1];
+            let slide = velocity - plane.normal * plane.normal.dot(velocity);
+            let pressure = plane.stiffness * depth;
+            let rate = plane.friction * pressure / (slide.length_squared() + plane.slip * plane.slip).sqrt();
+            sum += plane.normal * pressure - slide * f64::min(rate, 1.0 / min_stop);
         }
     }
-
-    /// The acceleration of a point of the surface by the planes, given its place and velocity relative to the centre.
-    fn of_planes(&self, place: DVec3, velocity: impl Fn() -> DVec3) -> DVec3 {
-        let mut sum = DVec3::ZERO;
-        let min_stop = self.surface.contact * self.step;
-        for plane in self.planes {
-            let depth = plane.depth(place + self.motion[0]);
-            if depth > 0.0 {
-                let velocity = velocity() + self.motion[1];
-                let slide = velocity - plane.normal * plane.normal.dot(velocity);
-                let pressure = plane.stiffness * depth;
-                let rate = plane.friction * pressure / (slide.length_squared() + plane.slip * plane.slip).sqrt();
-                sum += plane.normal * pressure - slide * f64::min(rate, 1.0 / min_stop);
-            }
-        }
-        sum
-    }
+    sum
 }
 
 /// The largest ratio of the mass of the vertices that act on a node to the mass of that node [–].

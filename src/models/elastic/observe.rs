@@ -2,13 +2,14 @@
 
 use std::sync::atomic::AtomicBool;
 
-use glam::{DQuat, DVec3};
+use glam::DVec3;
 
 use super::{
     Elastic,
-    act::{Instantaneous, StepContext},
+    act::{Course, Instantaneous, StepContext},
     body::{Body, Matter},
-    coupled::{Free, is_coupled},
+    free::Free,
+    has_free,
 };
 use crate::{
     geometry::Vectors,
@@ -19,8 +20,8 @@ use crate::{
         BodyFrame, Frame, Instant, MotionFrame, NearPair, NetForce, PairFrame, Schema, Simulation, StepSummary, Want,
         frame::{TermFrame, weighted_sum},
     },
-    scene::{Integrator, Model, Scene, TearMode},
-    sim::{Cause, World, terms},
+    scene::{Integrator, Model, Scene, TearMode, path::Kinematics},
+    sim::{Cause, terms},
     view::{
         self,
         scalars::{self, ScalarValue, jumping, momenta, smooth},
@@ -37,7 +38,7 @@ type Scalar = scalars::Scalar<fn(&Elastic, &[BodyFrame]) -> f64, fn(&Elastic) ->
 
 /// The scalars of a scene.
 fn scalars(scene: &Scene) -> impl Iterator<Item = &'static Scalar> {
-    let momenta = if is_coupled(scene) { &MOMENTA[..] } else { &[] };
+    let momenta = if has_free(scene) { &MOMENTA[..] } else { &[] };
     let (of_model, of_tearing) = match (scene.model, scene.lattice.tear) {
         (Model::Fem, _) => (&[][..], if scene.fem.tear_stress.is_some() { TENSION } else { &[] }),
         (_, TearMode::None) => (SPRINGS, &[][..]),
@@ -213,7 +214,7 @@ impl Elastic {
     fn kinetic_energy(&self) -> f64 {
         let of = |body: &Body| -> f64 {
             let moving = body.free.as_ref().map_or(DVec3::ZERO, |free| free.velocity);
-            let nodes = body.velocities().iter().zip(body.masses()).enumerate();
+            let nodes = body.state()[1].iter().zip(body.masses()).enumerate();
             let part = nodes.filter(|(node, _)| body.free.is_none() || !body.is_held(*node));
             part.map(|(_, (u, mass))| 0.5 * mass * (moving + *u).length_squared()).sum()
         };
@@ -236,7 +237,7 @@ impl Elastic {
     }
 
     /// The centre of a body [scene unit].
-    fn centre(&self, body: usize) -> DVec3 {
+    pub(super) fn centre(&self, body: usize) -> DVec3 {
         let path = || self.path(body).map_or(DVec3::ZERO, |path| path.position(self.time_of(self.step)));
         self.bodies[body].free.as_ref().map_or_else(path, |free| free.centre)
     }
@@ -247,19 +248,18 @@ impl Elastic {
         self.bodies[body].free.as_ref().map_or_else(path, |free| free.velocity)
     }
 
-    /// The pairs of a scene with free bodies that can act on each other or are not apart.
+    /// The pairs that can act on each other, are near enough to merge, or are not apart.
     fn near_pairs(&self, pairs: &mut Vec<PairFrame>) {
-        let centres: Vec<DVec3> = (0..self.bodies.len()).map(|body| self.centre(body)).collect();
-        for (a, one) in self.scene.bodies.iter().enumerate() {
-            for (b, other) in self.scene.bodies.iter().enumerate().skip(a + 1) {
-                let (apart, radii) = (centres[b] - centres[a], one.radius + other.radius);
-                let distance = apart.length();
-                let phase = self.phases.get(&[a as u32, b as u32]).copied().unwrap_or(Phase::Apart);
-                let reach = f64::max(one.sphere_radius() + other.radius, other.sphere_radius() + one.radius);
-                if phase != Phase::Apart || distance <= reach {
-                    let rate = apart.normalize_or_zero().dot(self.velocity(b) - self.velocity(a)) / radii;
-                    pairs.push(PairFrame::new(a, b, distance / radii, phase as usize).with_rate(rate));
-                }
+        for pair in self.near_each_other() {
+            let [a, b] = pair.map(|body| body as usize);
+            let [one, other] = [a, b].map(|body| &self.scene.bodies[body]);
+            let (apart, radii) = (self.centre(b) - self.centre(a), one.radius + other.radius);
+            let (distance, merge_at) = (apart.length(), self.scene.law(a, b).thresholds.merge_at);
+            let phase = self.phases.get(&pair).copied().unwrap_or(Phase::Apart);
+            let reach = f64::max(one.sphere_radius() + other.radius, other.sphere_radius() + one.radius);
+            if phase != Phase::Apart || distance <= reach.max(merge_at * radii) {
+                let rate = apart.normalize_or_zero().dot(self.velocity(b) - self.velocity(a)) / radii;
+                pairs.push(PairFrame::new(a, b, distance / radii, phase as usize).with_rate(rate));
             }
         }
     }
@@ -268,26 +268,25 @@ impl Elastic {
         self.bodies.iter().filter(|body| !body.is_at_rest).map(Body::elastic_energy).sum()
     }
 
-    /// What acts at the current time.
-    fn now_around(&self) -> StepContext<'_> {
+    /// Where the centres and force points are now.
+    fn courses(&self) -> Vec<Course<'_>> {
         let time = self.time_of(self.step);
-        StepContext { scene: &self.scene, phases: &self.phases, events: &[], start: time, end: time, step: self.step }
+        let of_bodies = (0..self.bodies.len()).map(|body| Kinematics {
+            position: self.centre(body),
+            velocity: self.velocity(body),
+            acceleration: DVec3::ZERO,
+        });
+        let of_points = self.scene.points.iter().map(|point| point.path.at(time));
+        of_bodies.chain(of_points).map(|motion| Course::Parabola(time, motion)).collect()
     }
 
     /// Adds the forces on a body in its current state, interpolated from its nodes to the vertices.
-    fn add_forces(&self, body: &Body, sources: &[u32], now: &mut BodyFrame) {
+    fn add_forces(&self, body: &Body, sources: &[u32], around: &StepContext<'_>, now: &mut BodyFrame) {
         let causes: Vec<Cause> = Cause::of(&self.scene).collect();
-        let (time, around) = (self.time_of(self.step), self.now_around());
-        let mut acting = Instantaneous::default();
-        let part = self.path(body.index).map(|path| around.part(path, body.index, &[], &[], [time, time]));
-        if let Some(part) = &part {
-            part.at(time, &mut acting);
-        }
-        let points = self.scene.points.iter().map(|point| point.path.position(time));
-        let centres: Vec<DVec3> = (0..self.bodies.len()).map(|body| self.centre(body)).chain(points).collect();
-        around.acting(body.index, sources, &body.pushes, [time, time], &centres, &mut acting);
+        let (time, mut acting) = (around.start, Instantaneous::default());
+        around.acting(body.index, sources, &body.pushes, [time, time], time, &mut acting);
         let (n, back) = (body.node_count(), body.axes().transpose());
-        let positions = body.places();
+        let [positions, velocities] = body.state();
         let mut by_cause: Vec<(Cause, Vec<DVec3>)> = Vec::new();
         let mut add = |cause: Cause, of: &dyn Fn(usize) -> DVec3| {
             let at = by_cause.iter().position(|(known, _)| *known == cause).unwrap_or_else(|| {
@@ -306,19 +305,16 @@ impl Elastic {
             let towards = back * direction;
             add(Cause::Push, &|node| direction * (strength * f64::max(0.0, -body.directions[node].dot(towards))));
         }
-        if let Some(part) = &part {
+        if let Some(path) = self.path(body.index) {
             let material = &self.scene.bodies[body.index].material;
-            for (cause, force) in terms::uniform_by_cause(&self.scene, material, &part.motion(time)) {
+            for (cause, force) in terms::uniform_by_cause(&self.scene, material, &path.before(time)) {
                 add(cause, &|_| force);
             }
         }
         if !self.scene.planes.is_empty() {
-            let velocity = match (&body.free, &part) {
-                (Some(free), _) => free.velocity,
-                (None, Some(part)) => part.velocity(time),
-                (None, None) => DVec3::ZERO,
-            };
-            let pressed = body.pressed(&self.scene, centres[body.index], velocity);
+            let centre = [self.centre(body.index), self.velocity(body.index)];
+            let mut pressed = vec![DVec3::ZERO; n];
+            body.press(&self.scene, centre, 0.0, [positions, velocities], &mut pressed);
             add(Cause::Plane, &|node| pressed[node]);
         }
         if !body.is_at_rest {
@@ -328,7 +324,7 @@ impl Elastic {
         }
         let mut back_at_centre = DVec3::ZERO;
         if body.free.is_some() {
-            let reaction = self.reaction(body, sources, &centres);
+            let reaction = self.reaction(body, sources, around);
             back_at_centre = reaction;
             let per_mass = reaction / body.free_mass();
             for (cause, whole) in terms::free_fall_by_cause(&self.scene).chain([(Cause::Reaction, per_mass)]) {
@@ -371,7 +367,7 @@ impl Elastic {
             let (mut force, mut torque) =
                 (back_at_centre + terms::free_fall(&self.scene) * body.free_mass(), DVec3::ZERO);
             for (_, nodes) in by_cause.iter().filter(|(cause, _)| outer.contains(cause)) {
-                for ((f, m), place) in nodes.iter().zip(body.masses()).zip(&positions) {
+                for ((f, m), place) in nodes.iter().zip(body.masses()).zip(positions) {
                     force += *f * *m;
                     torque += place.cross(*f * *m);
                 }
@@ -396,14 +392,14 @@ impl Elastic {
 
 impl Elastic {
     /// The reaction to the forces of a free body's sphere on others [mass · scene unit/s²].
-    fn reaction(&self, body: &Body, others: &[u32], centres: &[DVec3]) -> DVec3 {
-        let (time, around) = (self.time_of(self.step), self.now_around());
-        let (mut acting, weight) = (Instantaneous::default(), self.scene.influence.weight);
+    fn reaction(&self, body: &Body, others: &[u32], around: &StepContext<'_>) -> DVec3 {
+        let (time, weight) = (around.start, self.scene.influence.weight);
+        let mut acting = Instantaneous::default();
         let mut sum = DVec3::ZERO;
         for other in others.iter().filter_map(|&other| self.bodies.get(other as usize)) {
-            around.acting(other.index, &[body.index as u32], &[], [time, time], centres, &mut acting);
+            around.acting(other.index, &[body.index as u32], &[], [time, time], time, &mut acting);
             for sphere in &acting.spheres {
-                for ((node, place), mass) in other.places().iter().enumerate().zip(other.masses()) {
+                for ((node, place), mass) in other.state()[0].iter().enumerate().zip(other.masses()) {
                     if other.free.is_none() || !other.is_held(node) {
                         sum -= sphere.acceleration(weight, *place) * *mass;
                     }
@@ -465,14 +461,10 @@ impl Simulation for Elastic {
 
     fn memory(&self) -> Option<u64> {
         let own: usize = self.bodies.iter().map(Body::memory).sum();
-        let world = self.world.as_ref().map_or(0, World::memory);
-        Some((own + self.shared + self.grid.memory() + world) as u64)
+        Some((own + self.shared + self.grid.memory()) as u64)
     }
 
     fn near(&self, pairs: &mut Vec<NearPair>) {
-        if let Some(world) = &self.world {
-            return world.near(pairs);
-        }
         let mut found = Vec::new();
         self.near_pairs(&mut found);
         pairs.clear();
@@ -524,8 +516,7 @@ impl Simulation for Elastic {
 
     fn checksum(&self) -> u64 {
         let words = self.bodies.iter().filter(|body| !body.is_at_rest).flat_map(|body| {
-            let [places, velocities] = body.state().unwrap_or([&body.x, &body.u]);
-            let vectors = places.iter().chain(velocities).flat_map(|v| v.to_array());
+            let vectors = body.state().into_iter().flatten().flat_map(|v| v.to_array());
             [body.index as u64, body.x.len() as u64, body.statistics.torn, body.statistics.split]
                 .into_iter()
                 .chain(vectors.map(hash::bits))
@@ -542,10 +533,7 @@ impl Simulation for Elastic {
     fn observe(&self, want: Want, frame: &mut Frame) {
         frame.at = self.now();
         frame.pairs.clear();
-        match &self.world {
-            Some(world) => frame.pairs.extend(world.pairs().map(view::pair_frame)),
-            None => self.near_pairs(&mut frame.pairs),
-        }
+        self.near_pairs(&mut frame.pairs);
         frame.bodies.resize_with(self.bodies.len(), BodyFrame::default);
         let has_springs = want.forces && self.has_springs();
         let mut around: Vec<Vec<u32>> = vec![Vec::new(); if want.forces { self.bodies.len() } else { 0 }];
@@ -555,9 +543,12 @@ impl Simulation for Elastic {
                 around[pair.b].push(pair.a as u32);
             }
         }
+        let (Elastic { scene, phases, step, .. }, courses, time) = (self, self.courses(), frame.at.time);
+        let now_around =
+            StepContext { scene, courses: &courses, phases, events: &[], start: time, end: time, step: *step };
         for (body, now) in self.bodies.iter().zip(&mut frame.bodies) {
             now.centre = self.centre(body.index);
-            now.rotation = body.free.as_ref().map_or(DQuat::IDENTITY, |free| free.rotation);
+            now.rotation = body.rotation();
             now.motion = body.free.as_ref().map(|free| MotionFrame { velocity: free.velocity, spin: free.spin });
             now.net_force = None;
             now.mesh.clone_from(&body.torn);
@@ -590,7 +581,7 @@ impl Simulation for Elastic {
                 sources.extend(body.sources.iter().copied());
                 sources.sort_unstable();
                 sources.dedup();
-                self.add_forces(body, sources, now);
+                self.add_forces(body, sources, &now_around, now);
             }
         }
         frame.scalars.clear();

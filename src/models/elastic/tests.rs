@@ -7,7 +7,7 @@ use crate::{
     models::lattice::Constants,
     observe::{Frame, Simulation, StepSummary, Want},
     scene::TearMode,
-    sim::Cause,
+    sim::{Cause, World},
 };
 
 fn scene(name: &str, model: Model) -> Scene {
@@ -50,6 +50,35 @@ fn events_are_those_of_the_oscillators() {
                 let near = |found: f64, expected: f64| (found - expected).abs() <= 4.0 * f64::EPSILON * expected;
                 assert!(near(event.time, time) && near(event.q, q), "{name} {model}: {} {time}", event.time);
             }
+        }
+    }
+}
+
+/// A free body far away changes no event of bodies on paths, not even where one jumps into another, and is not stepped
+/// while nothing acts on it.
+#[test]
+fn a_free_body_elsewhere_changes_no_event() {
+    let paths = "duration = 0.5\n[[body]]\nname = 'a'\nradius = 1.0\nmotion = { fixed = [0, 0, 0] }\n\
+                 [[body]]\nname = 'b'\nradius = 1.0\nmotion = { keyframes = { keys = [[0, 9, 0, 0], [0.1, 1, 0, 0], [0.31, 9, 0, 0]], interpolation = 'hold' } }\n\
+                 [[body]]\nname = 'c'\nradius = 1.0\nmotion = { sine = { center = [0, 2, 0], amplitude = [0, 1, 0], frequency = 2.5, phase = 0.0 } }\n";
+    let free = "[[body]]\nname = 'z'\nradius = 1.0\nmotion = { free = { from = [90, 0, 0] } }\n";
+    let mut world = World::new(Scene::parse(paths, "paths.toml").unwrap()).unwrap();
+    let mut expected = Vec::new();
+    for _ in 0..30 {
+        expected.extend(world.step().events.iter().map(|event| (event.name(), event.time, event.a, event.b)));
+    }
+    assert!(expected.len() >= 6, "{expected:?}");
+    for model in [Model::Lattice, Model::Fem] {
+        for text in [paths.to_owned(), format!("{paths}{free}")] {
+            let mut simulation = start(&Scene { model, ..Scene::parse(&text, "paths.toml").unwrap() });
+            let events = run(&mut simulation, 30);
+            assert_eq!(events.len(), expected.len(), "{model}");
+            for (event, &(kind, time, a, b)) in events.iter().zip(&expected) {
+                assert_eq!((event.name, event.a as u32, event.b as u32), (kind, a, b), "{model}");
+                assert!((event.time - time).abs() < 1e-12, "{model}: {} {time}", event.time);
+            }
+            let resting = simulation.bodies.get(3).map(|body| body.statistics.substeps);
+            assert!(resting.is_none_or(|steps| steps == 0), "{model}: {resting:?}");
         }
     }
 }
