@@ -179,8 +179,9 @@ pub struct FrameReader {
     first: u64,
     /// Rows that do not belong to a frame yet, by step, in the order of the file.
     rows: BTreeMap<i64, Vec<(Arc<Chunk>, usize)>>,
-    /// Steps with a row of [`MARKER`] in its last chunk: other entities may still follow.
+    /// Steps with a row of [`MARKER`] whose other rows may still follow, and whether any have.
     marked: Vec<i64>,
+    has_states: bool,
     next_chunk: Option<Chunk>,
     /// Steps of complete frames that have not been returned yet.
     ready: std::collections::VecDeque<i64>,
@@ -214,6 +215,7 @@ impl FrameReader {
             first: recorded.first,
             rows: BTreeMap::new(),
             marked: Vec::new(),
+            has_states: false,
             next_chunk: None,
             ready: std::collections::VecDeque::new(),
             surfaces: vec![None; schema.bodies.len()],
@@ -281,7 +283,9 @@ impl FrameReader {
                 break;
             }
             let chunk = Arc::new(chunk);
-            if entity == marker {
+            if entity != marker {
+                self.has_states = true;
+            } else if std::mem::take(&mut self.has_states) {
                 complete.append(&mut self.marked);
             }
             for row in 0..chunk.num_rows() {

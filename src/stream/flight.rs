@@ -130,6 +130,11 @@ impl FlightRecorder {
         }
     }
 
+    /// The entities that have been written or dropped.
+    pub fn entities(&self) -> impl Iterator<Item = &String> {
+        self.held.keys()
+    }
+
     /// After a gap, the state at the first frame that is kept, as far as that frame does not have it.
     pub fn state_after_gap(&self) -> Option<State> {
         let (at, chunks) = self.frames.front().filter(|_| self.has_gap)?;

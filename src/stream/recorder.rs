@@ -44,6 +44,7 @@ use super::{
         pairs::{PairPlots, Told},
         planes,
         points::Points,
+        ranking,
         spheres::SphereEntities,
         springs::Springs,
         touching::Touching,
@@ -392,8 +393,9 @@ impl Recorder {
         parts.state.lines.events(&self.schema, &step.summary.events, &step.pairs, &mut self.chunks);
         parts.pairs.log_shortfall(&self.schema, step.summary.shortfall.as_ref(), at, &mut self.chunks);
         parts.numbers.add_recording(Duration::ZERO, start.elapsed());
-        if parts.focus.event_time() != opening && !step.stages.is_empty() {
-            self.opening_stages = Some([self.stage_count, self.stage_count + step.stages.len() as u64 - 1]);
+        if parts.focus.event_time() != opening {
+            let last = (self.stage_count + step.stages.len() as u64).saturating_sub(1);
+            self.opening_stages = (!step.stages.is_empty()).then_some([self.stage_count, last]);
         }
         self.log_stages(&step.stages, at);
         if let Some(frame) = frame {
@@ -530,13 +532,17 @@ impl Recorder {
             label.with_colors([palette::color(crate::colors::VERMILION)]).with_show_labels(true)
         };
         let Some(middle) = self.kept.first().map(|kept| kept.middle) else { return };
+        let shown = self.flight.iter().flat_map(FlightRecorder::entities);
+        let rankings: Vec<String> = shown.filter(|entity| ranking::is_one(entity)).cloned().collect();
         let mut gap = (self.first, middle);
         let ends = self.kept.iter().map(|kept| (kept.first.step, Some(kept))).chain([(self.at.step + 1, None)]);
         for (next, kept) in ends {
             let (from, middle) = gap;
             if from < next {
                 let text = format!("no frames of steps {from} to {}", next - 1);
-                self.chunks.log(NOT_RECORDED.path, self.instant(from), &label(middle, text));
+                let at = self.instant(from);
+                rankings.iter().for_each(|ranking| self.chunks.log(ranking, at, &ranking::note(&text)));
+                self.chunks.log(NOT_RECORDED.path, at, &label(middle, text));
                 if kept.is_some() {
                     self.chunks.log(NOT_RECORDED.path, self.instant(next), &Points3D::clear_fields());
                 }

@@ -303,7 +303,8 @@ pub fn regions(slice: &Slice) -> Vec<(u8, [f64; 2])> {
     };
     let is_same = |cell: usize, other: &usize| slice.classes[cell] == slice.classes[*other];
     // from the boundaries inwards, so that the last cell of a region is its furthest from them
-    let at_boundary = |cell: &usize| neighbours(*cell).filter(|other| is_same(*cell, other)).count() < 4;
+    let sides = 2 * (usize::from(width > 1) + usize::from(height > 1));
+    let at_boundary = |cell: &usize| neighbours(*cell).filter(|other| is_same(*cell, other)).count() < sides;
     let mut inwards: Vec<usize> = (0..slice.classes.len()).filter(at_boundary).collect();
     let mut is_queued = vec![false; slice.classes.len()];
     inwards.iter().for_each(|&cell| is_queued[cell] = true);
@@ -389,6 +390,13 @@ mod tests {
         let cell = |[x, y]: [f64; 2]| slice.classes[(y * 5.0) as usize * 6 + (x * 6.0) as usize];
         assert!(named.iter().all(|&(class, at)| cell(at) == class), "{named:?}");
         assert_eq!(named[1].1.map(|share| (share * 60.0).round()), [25.0, 30.0], "the middle of its region");
+        let line = Slice {
+            size: [7, 1],
+            edges: [edges(7), edges(1)],
+            classes: "aaaaabb".chars().map(class).collect(),
+            ..Slice::default()
+        };
+        assert!((7.0 * regions(&line)[0].1[0] - 2.5).abs() < 1e-12, "the middle of its part of a line");
         slice.edges[0] = [0.0, 0.2, 0.4, 0.6, 0.8, 0.99, 1.0].to_vec();
         assert_eq!(regions(&slice).len(), 2, "the last column is thin");
     }

@@ -1518,6 +1518,12 @@ fn a_flight_recorder_writes_frames_after_its_trigger() {
     let gap = |from: i64, to: i64| (from, format!("no frames of steps {from} to {to}"));
     let none = |step: i64| (step, String::new());
     assert_eq!(gaps, [gap(0, 81), none(82), gap(85, 196), none(197), gap(200, 300)]);
+    let listed = |step: u64| recording.held("/ranking/forces", [step])[0].texts("Points2D:labels")[0].clone();
+    assert_eq!(
+        [0, 81, 85, 196].map(listed),
+        [(0, 81), (0, 81), (85, 196), (85, 196)].map(|(from, to)| gap(from, to).1)
+    );
+    assert!([82, 84, 197, 199].map(listed).iter().all(|row| row.starts_with("a: ") || row.starts_with("b: ")));
     let groups: Vec<Vec<String>> = recording.changes("/groups/a").iter().map(|row| row.texts("bodies")).collect();
     let joined = vec!["a".to_owned(), "b".to_owned()];
     assert_eq!(groups, [joined.clone(), vec![], joined, vec![], vec![]]);

@@ -1152,9 +1152,12 @@ impl Run {
             for (group, body) in groups(world).into_iter().zip(&self.scene.bodies) {
                 expected.entry(group).or_default().push(&body.name);
             }
-            let listed = |names: Vec<&str>| match names.join("+") {
-                all if all.len() > 16 => format!("{}+{}", names[0], names.len() - 1),
-                all => all,
+            // as many as fit into 24 characters, at least one
+            let listed = |names: Vec<&str>| {
+                let most = (1..=names.len()).rev().find(|&most| most == 1 || names[..most].join("+").len() <= 24);
+                let (first, others) = names.split_at(most.expect("a name"));
+                let more = if others.is_empty() { String::new() } else { format!("+{}", others.len()) };
+                first.join("+") + &more
             };
             let expected: BTreeSet<String> =
                 expected.into_values().filter(|names| names.len() > 1).map(listed).collect();

@@ -506,8 +506,8 @@ fn a_flight_recorder_holds_the_frames_before_its_trigger() {
     }
     // the last row is all that the viewer takes of a transform
     for entity in ["/world/bodies/a", "/world/bodies/b"] {
-        let rows = kept.changes(entity);
-        assert!(rows.iter().all(|row| row.vectors("Transform3D:translation").len() == 1), "{entity}");
+        let rows = kept.changes(entity).into_iter().filter(|row| row.step < 200);
+        assert!(rows.into_iter().all(|row| row.vectors("Transform3D:translation").len() == 1), "{entity}");
     }
     for entity in ["/checksum", "/events", "/pairs/a~b/phase"] {
         assert_eq!(kept.changes(entity), all.changes(entity), "{entity}");
@@ -809,6 +809,11 @@ fn diff_reads_the_frames_of_a_flight_recorder() {
             let output = succeeds(&dir, &["diff", &plain, &run(&format!("kept-{number}"), keep)]);
             assert!(output.contains("bits: the same") && output.contains("no body differs"), "{keep:?}: {output}");
         }
+        // so many that no chunk has the timings of all
+        let long = ["--detail", "surface", "--set", "dt=0.005"];
+        let kept = run("long-kept", &[&long[..], &["--keep", "780"]].concat());
+        let output = succeeds(&dir, &["diff", &run("long", &long), &kept]);
+        assert!(output.contains("780 instants in common") && output.contains("no body differs"), "{output}");
         let bodies = |first: &str, second: &str| {
             let output = fails(&dir, 1, &["diff", first, second]);
             output.lines().filter(|line| line.contains("body \"")).map(str::to_owned).collect::<Vec<_>>()

@@ -178,7 +178,8 @@ pub fn max_memory(scene: &Scene, across: u32, vertices: u64, is_new: bool) -> u6
         Model::Fem => 0,
         _ => Lattice::most_memory(across, scene.lattice.tear == TearMode::Split),
     };
-    own + nodes * 6 * 24 + vertices * 100 + 4096
+    let vectors = if scene.model == Model::Fem { 11 } else { 6 };
+    own + nodes * vectors * 24 + vertices * 100 + 4096
 }
 
 impl Body {
@@ -292,11 +293,17 @@ impl Body {
     pub fn sleeps(&self, around: &StepContext<'_>) -> bool {
         self.is_at_rest
             && around.is_calm(self.index, &self.sources, &self.pushes)
-            && self.planes(around.scene, self.placed.unwrap_or_default().centre).is_empty()
+            && self.planes_in_reach(around.scene).next().is_none()
+    }
+
+    /// The planes that it can reach in the interval for which its sources were found.
+    pub fn planes_in_reach<'a>(&self, scene: &'a Scene) -> impl Iterator<Item = &'a Plane> + use<'a> {
+        let (centre, reach) = (self.placed.unwrap_or_default().centre, self.reach);
+        scene.planes.iter().filter(move |plane| plane.depth(centre) > -reach)
     }
 
     /// All planes if it may reach one of them from a position of its centre, otherwise none.
-    pub fn planes<'a>(&self, scene: &'a Scene, centre: DVec3) -> &'a [Plane] {
+    fn planes<'a>(&self, scene: &'a Scene, centre: DVec3) -> &'a [Plane] {
         let reach = 1.5 * self.reach.max(self.extent);
         let is_near = scene.planes.iter().any(|plane| plane.depth(centre) > -reach);
         if is_near { &scene.planes } else { &[] }

@@ -58,7 +58,7 @@ use crate::{
 /// Upper limit on the springs evaluated in a step, of a body or of all that are stepped together; more would take
 /// forever.
 const MAX_SPRINGS: f64 = 2e8;
-/// Upper limit on phase changes in a step, of a pair or of all free bodies; more would take forever.
+/// Upper limit on phase changes in a step, if there are free bodies: each divides it, and more would take forever.
 const MAX_CHANGES: usize = 1000;
 /// Work for finding the phase changes of a step [units of a step's work]: a second or two.
 const MAX_SEARCH: u64 = 1_000_000_000;
@@ -173,8 +173,7 @@ impl Elastic {
         let around = StepContext { scene, courses: &[], phases, events: &[], start, end, step: *step + 1 };
         let (mut limit, mut stiffest, mut springs) = (f64::INFINITY, 0, 0);
         for body in bodies {
-            let planes = body.planes(scene, body.placed.unwrap_or_default().centre);
-            let planes = planes.iter().map(|plane| plane.stiffness).sum::<f64>() * body.surface.contact;
+            let planes = body.planes_in_reach(scene).map(|plane| plane.stiffness).sum::<f64>() * body.surface.contact;
             let outside = around.stiffness(body.index, &body.sources) + planes;
             let Matter::Lattice(of) = &body.matter else { continue };
             body.statistics.step_limit = of.lattice.step_limit(outside);
@@ -392,7 +391,7 @@ impl Elastic {
                 };
                 found.push(PairEvent::from(&event));
                 (from, phase, count) = (time, to, count + 1);
-                if count > MAX_CHANGES {
+                if self.has_free && count > MAX_CHANGES {
                     let [a, b] = names();
                     return Err(StepFailure::NotTaken(format!(
                         "too much to do in step {} (from t = {start:.6} s on): bodies \"{a}\" and \"{b}\" change their phase again and again; set \

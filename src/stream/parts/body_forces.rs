@@ -236,7 +236,7 @@ impl ResultantRows {
         let labelled = ranked.iter().take(ranking::LABELLED).map(|of| (of.labelled(), of.label(schema)));
         let has_room = |(arrow, label): &(&Resultant, String)| {
             let middle = frame.bodies[arrow.body].centre + 0.5 * scale * arrow.acceleration;
-            labels.take(middle, label.len())
+            labels.take(middle, label)
         };
         let labelled: Vec<(&Resultant, String)> = labelled.filter(has_room).collect();
         let mut arrows = ResultantRows::default();

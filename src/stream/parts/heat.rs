@@ -135,7 +135,7 @@ impl Heat {
             };
             let ranked =
                 ranked.iter().take(ranking::LABELLED).map(|body| (lines::name_place(view, *body), label(body)));
-            let labelled = ranked.filter(|(place, label)| labels.take(*place, label.len()));
+            let labelled = ranked.filter(|(place, label)| labels.take(*place, label));
             let labelled = labelled.map(|(place, label)| (place.as_vec3().to_array(), label));
             let (places, labels): (Vec<Float3>, Vec<String>) = labelled.unzip();
             chunks.push_changed(bodies, view.at, &[&places, &labels]);

@@ -103,7 +103,7 @@ impl Lines {
         let mut labelled = 0;
         for index in 0..self.closest.len() {
             let pair = self.closest[index];
-            let mut has_room = || labels_in_space.take(middle(pair.a, pair.b), label(&pair).len());
+            let mut has_room = || labels_in_space.take(middle(pair.a, pair.b), &label(&pair));
             if !recent.contains(&[pair.a, pair.b]) && labelled < most && has_room() {
                 self.closest[labelled..=index].rotate_right(1);
                 labelled += 1;
@@ -146,7 +146,7 @@ impl Names {
         let FrameView { schema, frame, at } = view;
         let mut labels = Labels::new(view);
         for variant in &schema.variants {
-            labels.take(variant.heading, variant.name.len());
+            labels.take(variant.heading, variant.name);
         }
         let mut bodies: Vec<usize> = (0..nameable(schema)).filter(|&body| !frame.bodies[body].is_absent).collect();
         let depth = |body: usize| -frame.bodies[body].centre.dot(TOWARDS_EYE);
@@ -156,7 +156,7 @@ impl Names {
             Err(_) => 2,
         };
         bodies.sort_by(|&one, &other| rank(one).cmp(&rank(other)).then(depth(one).total_cmp(&depth(other))));
-        bodies.retain(|&body| labels.take(name_place(view, body), schema.plain_name(body).len()));
+        bodies.retain(|&body| labels.take(name_place(view, body), schema.plain_name(body)));
         bodies.sort_unstable();
         let headings = schema.variants.iter().map(|variant| variant.heading);
         let places = bodies.iter().map(|&body| name_place(view, body)).chain(headings);

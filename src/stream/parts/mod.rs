@@ -87,10 +87,10 @@ impl Labels {
         Labels { right, up, diagonal: low.distance(high), taken: Vec::new() }
     }
 
-    /// Takes this place for a label of so many characters if there is room.
-    fn take(&mut self, place: DVec3, characters: usize) -> bool {
+    /// Takes this place for a label if there is room.
+    fn take(&mut self, place: DVec3, label: &str) -> bool {
         let middle = DVec2::new(place.dot(self.right), place.dot(self.up));
-        let half = 0.5 * self.diagonal * (Labels::MARGINS + Labels::CHARACTER * characters as f64);
+        let half = 0.5 * self.diagonal * (Labels::MARGINS + Labels::CHARACTER * label.chars().count() as f64);
         let is_clear = self.taken.iter().all(|&(other, other_half)| {
             let apart = (other - middle).abs();
             apart.x > half + other_half || apart.y > Labels::HEIGHT * self.diagonal

@@ -2,11 +2,12 @@
 //! most important first, each a label and marks beside it.
 
 use crate::{
-    colors::SILVER,
+    colors::{SILVER, VERMILION},
     observe::Schema,
     sdk::{LineStrips2D, Points2D},
     stream::{
         chunks::{Chunks, TrackId},
+        contract::{RANKED_DISPLACEMENTS, RANKED_ENERGIES, RANKED_FORCES, RANKED_GROUPS, RANKED_PAIRS},
         instant::Instant,
         palette::{Rgb, color},
     },
@@ -106,6 +107,18 @@ pub fn log_static(entity: &str, rows: impl Iterator<Item = Row>, chunks: &mut Ch
     chunks.log_static(entity, &Points2D::update_fields().with_labels(drawn.labels).with_colors(drawn.colors));
     let marks = LineStrips2D::update_fields().with_strips(drawn.strips).with_radii(drawn.radii);
     chunks.log_static(entity, &marks.with_colors(drawn.strip_colors));
+}
+
+/// Whether an entity is a ranking that changes.
+pub fn is_one(entity: &str) -> bool {
+    let all = [&RANKED_FORCES, &RANKED_DISPLACEMENTS, &RANKED_GROUPS, &RANKED_PAIRS, &RANKED_ENERGIES];
+    all.iter().any(|ranking| ranking.is(entity))
+}
+
+/// What stands in a ranking without rows, while there is nothing else at its entity.
+pub fn note(text: &str) -> Points2D {
+    let labels = std::iter::once(text).chain(std::iter::repeat_n("", ROWS - 1));
+    Points2D::update_fields().with_labels(labels).with_colors([color(VERMILION)])
 }
 
 fn log_style(entity: &str, chunks: &mut Chunks) {
