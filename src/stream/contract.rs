@@ -71,7 +71,12 @@ impl Entity {
 
 /// The path of a chunk's entity as it was logged: the SDK escapes some characters of names.
 pub fn path_of(chunk: &crate::sdk::Chunk) -> String {
-    chunk.entity_path().to_string().replace('\\', "")
+    plain(chunk.entity_path())
+}
+
+/// A path without the SDK's escapes.
+pub fn plain(entity: &crate::sdk::EntityPath) -> String {
+    entity.to_string().replace('\\', "")
 }
 
 macro_rules! entities {

@@ -4,14 +4,17 @@
 //! last value that has left the window is therefore kept too, and written at the first kept frame. After the last one,
 //! everything is cleared: where there are no frames, the viewer's latest-at query shows nothing.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::{
+    collections::{BTreeMap, BTreeSet, VecDeque},
+    sync::Arc,
+};
 
 use super::{
-    contract::{MARKS_AT_Q, MARKS_ON_AXIS, path_of},
+    contract::{MARKS_AT_Q, MARKS_ON_AXIS, path_of, plain},
     instant::Instant,
 };
 use crate::sdk::{
-    Chunk, ComponentIdentifier, Scalars, SerializedComponentBatch, SizeBytes as _, StateChange,
+    Chunk, ComponentIdentifier, EntityPath, Scalars, SerializedComponentBatch, SizeBytes as _, StateChange,
     arrow::array::Array as _,
 };
 use crate::text::bytes;
@@ -36,8 +39,8 @@ pub(super) struct FlightRecorder {
     bytes: u64,
     max_bytes: u64,
     is_cut: bool,
-    /// The last value that has left `frames` or was written, by entity and component, until a newer one is.
-    held: BTreeMap<String, BTreeMap<ComponentIdentifier, SerializedComponentBatch>>,
+    /// The chunk and row with the last value that has left `frames` or was written, by entity and component.
+    held: BTreeMap<EntityPath, BTreeMap<ComponentIdentifier, (Arc<Chunk>, usize)>>,
     /// Whether frames have been dropped since the last ones were written.
     has_gap: bool,
     /// Lines that were written up to the last frame.
@@ -92,10 +95,10 @@ impl FlightRecorder {
                 let is_state = |of: &BTreeMap<ComponentIdentifier, _>| {
                     !of.contains_key(&StateChange::descriptor_state().component)
                 };
-                let shown = self.held.iter().filter(|(_, of)| is_state(of)).map(|(entity, _)| entity.clone());
+                let shown = self.held.iter().filter(|(_, of)| is_state(of)).map(|(entity, _)| plain(entity));
                 ended = Some(Ended { at, lines: std::mem::take(&mut self.lines), shown: shown.collect() });
             }
-            chunks.iter().for_each(|chunk| self.hold(chunk));
+            chunks.into_iter().for_each(|chunk| self.hold(chunk));
         }
         ended
     }
@@ -116,36 +119,39 @@ impl FlightRecorder {
         self.is_cut.then(|| format!("--keep {}: only the last frames that fit into {limit} are kept", self.max_frames))
     }
 
-    fn hold(&mut self, chunk: &Chunk) {
-        if is_plotted(chunk) {
+    fn hold(&mut self, chunk: Chunk) {
+        if is_plotted(&chunk) {
             return;
         }
-        let held = self.held.entry(path_of(chunk)).or_default();
+        let chunk = Arc::new(chunk);
+        let held = self.held.entry(chunk.entity_path().clone()).or_default();
         for (component, column) in chunk.components().iter() {
             let rows = &column.list_array;
             if let Some(last) = (0..rows.len()).rev().find(|&row| rows.is_valid(row)) {
-                let batch = SerializedComponentBatch::new(rows.value(last), column.descriptor.clone());
-                held.insert(*component, batch);
+                held.insert(*component, (Arc::clone(&chunk), last));
             }
         }
     }
 
     /// The entities that have been written or dropped.
-    pub fn entities(&self) -> impl Iterator<Item = &String> {
-        self.held.keys()
+    pub fn entities(&self) -> impl Iterator<Item = String> {
+        self.held.keys().map(plain)
     }
 
     /// After a gap, the state at the first frame that is kept, as far as that frame does not have it.
     pub fn state_after_gap(&self) -> Option<State> {
         let (at, chunks) = self.frames.front().filter(|_| self.has_gap)?;
-        let mut present: BTreeSet<(String, ComponentIdentifier)> = BTreeSet::new();
+        let mut present: BTreeSet<(&EntityPath, ComponentIdentifier)> = BTreeSet::new();
         for chunk in chunks {
-            present.extend(chunk.components().keys().map(|component| (path_of(chunk), *component)));
+            present.extend(chunk.components().keys().map(|component| (chunk.entity_path(), *component)));
         }
         let state = self.held.iter().map(|(entity, held)| {
-            let is_missing = |component: &_| !present.contains(&(entity.clone(), *component));
-            let missing = held.iter().filter(|(component, _)| is_missing(*component));
-            (entity.clone(), missing.map(|(_, batch)| batch.clone()).collect::<Vec<_>>())
+            let missing = held.iter().filter(|(component, _)| !present.contains(&(entity, **component)));
+            let batch = |(component, (chunk, row)): (&_, &(Arc<Chunk>, usize))| {
+                let column = chunk.components().get(*component)?;
+                Some(SerializedComponentBatch::new(column.list_array.value(*row), column.descriptor.clone()))
+            };
+            (plain(entity), missing.filter_map(batch).collect::<Vec<_>>())
         });
         Some((*at, state.filter(|(_, missing)| !missing.is_empty()).collect()))
     }
@@ -157,7 +163,7 @@ impl FlightRecorder {
         let count = self.frames.len() as u64;
         let frames = self.frames.drain(..).flat_map(|(_, chunks)| chunks);
         let chunks: Vec<Chunk> = frames.chain(self.open.drain(..)).collect();
-        chunks.iter().for_each(|chunk| self.hold(chunk));
+        chunks.iter().for_each(|chunk| self.hold(chunk.clone()));
         let chunks = concatenated(chunks.into_iter());
         self.lines.extend(chunks.iter().filter(|chunk| is_line(chunk)).map(path_of));
         (chunks, count)

@@ -533,7 +533,7 @@ impl Recorder {
         };
         let Some(middle) = self.kept.first().map(|kept| kept.middle) else { return };
         let shown = self.flight.iter().flat_map(FlightRecorder::entities);
-        let rankings: Vec<String> = shown.filter(|entity| ranking::is_one(entity)).cloned().collect();
+        let rankings: Vec<String> = shown.filter(|entity| ranking::is_one(entity)).collect();
         let mut gap = (self.first, middle);
         let ends = self.kept.iter().map(|kept| (kept.first.step, Some(kept))).chain([(self.at.step + 1, None)]);
         for (next, kept) in ends {
