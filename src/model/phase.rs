@@ -22,6 +22,9 @@ pub enum Phase {
 }
 
 impl Phase {
+    /// All phases, the deepest last, by their indices in events.
+    pub const ALL: [Phase; 3] = [Phase::Apart, Phase::Merged, Phase::Core];
+
     /// The name used in recordings and messages.
     pub fn name(self) -> &'static str {
         match self {

@@ -86,6 +86,18 @@ pub struct Kinematics {
     pub acceleration: DVec3,
 }
 
+impl Kinematics {
+    /// The motion after some time [s] of constant acceleration.
+    pub fn after(&self, time: f64) -> Kinematics {
+        let Kinematics { position, velocity, acceleration } = *self;
+        Kinematics {
+            position: position + (velocity + acceleration * (0.5 * time)) * time,
+            velocity: velocity + acceleration * time,
+            acceleration,
+        }
+    }
+}
+
 /// Sine and cosine of the phase angles of a path at fixed offsets in time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Turns([(f64, f64); 5]);

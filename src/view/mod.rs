@@ -45,7 +45,7 @@ pub(crate) use frames::pair_frame;
 use frames::{add_coupled_forces, add_forces};
 use scalars::{ScalarValue, StateNumbers, scalars};
 use scales::{arrow_scale, net_force_scale};
-use terms::{LABELS, PHASES, label, law, level, phase_color, term};
+use terms::{LABELS, label, law, level, phase_color, term};
 
 /// Writes the report of a world's last step to an empty summary.
 pub(crate) fn summarise(world: &World, summary: &mut StepSummary) {
@@ -364,7 +364,7 @@ pub fn schema(scene: &Scene) -> Schema {
         points: points(scene),
         changes: changes(scene),
         net_force_scale: net_force_scale(scene),
-        phases: PHASES
+        phases: Phase::ALL
             .map(|phase| PhaseSchema {
                 name: phase.name(),
                 color: phase_color(phase),

@@ -13,9 +13,6 @@ use crate::{
 
 use super::scales::{net_force_scale, plane_scale, reaction_scale};
 
-/// All phases in order of depth, deepest last.
-pub const PHASES: [Phase; 3] = [Phase::Apart, Phase::Merged, Phase::Core];
-
 /// Label of a vertex, by what influence spheres do to it.
 pub const LABELS: [&str; 5] = ["out of reach", "attracted", "repelled", "attracted and repelled", "in a core"];
 

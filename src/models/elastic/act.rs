@@ -12,7 +12,6 @@ use crate::{
     observe::PairEvent,
     scene::{Path, Point, Push, Response, Scene, path::Kinematics},
     sim::{Cause, span::Span},
-    view::terms::PHASES,
 };
 
 /// The motion of a centre in an interval, known in advance.
@@ -30,14 +29,7 @@ impl Course<'_> {
         match self {
             Course::Path(path) if t < end => path.at(t),
             Course::Path(path) => path.before(end),
-            Course::Parabola(since, Kinematics { position, velocity, acceleration }) => {
-                let ahead = t - since;
-                Kinematics {
-                    position: *position + (*velocity + *acceleration * (0.5 * ahead)) * ahead,
-                    velocity: *velocity + *acceleration * ahead,
-                    acceleration: *acceleration,
-                }
-            }
+            Course::Parabola(since, motion) => motion.after(t - since),
         }
     }
 }
@@ -134,7 +126,7 @@ impl StepContext<'_> {
         let changes = self.events.iter().take_while(|event| event.time <= t);
         let last = changes.filter(|event| [event.a, event.b] == pair).last();
         let before = || self.phases.get(&pair.map(|body| body as u32)).copied().unwrap_or(Phase::Apart);
-        last.map_or_else(before, |event| PHASES.get(event.to).copied().unwrap_or(Phase::Apart))
+        last.map_or_else(before, |event| Phase::ALL.get(event.to).copied().unwrap_or(Phase::Apart))
     }
 
     /// Whether nothing in the interval can deform a body at rest.

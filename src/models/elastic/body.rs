@@ -178,6 +178,7 @@ pub fn max_memory(scene: &Scene, across: u32, vertices: u64, is_new: bool) -> u6
         Model::Fem => 0,
         _ => Lattice::most_memory(across, scene.lattice.tear == TearMode::Split),
     };
+    // per node, those of `Body` and of its matter
     let vectors = if scene.model == Model::Fem { 11 } else { 6 };
     own + nodes * vectors * 24 + vertices * 100 + 4096
 }

@@ -207,7 +207,8 @@ impl Elastic {
         })?;
         let h = ends[1] - ends[0];
         for free in self.bodies.iter_mut().filter_map(|body| body.free.as_mut()) {
-            (free.centre, free.velocity) = (free.after(h), free.velocity + free.acceleration * (0.5 * h));
+            (free.centre, free.velocity) =
+                (free.motion().after(h).position, free.velocity + free.acceleration * (0.5 * h));
         }
         self.accelerate_centres();
         for free in self.bodies.iter_mut().filter_map(|body| body.free.as_mut()) {
@@ -263,7 +264,7 @@ impl Elastic {
             })?;
             self.accelerate_centres();
             for free in self.bodies.iter_mut().filter_map(|body| body.free.as_mut()) {
-                (free.centre, free.velocity) = (free.after(h), free.velocity + free.acceleration * h);
+                (free.centre, free.velocity) = (free.motion().after(h).position, free.velocity + free.acceleration * h);
             }
             changes.into_iter().for_each(|change| self.record(change));
         }

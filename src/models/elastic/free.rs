@@ -70,21 +70,17 @@ impl Free {
 
     /// Its motion from `start` to `end` [s], seen from the centre of another body if one is given.
     pub fn path(&self, from: Option<&Free>, start: f64, end: f64) -> Path {
-        let own = [self.centre, self.velocity, self.acceleration];
-        let other = from.map_or([DVec3::ZERO; 3], |other| [other.centre, other.velocity, other.acceleration]);
-        let [centre, velocity, acceleration] = std::array::from_fn(|k| own[k] - other[k]);
-        let at = move |t: f64| Kinematics {
-            position: centre + (velocity + acceleration * (0.5 * (t - start))) * (t - start),
-            velocity: velocity + acceleration * (t - start),
-            acceleration,
-        };
+        let (mut motion, other) = (self.motion(), from.map(Free::motion));
+        if let Some(other) = other {
+            motion.position -= other.position;
+            motion.velocity -= other.velocity;
+            motion.acceleration -= other.acceleration;
+        }
+        let Kinematics { velocity, acceleration, .. } = motion;
         let speed = velocity.length() + acceleration.length() * (end - start);
-        Path::Given(Given::new(Bounds { speed, acceleration: acceleration.length() }, at))
-    }
-
-    /// c + c′τ + ½c″τ² after τ [s].
-    pub fn after(&self, time: f64) -> DVec3 {
-        self.centre + (self.velocity + self.acceleration * (0.5 * time)) * time
+        Path::Given(Given::new(Bounds { speed, acceleration: acceleration.length() }, move |t: f64| {
+            motion.after(t - start)
+        }))
     }
 }
 

@@ -35,7 +35,6 @@ use crate::{
     scene::{self, Integrator, Model, Motion, Path, Rotation, Scene, TearMode},
     sim::{Options, memory, reach::Grid},
     text::bytes,
-    view::terms::PHASES,
 };
 use body::Body;
 pub use observe::{all_scalars, schema};
@@ -231,7 +230,7 @@ fn has_free(scene: &Scene) -> bool {
 /// Notes the phase that a pair enters; pairs that are apart are not listed.
 fn note_phase(phases: &mut BTreeMap<[u32; 2], Phase>, event: &PairEvent) {
     let pair = [event.a as u32, event.b as u32];
-    match PHASES.get(event.to) {
+    match Phase::ALL.get(event.to) {
         None | Some(Phase::Apart) => _ = phases.remove(&pair),
         Some(&phase) => _ = phases.insert(pair, phase),
     }

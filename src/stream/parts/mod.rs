@@ -57,7 +57,7 @@ use super::instant::Instant;
 use crate::geometry::bounds;
 use crate::observe::{BodyFrame, Frame, Schema, schema::BodySchema};
 
-/// Upper limit on the number of bodies whose names are shown in the 3D view.
+/// Scenes with more bodies have no labels of pairs; the last event's pair is drawn alone, too.
 const MAX_LABELS: usize = 8;
 
 /// From the bodies towards the eye, unless they are flat or one hides another; not normalized.
