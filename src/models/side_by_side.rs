@@ -7,7 +7,7 @@ use std::{
     time::Instant as Clock,
 };
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 
 use super::SceneRun;
 use crate::{
@@ -58,7 +58,9 @@ impl SideBySide {
 
     /// Positions of the models, given the spheres that a camera should see of one model.
     fn places(&self, spheres: &[(DVec3, f64)]) -> Vec<Place> {
-        let [low, high] = bounds(spheres.iter().copied());
+        let schemas: Vec<Schema> = self.runs().map(|run| run.schema()).collect();
+        let upright = schemas.first().map_or(DQuat::IDENTITY, Schema::upright);
+        let [low, high] = bounds(spheres.iter().map(|&(centre, radius)| (upright * centre, radius)));
         let (low, high) = if low.is_finite() && high.is_finite() { (low, high) } else { Default::default() };
         let extent = SPACING * (high - low);
         // two per row, rows from top to bottom as the camera sees them: from high above, if the scene is deeper than high, or
@@ -72,11 +74,12 @@ impl SideBySide {
         let top = if is_flat { extent.y * DVec3::Y } else { extent.z * DVec3::Z };
         let top = 0.5 * (low + high) + 0.5 * ABOVE * top;
         let bodies = self.scene.bodies.len();
-        let place = |(k, run): (usize, SceneRun)| {
+        let place = |(k, schema)| {
             let offset = (k % columns) as f64 * extent.x * DVec3::X + (k / columns) as f64 * down;
-            Place { schema: run.schema(), first: k * bodies, offset, heading: top + offset }
+            let back = upright.conjugate();
+            Place { schema, first: k * bodies, offset: back * offset, heading: back * (top + offset) }
         };
-        self.runs().enumerate().map(place).collect()
+        schemas.into_iter().enumerate().map(place).collect()
     }
 
     fn spheres(&self) -> Vec<(DVec3, f64)> {

@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, fmt, sync::Arc};
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 
 use super::{event::PairEvent, surface::Surfaces};
 use crate::{
@@ -41,6 +41,8 @@ pub struct Schema {
     /// The variants of one scene that run side by side, if it is several: each has as many bodies, one variant's after the
     /// other's.
     pub variants: Vec<VariantSchema>,
+    /// The direction that views show upwards: the positive or negative direction of an axis.
+    pub up: DVec3,
     /// Planes that bodies cannot pass.
     pub planes: Vec<PlaneSchema>,
     /// Length per acceleration of the net force arrows of free bodies [scene unit per scene unit/s²].
@@ -330,6 +332,7 @@ impl Default for Schema {
             blend: fairing::BLEND,
             bodies: Vec::new(),
             variants: Vec::new(),
+            up: DVec3::Z,
             planes: Vec::new(),
             points: Vec::new(),
             changes: Vec::new(),
@@ -449,6 +452,11 @@ impl Schema {
         let name = self.bodies[body].name.as_str();
         let variant = self.variants.get(body / self.variant_size());
         variant.and_then(|variant| name.strip_prefix(variant.name)?.strip_prefix('-')).unwrap_or(name)
+    }
+
+    /// The rotation from the axes of the scene to those of views, in which z is up; the identity if it is in both.
+    pub fn upright(&self) -> DQuat {
+        DQuat::from_rotation_arc(self.up, DVec3::Z)
     }
 
     /// The largest radius of a body [scene unit].

@@ -208,7 +208,7 @@ impl Comparison {
         centres: [&[glam::Vec3]; 2],
         mut positions: impl FnMut(usize) -> [Option<Vec<DVec3>>; 2],
     ) -> Result<(), SinkError> {
-        let (mut origins, mut apart, light) = (Vec::new(), Vec::new(), Light::in_world());
+        let (mut origins, mut apart, light) = (Vec::new(), Vec::new(), Light::in_world(schema));
         let mut extractor = Extractor::default();
         let mut worst: Option<(f64, DVec3, &str, usize)> = None;
         for (index, name, mesh) in &self.shown {
@@ -248,7 +248,7 @@ impl Comparison {
         let above = |index: usize, radii: f32| {
             let (now, radius) =
                 (centres[0].get(index).copied(), schema.bodies.get(index).map_or(1.0, |body| body.radius));
-            now.unwrap_or_default() + radii * radius as f32 * glam::Vec3::Z
+            now.unwrap_or_default() + radii * radius as f32 * schema.up.as_vec3()
         };
         let names = self.shown.iter().map(|&(index, ..)| above(index, NAME_HEIGHT));
         self.chunks.log(NAMES.path, at, &Points3D::update_fields().with_positions(names));
@@ -264,9 +264,10 @@ impl Comparison {
                 label += &format!("\narrows {} times as long", short(times));
             }
             // above all bodies: beside the vertex the label would hide what differs
-            let heights = self.shown.iter().map(|&(index, ..)| f64::from(above(index, LABEL_HEIGHT).z));
+            let up = schema.up;
+            let heights = self.shown.iter().map(|&(index, ..)| above(index, LABEL_HEIGHT).as_dvec3().dot(up));
             let height = heights.fold(f64::NEG_INFINITY, f64::max);
-            ([position, position.with_z(height)], label)
+            ([position, position + (height - position.dot(up)) * up], label)
         });
         self.worst.log(worst, at, &mut self.chunks);
         log_difference(&mut self.chunks, TOLERANCE, tolerance, at);

@@ -262,7 +262,12 @@ pub(super) static TOP: [Key; 7] = [
         Written(Scene::DEFAULT_TOLERANCE, "1e-6"),
         "Acceptable error of the integrator exponential, per unit of scene time; it sets the integrator's steps, which may be longer than dt. Above 1e-2: steps of dt.",
     ),
-    vector("gravity", "scene unit/s²", Vector(0.0), "Acceleration of free bodies."),
+    vector(
+        "gravity",
+        "scene unit/s²",
+        Vector(0.0),
+        "Acceleration of free bodies. In views, the axis most opposed to it is up; z without it.",
+    ),
     key("model", Kind::Word(|| Model::ALL.map(Model::name).to_vec()), Word("oscillators"), "Model of a soft body."),
 ];
 

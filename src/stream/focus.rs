@@ -45,7 +45,7 @@ impl Focus {
         }
         if schema.variants.is_empty() {
             let middle = 0.5 * (frame.bodies[pair[0]].centre + frame.bodies[pair[1]].centre);
-            spheres.push((middle.with_z(recent::label_height(view)), 0.0));
+            spheres.push((view.raised(middle, recent::label_height(view)), 0.0));
         }
         let points = schema.points.iter().filter_map(|point| point.sphere.at(view.at.time));
         let reached = |&(centre, reach): &(DVec3, f64)| {
@@ -163,7 +163,7 @@ impl FocusFinder {
         let bodies: Vec<(DVec3, f64)> = bodies.filter(|(centre, _)| centre.is_finite()).collect();
         if let Some(&(centre, _)) = bodies.first().filter(|_| schema.variants.is_empty()) {
             let known = self.events.into_iter().flatten().map(|corner| (corner, 0.0));
-            let label = (centre.with_z(recent::label_height(view)), 0.0);
+            let label = (view.raised(centre, recent::label_height(view)), 0.0);
             self.events = Some(bounds(known.chain(bodies).chain([label])));
         }
         self.frames += 1;
@@ -228,6 +228,33 @@ mod tests {
         stream::instant::Instant,
         view,
     };
+
+    /// What falls along an axis falls downwards in views: labels stand above the bodies, and the camera does, too.
+    #[test]
+    fn views_are_upright_whatever_the_direction_of_gravity() {
+        for (gravity, up) in [
+            ([0.0, 0.0, 0.0], DVec3::Z),
+            ([0.1, 0.0, -9.8], DVec3::Z),
+            ([0.0, -9.8, 0.0], DVec3::Y),
+            ([0.0, 0.0, 2.0], DVec3::NEG_Z),
+            ([3.0, 1.0, -1.0], DVec3::NEG_X),
+        ] {
+            let body = |name: &str, x: f64| {
+                format!("[[body]]\nname = '{name}'\nradius = 1.0\nmotion = {{ free = {{ from = [{x}, {x}, {x}] }} }}\n")
+            };
+            let scene = format!("duration = 1.0\ngravity = {gravity:?}\n{}{}", body("a", 0.0), body("b", 1.2));
+            let scene = Scene::parse(&scene, "falling.toml").unwrap();
+            let schema = view::schema(&scene);
+            assert_eq!(schema.up, up, "gravity {gravity:?}");
+            assert!((schema.upright() * up).distance(DVec3::Z) < 1e-15);
+            let (world, mut frame) = (World::new(scene).unwrap(), Frame::default());
+            world.observe(Want::default(), &mut frame);
+            let view = FrameView { schema: &schema, frame: &frame, at: Instant { step: 0, time: 0.0 } };
+            let highest = frame.bodies.iter().map(|body| body.centre.dot(up) + 1.0).fold(f64::NEG_INFINITY, f64::max);
+            assert!(recent::label_height(view) > highest);
+            assert!(view.towards_eye().dot(up) > 0.0);
+        }
+    }
 
     /// Two bodies move on side by side, with an event at the start and a later one: the camera has that in view, too, unless
     /// it is far away.

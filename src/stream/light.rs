@@ -14,11 +14,14 @@ use super::{
     extract::Float3,
     palette::Rgb,
 };
-use crate::sdk::{
-    AnyValues,
-    arrow::{
-        array::{FixedSizeListArray, Float32Array},
-        datatypes::{DataType, Field},
+use crate::{
+    observe::Schema,
+    sdk::{
+        AnyValues,
+        arrow::{
+            array::{FixedSizeListArray, Float32Array},
+            datatypes::{DataType, Field},
+        },
     },
 };
 
@@ -43,14 +46,14 @@ pub struct Light {
 
 impl Light {
     /// The light in world axes.
-    pub fn in_world() -> Light {
-        Light::in_body(DQuat::IDENTITY)
+    pub fn in_world(schema: &Schema) -> Light {
+        Light::in_body(schema, DQuat::IDENTITY)
     }
 
     /// The light in body axes.
-    pub fn in_body(rotation: DQuat) -> Light {
+    pub fn in_body(schema: &Schema, rotation: DQuat) -> Light {
         let towards = DVec3::new(-0.68, -0.36, 0.64).normalize();
-        Light { towards: (rotation.conjugate() * towards).as_vec3().to_array() }
+        Light { towards: ((schema.upright() * rotation).conjugate() * towards).as_vec3().to_array() }
     }
 
     /// White, shaded for a surface with this unit normal, as packed RGBA.
@@ -91,7 +94,7 @@ mod tests {
 
     #[test]
     fn shading_falls_off_monotonically_with_the_angle() {
-        let light = Light::in_world();
+        let light = Light::in_world(&Schema::default());
         let towards = DVec3::from_array(light.towards.map(f64::from));
         let across = towards.any_orthonormal_vector();
         let shade = |degrees: u32| {
@@ -111,8 +114,8 @@ mod tests {
     fn the_light_does_not_rotate_with_a_body() {
         let rotation = DQuat::from_rotation_x(1.0) * DQuat::from_rotation_z(2.0);
         for normal in [DVec3::X, DVec3::Y, DVec3::NEG_Z, DVec3::ONE.normalize()] {
-            let in_world = Light::in_world().white((rotation * normal).as_vec3().to_array());
-            let in_body = Light::in_body(rotation).white(normal.as_vec3().to_array());
+            let in_world = Light::in_world(&Schema::default()).white((rotation * normal).as_vec3().to_array());
+            let in_body = Light::in_body(&Schema::default(), rotation).white(normal.as_vec3().to_array());
             assert!((in_world >> 24).abs_diff(in_body >> 24) <= 1, "{in_world:x} {in_body:x}");
         }
     }
@@ -120,7 +123,7 @@ mod tests {
     #[test]
     fn each_color_channel_is_shaded() {
         let normal = DVec3::new(-0.68, -0.36, 0.64).normalize().as_vec3().to_array();
-        assert_eq!(Light::in_world().on([10, 20, 255], normal), 0x0A14_FFFF);
-        assert_eq!(Light::in_world().white(normal), u32::MAX);
+        assert_eq!(Light::in_world(&Schema::default()).on([10, 20, 255], normal), 0x0A14_FFFF);
+        assert_eq!(Light::in_world(&Schema::default()).white(normal), u32::MAX);
     }
 }

@@ -360,6 +360,7 @@ pub fn schema(scene: &Scene) -> Schema {
         terms: Cause::of(scene).map(|cause| term(scene, cause)).collect(),
         labels: LABELS.into(),
         arrow_scale: arrow_scale(scene),
+        up: up(scene),
         planes: planes(&scene.planes),
         points: points(scene),
         changes: changes(scene),
@@ -379,6 +380,13 @@ pub fn schema(scene: &Scene) -> Schema {
         warnings: scene.warnings(),
         ..Schema::default()
     }
+}
+
+/// The axis direction that is closest to the opposite of gravity; z without gravity.
+fn up(scene: &Scene) -> DVec3 {
+    let axes = [DVec3::Z, DVec3::NEG_Z, DVec3::Y, DVec3::NEG_Y, DVec3::X, DVec3::NEG_X];
+    let against = |axis: &DVec3| scene.gravity.dot(*axis);
+    axes.into_iter().min_by(|one, other| against(one).total_cmp(&against(other))).unwrap_or(DVec3::Z)
 }
 
 impl From<&Event> for PairEvent {

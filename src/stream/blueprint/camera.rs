@@ -1,6 +1,6 @@
 //! Cameras of views in space.
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 
 use crate::geometry::bounds;
 use crate::sdk::{
@@ -18,13 +18,17 @@ pub const NARROW: f64 = 1.2;
 
 /// A camera in front of the spheres (centre and radius), slightly to one side and above, with all of them in view.
 /// Flat arrangements, and those that are `laid_out` on the ground, are viewed from higher up. Where possible, no sphere of
-/// `others` hides one of `wanted`.
+/// `others` hides one of `wanted`. `upright` rotates to axes in which z is up.
 pub fn camera_past(
     spheres: &[(DVec3, f64)],
     wanted: &[(DVec3, f64)],
     others: &[(DVec3, f64)],
-    (aspect, laid_out): (f64, bool),
+    (aspect, laid_out, upright): (f64, bool, DQuat),
 ) -> EyeControls3D {
+    let turned = [spheres, wanted, others].map(|spheres| -> Vec<(DVec3, f64)> {
+        spheres.iter().map(|&(centre, radius)| (upright * centre, radius)).collect()
+    });
+    let [spheres, wanted, others] = turned.each_ref().map(Vec::as_slice);
     let [low, high] = bounds(spheres.iter().copied());
     let (middle, extent) = (0.5 * (low + high), high - low);
     let is_flat = laid_out || extent.z < 0.2 * f64::min(extent.x, extent.y);
@@ -51,9 +55,9 @@ pub fn camera_past(
     let target = from - (from - middle).dot(back) * back;
     EyeControls3D::new()
         .with_kind(Eye3DKind::Orbital)
-        .with_position(Position3D::from(from.as_vec3()))
-        .with_look_target(Position3D::from(target.as_vec3()))
-        .with_eye_up(Vector3D::from(glam::Vec3::Z))
+        .with_position(Position3D::from((upright.conjugate() * from).as_vec3()))
+        .with_look_target(Position3D::from((upright.conjugate() * target).as_vec3()))
+        .with_eye_up(Vector3D::from((upright.conjugate() * DVec3::Z).as_vec3()))
 }
 
 /// The nearest eye position from which a camera that looks against direction `back` has all spheres in view.

@@ -1,6 +1,6 @@
 //! The parts of a layout: containers and views, each an entity of the blueprint store with its own id.
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 
 use super::{
     camera::{Framing, camera_past},
@@ -90,6 +90,8 @@ pub struct Layout {
     pub ground: Option<Ground>,
     /// Whether variants of the scene lie one behind the other.
     pub laid_out: bool,
+    /// The rotation to axes in which z is up.
+    upright: DQuat,
     /// The timeline that the viewer opens with.
     pub timeline: &'static str,
 }
@@ -105,8 +107,8 @@ pub struct Ground {
 
 impl Ground {
     /// The grid below these spheres (centre and radius).
-    pub fn under(spheres: &[(DVec3, f64)]) -> Option<Ground> {
-        let height = spheres.iter().map(|&(centre, radius)| centre.z - radius).fold(f64::INFINITY, f64::min);
+    fn under(spheres: &[(DVec3, f64)], up: DVec3) -> Option<Ground> {
+        let height = spheres.iter().map(|&(centre, radius)| centre.dot(up) - radius).fold(f64::INFINITY, f64::min);
         let largest = spheres.iter().map(|&(_, radius)| radius).fold(0.0, f64::max);
         let decade = 10f64.powf(largest.log10().floor());
         let steps = [1.0, 2.0, 5.0].map(|step| step * decade);
@@ -135,6 +137,7 @@ impl Layout {
             spaces: Vec::new(),
             ground: None,
             laid_out: false,
+            upright: DQuat::IDENTITY,
             timeline: SIM_TIME,
         }
     }
@@ -289,6 +292,13 @@ impl Layout {
         }
     }
 
+    /// Sets the orientation of views in space, and the ground below these spheres (centre and radius); planes have their own
+    /// grids.
+    pub fn set_ground(&mut self, schema: &Schema, spheres: &[(DVec3, f64)]) {
+        self.upright = schema.upright();
+        self.ground = Ground::under(spheres, schema.up).filter(|_| schema.planes.is_empty());
+    }
+
     /// Sets the ends of the axis of values of a plot.
     pub fn set_range(&mut self, plot: &str, [low, high]: [f64; 2]) {
         self.log(&format!("{plot}/ScalarAxis"), &ScalarAxis::new().with_range(Range1D::new(low, high)));
@@ -303,13 +313,13 @@ impl Layout {
             None => LineGrid3D::new().with_visible(false),
             Some(Ground { height, spacing }) => LineGrid3D::new()
                 .with_visible(true)
-                .with_plane(Plane3D::new(glam::Vec3::Z, height as f32))
+                .with_plane(Plane3D::new((self.upright.conjugate() * DVec3::Z).as_vec3(), height as f32))
                 .with_spacing(spacing as f32)
                 .with_stroke_width(1.0)
                 .with_color(palette::color(palette::GROUND)),
         };
         let background = Background::new(BackgroundKind::SolidColor).with_color(palette::color(palette::BACKGROUND));
-        let camera = camera_past(spheres, &[], &[], (aspect, self.laid_out));
+        let camera = camera_past(spheres, &[], &[], (aspect, self.laid_out, self.upright));
         let properties: [(&str, &dyn AsComponents); 3] =
             [("EyeControls3D", &camera), ("LineGrid3D", &grid), ("Background", &background)];
         let view = self.view("3D", name, WORLD.path, contents, &properties);

@@ -22,7 +22,7 @@ use glam::DVec3;
 
 use self::{
     camera::WIDE,
-    layout::{Ground, Layout, Part, VERTICES, family, including},
+    layout::{Layout, Part, VERTICES, family, including},
     tabs::{capitalized, scene_title},
 };
 pub use self::{
@@ -73,7 +73,7 @@ pub fn beside_controls(subject: &Subject<'_>, recording: &StoreId) -> Vec<LogMsg
     let (framing, close) = (simulation.framing(false), simulation.framing(true));
     let mut layout = Layout::of(recording);
     layout.timeline = STEP;
-    layout.ground = Ground::under(&framing).filter(|_| schema.planes.is_empty());
+    layout.set_ground(schema, &framing);
     let mut tabs = vec![layout.scene_view((&framing, WIDE), schema, scene_title(schema), settings)];
     if schema.bodies.len() > 1 {
         tabs.push(layout.surface_view((&close, WIDE), "One surface per group", schema, settings));
@@ -104,7 +104,7 @@ pub fn of_comparison(
     const AFTER: f64 = 1.0;
 
     let mut layout = Layout::of(recording);
-    layout.ground = Ground::under(spheres).filter(|_| schema.planes.is_empty());
+    layout.set_ground(schema, spheres);
     let surfaces = layout.space((spheres, WIDE), "Both surfaces, and arrows between them", &[family(&WORLD)]);
     let dots =
         Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(2.0)]).with_colors([palette::color(rgb)]);

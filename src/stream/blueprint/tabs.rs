@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::{
     Subject, Tab,
     camera::{Framing, NARROW, WIDE},
-    layout::{Ground, Layout, Part, VERTICES, family, including},
+    layout::{Layout, Part, VERTICES, family, including},
 };
 use crate::{
     colors,
@@ -53,9 +53,9 @@ impl Layout {
         let Subject { simulation, schema, settings } = *subject;
         let framing = simulation.framing(false);
         let close = simulation.framing(true);
-        // planes have their own grids
-        self.ground = Ground::under(&framing).filter(|_| schema.planes.is_empty());
-        self.laid_out = schema.variants.windows(2).any(|pair| pair[0].heading.y != pair[1].heading.y);
+        self.set_ground(schema, &framing);
+        let depths: Vec<f64> = schema.variants.iter().map(|variant| (schema.upright() * variant.heading).y).collect();
+        self.laid_out = depths.windows(2).any(|pair| pair[0] != pair[1]);
         if front == Tab::Stages {
             self.timeline = STAGE;
         }
@@ -236,8 +236,8 @@ impl Layout {
         let mut parts = match is_ranked(schema) {
             true => {
                 let title = match groups::has_volume(schema) {
-                    true => "Groups now: pieces, volume [unit³], and against its bodies one by one (dot)",
-                    false => "Groups now: pieces, volume [unit³]",
+                    true => "Groups now: volume [unit³], and against its bodies one by one (dot)",
+                    false => "Groups now: volume [unit³]",
                 };
                 let ranking = self.ranking(title, RANKED_GROUPS.path);
                 plots.insert(0, contacts);
@@ -454,19 +454,16 @@ impl Layout {
             &[],
         );
         let title = format!("{TIMINGS}; observe reads the state to be recorded; beside them, wait for the recorder");
-        let parts = vec![
-            self.stacked(&title, schema, false, &[including(&TIMING.of(&[numbers::WAIT]))]),
-            recording,
-            self.speed(),
-        ];
-        for plot in &parts[..2] {
+        let stages = vec![self.stacked(&title, schema, false, &[including(&TIMING.of(&[numbers::WAIT]))]), recording];
+        for plot in &stages {
             // the ranking names the colours
             self.hide_legend(plot);
         }
-        let plots = self.container(ContainerKind::Vertical, "Over time", parts, &[1.6, 1.0, 1.0]);
+        let stages = self.container(ContainerKind::Vertical, "Stages", stages, &[1.6, 1.0]);
         let title = "Where the time went: total; longest, its step. +: on other threads";
-        let ranking = self.ranking(title, RANKED_STAGES.path);
-        self.container(ContainerKind::Horizontal, "Timings", vec![plots, ranking], &[1.8, 1.0])
+        let sums = vec![self.ranking(title, RANKED_STAGES.path), self.speed()];
+        let sums = self.container(ContainerKind::Vertical, "Sums", sums, &[1.2, 1.0]);
+        self.container(ContainerKind::Horizontal, "Timings", vec![stages, sums], &[1.6, 1.0])
     }
 
     /// Without a legend, which would hide the lines of a small plot.

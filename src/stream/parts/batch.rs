@@ -107,8 +107,9 @@ impl BatchedBodies {
                 let count = now[i].mesh_of(&bodies[i]).drawn_vertex_count();
                 std::iter::repeat_n(palette::of_body(view.schema, i), count)
             });
+            let light = Light::in_world(view.schema);
             self.lit.clear();
-            self.lit.extend(colors.zip(normals).map(|(rgb, &normal)| Light::in_world().on(rgb, normal)));
+            self.lit.extend(colors.zip(normals).map(|(rgb, &normal)| light.on(rgb, normal)));
             chunks.push(self.track, view.at, &[positions, normals, &self.lit]);
         }
         self.has_rotated |= resting.iter().any(|&i| now[i].rotation != DQuat::IDENTITY);
@@ -127,10 +128,11 @@ impl BatchedBodies {
 
     /// Logs the shapes of bodies at rest.
     fn log_shapes(view: FrameView<'_>, extractor: &mut Extractor, chunks: &mut Chunks) {
+        let light = Light::in_world(view.schema);
         for (shape, mesh) in view.schema.shapes() {
             let normals = extractor.normals(mesh, mesh.positions());
             // shared by all instances: the light rotates with a rotated instance
-            let lit: Vec<u32> = normals.iter().map(|&normal| Light::in_world().white(normal)).collect();
+            let lit: Vec<u32> = normals.iter().map(|&normal| light.white(normal)).collect();
             let lit = light::unlit().with_component_from_data(LIT.0, Arc::new(UInt32Array::from(lit)));
             chunks.log(&RESTING.of(&[shape]), view.at, &lit);
             let positions = vertices::indices(mesh).into_iter().map(|i| mesh.positions().get(i as usize).as_vec3());

@@ -65,7 +65,7 @@ impl Lit {
             return;
         }
         self.rotation = Some(rotation);
-        let light = Light::in_body(rotation);
+        let light = Light::in_body(view.schema, rotation);
         self.colors.clear();
         self.colors.extend(surface.normals.iter().map(|&normal| light.white(normal)));
         chunks.push_changed(self.track, view.at, &[&self.colors]);

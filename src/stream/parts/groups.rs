@@ -193,18 +193,34 @@ impl GroupPlots {
             true => None,
             false => Some(group.bodies.iter().map(|&body| self.volumes[body]).sum::<f64>()),
         };
-        let largest = groups.iter().map(|group| apart(group).unwrap_or(0.0).max(group.volume)).fold(0.0, f64::max);
+        // while there are groups, a body that is in none is one of its own
+        let alone = |&body: &usize| !merged.is_merged[body] && !view.frame.bodies[body].is_absent;
+        let mut alone: Vec<usize> = (0..self.volumes.len()).filter(alone).collect();
+        if groups.is_empty() || merged.overlapping > 0 {
+            alone.clear();
+        }
+        alone.sort_by(|&one, &other| self.volumes[other].total_cmp(&self.volumes[one]));
+        let volumes = groups.iter().map(|group| apart(group).unwrap_or(0.0).max(group.volume));
+        let largest = volumes.chain(alone.first().map(|&body| self.volumes[body])).fold(0.0, f64::max);
         let rows = groups.iter().map(|group| {
             let color = palette::of_body(view.schema, group.bodies[0]);
             let mut marks = vec![(Mark::Bar(group.volume / largest), color)];
             let mut label = format!("{}: ", names(view.schema, &group.bodies));
-            label += &format!("{}, {}", counted(group.components as u64, "piece"), short(group.volume));
+            if group.components != 1 {
+                label += &format!("{}, ", counted(group.components as u64, "piece"));
+            }
+            label += &short(group.volume);
             if let Some(apart) = apart(group) {
                 marks.push((Mark::Dot(apart / largest), SILVER));
                 label += &format!(", {:+.1} %", 100.0 * (group.volume / apart - 1.0));
             }
             Row { label, color, marks }
         });
+        let rows = rows.chain(alone.into_iter().map(|body| {
+            let (volume, color) = (self.volumes[body], palette::of_body(view.schema, body));
+            let label = format!("{}: {}", names(view.schema, &[body]), short(volume));
+            Row { label, color, marks: vec![(Mark::Bar(volume / largest), color)] }
+        }));
         let none =
             if merged.overlapping > 0 { "groups are drawn as overlapping meshes" } else { "no bodies are joined" };
         ranking.log(rows, none, view.at, chunks);
@@ -213,7 +229,7 @@ impl GroupPlots {
 
 /// The names of the bodies of a group, as far as there is room beside a bar, and the number of others.
 fn names(schema: &Schema, bodies: &[usize]) -> String {
-    const ROOM: usize = 24;
+    const ROOM: usize = 20;
 
     let mut names = String::new();
     for (number, &body) in bodies.iter().enumerate() {

@@ -117,9 +117,8 @@ impl Heat {
         let mark = outside.filter(|largest| largest.displacement > 0.0).map(|outside| {
             let hidden = of_all.filter(|of_all| of_all.displacement > outside.displacement);
             let hidden = hidden.map(|hidden| format!("; inside another body: {}", hidden.text(view)));
-            let height =
-                f64::min(recent::label_height(view), view.bounds()[1].z + ABOVE * view.schema.largest_radius());
-            let end = outside.position.with_z(f64::max(height, outside.position.z));
+            let height = f64::min(recent::label_height(view), view.top() + ABOVE * view.schema.largest_radius());
+            let end = view.raised(outside.position, f64::max(height, outside.position.dot(view.schema.up)));
             let label = format!("largest on the surface: {}{}", outside.text(view), hidden.unwrap_or_default());
             ([outside.position, end], label)
         });

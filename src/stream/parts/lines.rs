@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::{FrameView, Labels, MAX_LABELS, TOWARDS_EYE, recent::Recent};
+use super::{FrameView, Labels, MAX_LABELS, recent::Recent};
 use crate::{
     observe::{BodyFrame, PairEvent, PairFrame, Schema},
     sdk::{self, LineStrips3D, Points3D},
@@ -149,7 +149,8 @@ impl Names {
             labels.take(variant.heading, variant.name);
         }
         let mut bodies: Vec<usize> = (0..nameable(schema)).filter(|&body| !frame.bodies[body].is_absent).collect();
-        let depth = |body: usize| -frame.bodies[body].centre.dot(TOWARDS_EYE);
+        let towards_eye = view.towards_eye();
+        let depth = |body: usize| -frame.bodies[body].centre.dot(towards_eye);
         let rank = |body: usize| match self.named.as_deref().unwrap_or_default().binary_search(&body) {
             _ if first.contains(&body) => 0,
             Ok(_) => 1,
@@ -180,7 +181,8 @@ pub fn track_labels(entity: &str, chunks: &mut Chunks) -> TrackId {
     chunks.track(entity, [Points3D::descriptor_positions(), Points3D::descriptor_labels()])
 }
 
-/// Where the name of a body stands [scene unit]: off its centre, away from the bodies near it.
+/// Where the name of a body stands [scene unit]: off its centre, away from the bodies near it; from the usual direction of
+/// the camera, not upon a body in front of it if there is such a place.
 pub fn name_place(view: FrameView<'_>, index: usize) -> DVec3 {
     let (body, now) = (&view.schema.bodies[index], &view.frame.bodies[index]);
     let met = view.frame.pairs.iter().filter_map(|pair| match (pair.a == index, pair.b == index) {
@@ -191,8 +193,22 @@ pub fn name_place(view: FrameView<'_>, index: usize) -> DVec3 {
     let away: DVec3 = met.map(|other| (now.centre - other).normalize_or_zero()).sum();
     // for bodies at the same position, every other name is on the left
     let aside = if index.is_multiple_of(2) { DVec3::NEG_X } else { DVec3::X };
-    let direction = (away + 0.05 * aside).normalize_or(DVec3::Z);
-    now.centre + body.radius * (0.9 * direction + 0.35 * DVec3::Z)
+    let up = view.schema.up;
+    let direction = (away + 0.05 * aside).normalize_or(up);
+    let towards_eye = view.towards_eye().normalize();
+    let right = up.cross(towards_eye).normalize();
+    let is_covered = |place: &DVec3| {
+        view.bodies().enumerate().any(|(other, (schema, now))| {
+            let apart = now.centre - place;
+            let depth = apart.dot(towards_eye);
+            let is_before = other != index && !now.is_absent && depth > 0.0;
+            is_before && apart.reject_from_normalized(towards_eye).length() < schema.radius
+        })
+    };
+    let first = 0.9 * direction + 0.35 * up;
+    let place = |offset: DVec3| now.centre + body.radius * offset;
+    let mut places = [first, up, right, -right, -up].map(place).into_iter();
+    places.find(|place| !is_covered(place)).unwrap_or(place(first))
 }
 
 /// Number of bodies that have names, the first ones.

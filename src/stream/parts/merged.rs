@@ -245,7 +245,7 @@ impl Mesh {
             }
             None => group.append_normals(&mut self.sums, &mut self.normals),
         }
-        let light = Light::in_world();
+        let light = Light::in_world(schema);
         for (&rgb, &normal) in rgbs.iter().zip(&self.normals[first as usize..]) {
             self.colors.push(color(rgb).to_u32());
             self.lit.push(light.on(rgb, normal));

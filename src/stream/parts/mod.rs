@@ -60,7 +60,8 @@ use crate::observe::{BodyFrame, Frame, Schema, schema::BodySchema};
 /// Scenes with more bodies have no labels of pairs; the last event's pair is drawn alone, too.
 const MAX_LABELS: usize = 8;
 
-/// From the bodies towards the eye, unless they are flat or one hides another; not normalized.
+/// From the bodies towards the eye in [upright](Schema::upright) axes, unless they are flat or one hides another; not
+/// normalized.
 pub const TOWARDS_EYE: DVec3 = DVec3::new(-0.2, -1.0, 0.4);
 
 /// Labels in space, none of which covers another from the usual direction of the camera.
@@ -82,8 +83,9 @@ impl Labels {
 
     fn new(view: FrameView<'_>) -> Labels {
         let [low, high] = view.bounds();
-        let right = DVec3::Z.cross(TOWARDS_EYE).normalize();
-        let up = TOWARDS_EYE.cross(right).normalize();
+        let towards_eye = view.towards_eye();
+        let right = view.schema.up.cross(towards_eye).normalize();
+        let up = towards_eye.cross(right).normalize();
         Labels { right, up, diagonal: low.distance(high), taken: Vec::new() }
     }
 
@@ -122,5 +124,20 @@ impl<'a> FrameView<'a> {
     pub fn bounds(self) -> [DVec3; 2] {
         let present = self.bodies().filter(|(_, now)| !now.is_absent);
         bounds(present.map(|(body, now)| (now.centre, body.radius)))
+    }
+
+    /// The height of the top of that box [scene unit].
+    fn top(self) -> f64 {
+        self.bounds().map(|corner| corner.dot(self.schema.up)).into_iter().fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    /// The place at this height above or below another.
+    pub fn raised(self, place: DVec3, height: f64) -> DVec3 {
+        place + (height - place.dot(self.schema.up)) * self.schema.up
+    }
+
+    /// See [`TOWARDS_EYE`].
+    pub(in crate::stream) fn towards_eye(self) -> DVec3 {
+        self.schema.upright().conjugate() * TOWARDS_EYE
     }
 }

@@ -53,7 +53,7 @@ impl Points {
             .with_colors(colors());
         chunks.log(POINTS.path, view.at, &spheres);
         // above the sphere: at its centre are the bodies that it acts on, and their labels
-        let top = |centre: DVec3, reach: f64| (centre + reach * DVec3::Z).as_vec3().to_array();
+        let top = |centre: DVec3, reach: f64| (centre + reach * view.schema.up).as_vec3().to_array();
         let names = Points3D::update_fields()
             .with_positions(acting.iter().map(|&(_, centre, reach)| top(centre, reach)))
             .with_labels(acting.iter().map(|&(index, ..)| of(index).label.as_str()))

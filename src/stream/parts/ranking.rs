@@ -168,6 +168,7 @@ impl Drawn {
             colors.push(color(row.color).to_u32());
         }
         labels.resize(ROWS, String::new()); // the viewer would repeat a single one
+        colors.resize(ROWS, 0); // it draws a point without a label, too
         // but the last of these, for which a file need not have more
         repeat_last(&mut colors);
         repeat_last(&mut radii);

@@ -34,7 +34,7 @@ const APART: f64 = 0.08;
 /// The height at which the label of an event stands [scene unit].
 pub fn label_height(view: FrameView<'_>) -> f64 {
     let [low, high] = view.bounds();
-    high.z + ABOVE * low.distance(high)
+    view.top() + ABOVE * low.distance(high)
 }
 
 /// Whether the last event's pair is drawn alone too: among so many bodies it may be hidden.
@@ -182,7 +182,8 @@ impl Recent {
         let mut rows = Rows::default();
         for (number, RecentEvent { label, q, color: rgb, centres, .. }) in self.events.iter().enumerate() {
             let middle = 0.5 * (centres[0] + centres[1]);
-            let place = middle.with_z(f64::max(self.top + number as f64 * self.apart, middle.z));
+            let rise = self.top + number as f64 * self.apart - middle.dot(schema.up);
+            let place = middle + f64::max(rise, 0.0) * schema.up;
             rows.strips.extend([centres.map(|centre| centre.as_vec3().to_array()), callout::leader(middle, place)]);
             rows.line_colors.extend([color(*rgb).to_u32(); 2]);
             rows.places.push(place.as_vec3().to_array());
@@ -217,6 +218,7 @@ impl Alone {
     ) {
         self.surface.clear();
         let (mut triangles, mut lit) = (Vec::new(), Vec::new());
+        let light = Light::in_world(schema);
         for (index, now) in pair.into_iter().zip(bodies) {
             let body = &schema.bodies[index];
             let first = self.surface.positions.len();
@@ -224,7 +226,7 @@ impl Alone {
             triangles.extend(now.mesh_of(body).drawn_triangles().iter().map(|t| t.map(|v| v + first as u32)));
             let normals = &self.surface.normals[first..];
             let own = palette::of_body(schema, index);
-            lit.extend(normals.iter().map(|&normal| Light::in_world().on(own, normal)));
+            lit.extend(normals.iter().map(|&normal| light.on(own, normal)));
         }
         let place =
             |&[x, y, z]: &Float3| ((DVec3::new(x.into(), y.into(), z.into()) - middle) / radius).as_vec3().to_array();
