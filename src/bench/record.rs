@@ -15,7 +15,7 @@ use super::report::{Cell, Column, Report, Table};
 use crate::{
     atomic,
     models::SceneRun,
-    observe::{BodyFrame, Experiment as _, Frame, Schema, Simulation, StepSummary},
+    observe::{BodyFrame, Experiment as _, Frame, Schema, Simulation},
     recording::{
         Recorded,
         read::Reader,
@@ -25,12 +25,11 @@ use crate::{
     sdk::{Arrows3D, Mesh3D, RecordingStream, RecordingStreamBuilder, RecordingStreamResult, Scalars, Transform3D},
     sim::{Options, World},
     stream::{
-        Pipeline, Recorder, Settings,
-        blueprint::Tab,
+        Recorder, Settings,
         contract::{BODY, BODY_SURFACE, DIAGNOSTIC, FORCE},
         extract::{Arrows, Extractor, Surface},
         pipeline::send,
-        record::record,
+        record::{record, record_to},
         settings::{Detail, Frames},
         sinks::{Destinations, Serve, Sinks},
         step::{StepRecord, StepWatch},
@@ -189,7 +188,7 @@ impl Bench<'_> {
                 bytes = Some(bytes.unwrap_or(0) + size);
             } else if is_simulated {
                 match sinks.take() {
-                    Some(open) => sinks = Some(self.simulate(&mut world, open)?),
+                    Some(open) => sinks = Some(self.simulate(world, open)?),
                     None => (0..self.frames.len()).for_each(|_| _ = world.step()),
                 }
             } else {
@@ -210,19 +209,11 @@ impl Bench<'_> {
     }
 
     /// Simulates and records as `run` does, until the operating system has all the data.
-    fn simulate(&self, world: &mut World, sinks: Sinks) -> Result<Sinks, String> {
-        let recorder = Recorder::new(world, self.settings.clone())?;
-        let mut pipeline = Pipeline::start(world, recorder, sinks, Tab::Scene).map_err(|error| error.to_string())?;
-        let mut summary = StepSummary::default();
-        for _ in 0..self.frames.len() {
-            summary.clear();
-            Simulation::step(world, &mut summary);
-            pipeline.observe(world, &summary, None)?;
-        }
-        let mut recorded = pipeline.finish()?;
-        recorded.finish(world, None).map_or(Ok(()), Err)?;
-        recorded.sinks.flush().map_err(|error| error.to_string())?;
-        Ok(recorded.sinks)
+    fn simulate(&self, world: World, sinks: Sinks) -> Result<Sinks, String> {
+        let recorded = record_to(Box::new(world), self.frames.len() as u64, self.settings.clone(), sinks);
+        let (_, sinks) = recorded.map_err(|error| error.to_string())?;
+        sinks.flush().map_err(|error| error.to_string())?;
+        Ok(sinks)
     }
 
     /// Records the precomputed states.

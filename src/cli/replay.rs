@@ -9,7 +9,7 @@ use super::{
     say, say_note, sink_failure, vector,
 };
 use crate::{
-    observe::{Frame, Run, Schema, Want},
+    observe::{Frame, Run, Schema, Simulation, Want},
     recording::{
         Recorded,
         contents::Contents,
@@ -20,8 +20,7 @@ use crate::{
     stream::{
         Pipeline, Recorder,
         blueprint::Tab,
-        machine,
-        pipeline::PipelineEnd,
+        machine, pipeline,
         settings::{DETAILS, Detail, Frames, Settings, application},
         sinks::{Destinations, Sinks},
     },
@@ -281,7 +280,7 @@ struct Saver {
     /// From then on.
     pipeline: Option<Pipeline>,
     /// From the last of them on, or the last of the replay.
-    end: Option<PipelineEnd>,
+    end: Option<pipeline::Recorded>,
     failure: Option<String>,
 }
 
@@ -321,43 +320,44 @@ impl Saver {
     /// Records a step; returns `false` if the replay need not continue.
     fn observe(&mut self, run: &Run) -> bool {
         let step = run.simulation.steps_taken();
-        if self.steps.contains(&step) {
-            self.failure = self.record(run).err();
+        let mut is_recording = true;
+        if let Some(pipeline) = &mut self.pipeline {
+            is_recording = pipeline.observe(&*run.simulation, &run.summary, None);
+        } else if self.steps.contains(&step)
+            && let Some(sinks) = self.sinks.take()
+        {
+            match self.start(&*run.simulation, sinks) {
+                Ok(pipeline) => self.pipeline = Some(pipeline),
+                Err(failure) => self.failure = Some(failure),
+            }
         }
-        if step == *self.steps.end() {
+        if !is_recording || step == *self.steps.end() {
             self.end(run);
         }
         self.failure.is_none()
     }
 
-    fn record(&mut self, run: &Run) -> Result<(), String> {
-        let simulation = &*run.simulation;
-        if let Some(pipeline) = &mut self.pipeline {
-            return pipeline.observe(simulation, &run.summary, None);
-        }
-        let Some(sinks) = self.sinks.take() else { return Ok(()) };
+    fn start(&self, simulation: &dyn Simulation, sinks: Sinks) -> Result<Pipeline, String> {
         let recorder = Recorder::new(simulation, self.settings.clone())?;
-        let pipeline = Pipeline::start(simulation, recorder, sinks, Tab::Scene).map_err(|error| error.to_string())?;
-        self.pipeline = Some(pipeline);
-        Ok(())
+        Pipeline::start(simulation, recorder, sinks, Tab::Scene).map_err(|error| error.to_string())
     }
 
     /// Ends the recording with the last step observed, if it has not ended yet.
     fn end(&mut self, run: &Run) {
         let Some(pipeline) = self.pipeline.take() else { return };
-        let ended = pipeline.finish().map(|mut end| {
-            let unsent = end.finish(&*run.simulation, run.cause().as_deref());
-            let failure = end.failure.take().or(unsent);
-            self.end = Some(end);
-            failure
-        });
-        self.failure = self.failure.take().or(ended.unwrap_or_else(Some));
+        match pipeline.finish(&*run.simulation, run.cause().as_deref()) {
+            Ok(mut end) => {
+                self.failure = end.failure.take();
+                self.end = Some(end);
+            }
+            Err(broken) => self.failure = Some(broken),
+        }
     }
 
     /// Finishes the file and says what it holds.
     fn finish(self) -> Result<(), Failure> {
         let (sinks, frames) = match (self.end, self.sinks) {
-            (Some(PipelineEnd { recorder, sinks, .. }), _) => (sinks, recorder.written()),
+            (Some(pipeline::Recorded { recorder, sinks, .. }), _) => (sinks, recorder.written()),
             (None, Some(sinks)) => (sinks, 0),
             (None, None) => return Ok(()),
         };

@@ -61,6 +61,8 @@ pub struct Pipeline {
     waiting: Duration,
     /// Findings about surfaces since the last [`Pipeline::surface_events`].
     surfaces: Vec<SurfaceEvent>,
+    /// Why nothing more can be recorded, if so.
+    refused: Option<String>,
     full: Option<Sender<Packet>>,
     empty: Receiver<Packet>,
     shared: Arc<Mutex<Shared>>,
@@ -69,42 +71,16 @@ pub struct Pipeline {
     thread: Option<JoinHandle<Recording>>,
 }
 
-/// The recorder and its destinations after the last step, to be finished.
-pub struct PipelineEnd {
-    /// The recorder, not finished yet.
+/// A complete recording, whose destinations are still open.
+pub struct Recorded {
+    /// The recorder, finished.
     pub recorder: Recorder,
-    /// The destinations, which still have to receive the remaining messages.
+    /// The destinations, which have all messages.
     pub sinks: Sinks,
     /// Notes for the user since the last [`Pipeline::notes`].
     pub notes: Vec<String>,
-    /// Why recording failed, if it did.
+    /// Why recording failed, if it did: the first reason.
     pub failure: Option<String>,
-    /// The tab that files open on.
-    tab: Tab,
-    started: Clock,
-}
-
-impl PipelineEnd {
-    /// Ends the recording of a run, with the [cause](crate::observe::Run::cause) if it failed, and sends the remaining
-    /// messages, and to files and viewers of short runs the changes of their layout. Returns the reason if that fails.
-    pub fn finish(&mut self, simulation: &dyn Simulation, cause: Option<&str>) -> Option<String> {
-        if let Some(cause) = cause {
-            self.recorder.fail(cause);
-        }
-        self.recorder.finish();
-        let [is_live, is_recorded] = self.sinks.are_live_and_recorded();
-        let mut failure = if is_live { show(&mut self.recorder, &mut self.sinks, is_recorded) } else { None };
-        if is_recorded {
-            failure = failure.or(send_to(Audience::Files, &mut self.sinks, self.recorder.take()));
-        }
-        let is_short = self.started.elapsed() < UNTOUCHED;
-        if is_recorded || is_short {
-            let audience = if is_short { Audience::All } else { Audience::Files };
-            let layout = self.recorder.measured_layout(simulation, self.tab);
-            failure = failure.or(send_to(audience, &mut self.sinks, layout));
-        }
-        failure
-    }
 }
 
 /// State shared with the recording thread.
@@ -174,6 +150,7 @@ impl Pipeline {
             handed_over: Clock::now(),
             waiting: Duration::ZERO,
             surfaces: Vec::new(),
+            refused: None,
             full: Some(full),
             empty,
             shared,
@@ -184,8 +161,24 @@ impl Pipeline {
     }
 
     /// Observes the simulation after a step, whose summary it wrote; `lag` is its delay behind real time, if that is to be
-    /// recorded. `Err` tells why nothing more can be recorded.
-    pub fn observe(
+    /// recorded. Returns whether more can be recorded; if not, [`Pipeline::finish`] says why.
+    pub fn observe(&mut self, simulation: &dyn Simulation, summary: &StepSummary, lag: Option<Duration>) -> bool {
+        let taken = self.take(simulation, summary, lag);
+        self.allow(taken)
+    }
+
+    /// Hands over what has been observed, for a viewer that must not wait; returns as [`Pipeline::observe`] does.
+    pub fn show(&mut self) -> bool {
+        let handed_over = self.hand_over();
+        self.allow(handed_over)
+    }
+
+    fn allow(&mut self, done: Result<(), String>) -> bool {
+        self.refused = self.refused.take().or(done.err());
+        self.refused.is_none()
+    }
+
+    fn take(
         &mut self,
         simulation: &dyn Simulation,
         summary: &StepSummary,
@@ -216,7 +209,7 @@ impl Pipeline {
     }
 
     /// Hands over the current packet; waits if too many are in transit.
-    pub fn hand_over(&mut self) -> Result<(), String> {
+    fn hand_over(&mut self) -> Result<(), String> {
         if self.packet.steps_used == 0 {
             return Ok(());
         }
@@ -243,22 +236,39 @@ impl Pipeline {
         take(&mut lock(&self.shared).notes)
     }
 
-    /// Waits until everything observed is recorded.
+    /// Waits until everything observed is recorded, and ends the recording, with the
+    /// [cause](crate::observe::Run::cause) if the run failed: sends the remaining messages, and to files and viewers of
+    /// short runs the changes of their layout.
     ///
     /// # Errors
     /// The recording thread has panicked.
-    pub fn finish(mut self) -> Result<PipelineEnd, String> {
+    pub fn finish(mut self, simulation: &dyn Simulation, cause: Option<&str>) -> Result<Recorded, String> {
         let handed_over = self.hand_over();
         self.full = None;
-        match self.thread.take().map(JoinHandle::join) {
-            Some(Ok(Recording { mut recorder, sinks, .. })) => {
-                self.watch.take().into_iter().for_each(|watch| recorder.watched_by(watch));
-                let Shared { notes, failure } = take(&mut *lock(&self.shared));
-                let failure = failure.or(handed_over.err());
-                Ok(PipelineEnd { recorder, sinks, notes, failure, tab: self.tab, started: self.started })
-            }
-            _ => Err(broken()),
+        let Some(Ok(Recording { mut recorder, mut sinks, is_live, is_recorded, .. })) =
+            self.thread.take().map(JoinHandle::join)
+        else {
+            return Err(broken());
+        };
+        self.watch.take().into_iter().for_each(|watch| recorder.watched_by(watch));
+        if let Some(cause) = cause {
+            recorder.fail(cause);
         }
+        recorder.finish();
+        let mut unsent = if is_live { show(&mut recorder, &mut sinks, is_recorded) } else { None };
+        if is_recorded {
+            unsent = unsent.or(send_to(Audience::Files, &mut sinks, recorder.take()));
+        }
+        let is_short = self.started.elapsed() < UNTOUCHED;
+        if is_recorded || is_short {
+            let audience = if is_short { Audience::All } else { Audience::Files };
+            let layout = recorder.measured_layout(simulation, self.tab);
+            unsent = unsent.or(send_to(audience, &mut sinks, layout));
+        }
+        let Shared { mut notes, failure } = take(&mut *lock(&self.shared));
+        notes.append(&mut sinks.notes());
+        let failure = self.refused.or(failure).or(handed_over.err()).or(unsent);
+        Ok(Recorded { recorder, sinks, notes, failure })
     }
 }
 

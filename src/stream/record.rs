@@ -60,7 +60,7 @@ pub fn record_all<'a>(
 }
 
 /// Records a simulation. Returns the number of frames, and the sinks for what follows.
-fn record_to(
+pub fn record_to(
     simulation: Box<dyn Simulation>,
     steps: u64,
     settings: Settings,
@@ -69,14 +69,10 @@ fn record_to(
     let recorder = Recorder::new(&*simulation, settings).map_err(RecordError::Start)?;
     let mut pipeline = Pipeline::start(&*simulation, recorder, sinks, Tab::Scene)?;
     let mut run = Run::new(simulation, Some(steps));
-    let mut refused = None;
-    while refused.is_none() && run.step() {
-        refused = pipeline.observe(&*run.simulation, &run.summary, None).err();
+    while run.step() && pipeline.observe(&*run.simulation, &run.summary, None) {}
+    let end = pipeline.finish(&*run.simulation, run.cause().as_deref()).map_err(RecordError::Recording)?;
+    match end.failure {
+        Some(failure) => Err(RecordError::Recording(failure)),
+        None => Ok((end.recorder.written(), end.sinks)),
     }
-    let mut end = pipeline.finish().map_err(RecordError::Recording)?;
-    let unsent = end.finish(&*run.simulation, run.cause().as_deref());
-    if let Some(failure) = refused.or(end.failure).or(unsent) {
-        return Err(RecordError::Recording(failure));
-    }
-    Ok((end.recorder.written(), end.sinks))
 }

@@ -16,7 +16,7 @@ use crate::{
     scene::Scene,
     stream::{
         Pipeline, Recorder,
-        pipeline::PipelineEnd,
+        pipeline::Recorded,
         settings::{Frames, Settings},
         sinks::{Complete, Finished, Serving, Sinks},
     },
@@ -95,13 +95,13 @@ pub fn simulate(
     console.begin(&settings, arguments.save.as_deref());
     let recorder = Recorder::numbered(&*simulation, settings.clone(), number).map_err(Failure::Input)?;
     let mut pipeline = Pipeline::start(&*simulation, recorder, sinks, arguments.tab).map_err(sink_failure)?;
-    let mut failure = None;
     console.progress.stage("");
     let (mut events, mut next) = (Events::default(), None);
     let (start, mut simulating) = (Instant::now(), Duration::ZERO);
     let mut looked = start;
     let mut run = Run::new(simulation, settings.steps);
-    while failure.is_none() && next.is_none() && !STOP.load(Ordering::Relaxed) {
+    let mut is_recording = true;
+    while is_recording && next.is_none() && !STOP.load(Ordering::Relaxed) {
         let step = Instant::now();
         let has_stepped = run.step();
         simulating += step.elapsed();
@@ -118,13 +118,13 @@ pub fn simulate(
         }
         let due = arguments.realtime.then(|| start + Duration::from_secs_f64(simulation.time().min(1e9)));
         let lag = due.map(|due| Instant::now().saturating_duration_since(due));
-        failure = pipeline.observe(&**simulation, summary, lag).err();
+        is_recording = pipeline.observe(&**simulation, summary, lag);
         let surfaces = pipeline.surface_events();
         for row in rows(&summary.events, &surfaces, &summary.body_events) {
             events.add(&row, &schema);
         }
         if let Some(due) = due {
-            failure = failure.or(pipeline.hand_over().err());
+            is_recording &= pipeline.show();
             wait_until(due);
         }
         let is_time = simulation.steps_taken().is_multiple_of(STEPS_BETWEEN_CHECKS) || arguments.realtime;
@@ -138,14 +138,11 @@ pub fn simulate(
 
     // The steps simulated so far are saved, however the run ended.
     console.progress.stage("finishing the recording");
-    let mut end = pipeline.finish().map_err(Failure::Run)?;
-    let seconds = [simulating, start.elapsed()].map(|time| time.as_secs_f64());
     let failed = run.cause();
-    let unsent = end.finish(&*run.simulation, failed.as_deref());
-    let simulation = run.simulation;
-    let PipelineEnd { recorder, mut sinks, mut notes, failure: recording, .. } = end;
-    let failure = failed.or(failure).or(recording).or(unsent);
-    notes.append(&mut sinks.notes());
+    let Recorded { recorder, sinks, mut notes, failure } =
+        pipeline.finish(&*run.simulation, failed.as_deref()).map_err(Failure::Run)?;
+    let seconds = [simulating, start.elapsed()].map(|time| time.as_secs_f64());
+    let (simulation, failure) = (run.simulation, failed.or(failure));
     notes.extend(events.inaccuracy(&schema));
     notes.extend(recorder.dropped_frames());
     if next.is_none() {
