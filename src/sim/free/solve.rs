@@ -21,7 +21,7 @@ use crate::sim::numerics::{
 
 /// With fewer vertices than this, a second thread does not pay off.
 const PARALLEL_VERTICES: usize = 4096;
-/// Work of the force of a plane on a vertex, a solution of nine equations [units].
+/// Work of the force of a plane on a vertex, a solution of nine equations in two parts [units].
 const HOLD: u64 = 200;
 /// Work of a sweep for each part of a step of a vertex that is advanced alone [units].
 const LEG: u64 = 200;

@@ -646,52 +646,102 @@ pub fn hold(
     seen: &[Seen; 4],
     responses: &[[(f64, f64); 3]; 3],
 ) -> [DVec3; 4] {
-    // (1 − J W) change = found − before, at the nodes after the first
-    let mut a = [[0.0; 10]; 9];
-    for i in 0..3 {
+    // (1 − J W) change = found − before, at the nodes after the first. The pressure depends on the motion along the normal
+    // alone, which friction does not change: three equations for the one, then six for the other.
+    let normal = plane.normal;
+    let sides: [DVec3; 2] = normal.any_orthonormal_pair().into();
+    let residual: [DVec3; 3] = std::array::from_fn(|i| found[i + 1] - before[i + 1]);
+    let derivatives: [(DMat3, DMat3); 3] = std::array::from_fn(|i| {
         let at = &seen[i + 1];
-        let (by_position, by_velocity) =
-            plane.derivatives(plane.depth(at.place.centre + at.s), at.place.velocity + at.rate);
-        let residual = found[i + 1] - before[i + 1];
-        for j in 0..3 {
-            let (x, u) = responses[i][j];
-            let block = by_position * x + by_velocity * u;
-            for column in 0..3 {
-                for row in 0..3 {
-                    let one = if i == j && row == column { 1.0 } else { 0.0 };
-                    a[3 * i + row][3 * j + column] = one - block.col(column)[row];
-                }
-            }
-        }
-        for row in 0..3 {
-            a[3 * i + row][9] = residual[row];
-        }
+        plane.derivatives(plane.depth(at.place.centre + at.s), at.place.velocity + at.rate)
+    });
+    let by_depth = derivatives.map(|(by_position, _)| by_position * normal);
+    let one = |i: usize, j: usize| if i == j { 1.0 } else { 0.0 };
+    let pressing =
+        std::array::from_fn(|i| std::array::from_fn(|j| one(i, j) - normal.dot(by_depth[i]) * responses[i][j].0));
+    let pressure = solve_equations(pressing, residual.map(|residual| normal.dot(residual)));
+    let pressed: [f64; 3] = std::array::from_fn(|i| (0..3).map(|j| responses[i][j].0 * pressure[j]).sum());
+    let rest: [DVec3; 3] = std::array::from_fn(|i| residual[i] + pressed[i] * by_depth[i]);
+    let mut aside: [f64; 6] = std::array::from_fn(|row| sides[row % 2].dot(rest[row / 2]));
+    if plane.friction != 0.0 {
+        let by_slide = derivatives.map(|(_, by_velocity)| sides.map(|side| by_velocity * side));
+        let sliding = std::array::from_fn(|row| {
+            std::array::from_fn(|column| {
+                let by_side = sides[row % 2].dot(by_slide[row / 2][column % 2]);
+                one(row, column) - by_side * responses[row / 2][column / 2].1
+            })
+        });
+        aside = solve_equations(sliding, aside);
     }
-    let change = solve_nine(a);
     std::array::from_fn(|node| match node {
         0 => found[0],
-        node => before[node] + DVec3::from_slice(&change[3 * node - 3..3 * node]),
+        node => {
+            let [a, b] = [2 * node - 2, 2 * node - 1].map(|row| aside[row]);
+            before[node] + (pressure[node - 1] * normal + (a * sides[0] + b * sides[1]))
+        }
     })
 }
 
-/// Solves nine linear equations, with the right-hand side in the last column (Gaussian elimination with pivoting).
-fn solve_nine(mut a: [[f64; 10]; 9]) -> [f64; 9] {
-    for p in 0..9 {
-        let pivot = (p..9).max_by(|&i, &j| a[i][p].abs().total_cmp(&a[j][p].abs())).unwrap_or(p);
+/// Solves linear equations (Gaussian elimination with pivoting).
+#[inline]
+fn solve_equations<const N: usize>(mut a: [[f64; N]; N], mut b: [f64; N]) -> [f64; N] {
+    for p in 0..N {
+        let pivot = (p + 1..N).fold(p, |best, i| if a[i][p].abs() > a[best][p].abs() { i } else { best });
         a.swap(p, pivot);
-        let row = a[p];
+        b.swap(p, pivot);
+        let (row, known) = (a[p], b[p]);
         let scale = 1.0 / row[p];
-        for other in &mut a[p + 1..] {
-            let factor = other[p] * scale;
-            for column in p + 1..10 {
-                other[column] -= factor * row[column];
+        for i in p + 1..N {
+            let factor = a[i][p] * scale;
+            for column in p + 1..N {
+                a[i][column] -= factor * row[column];
+            }
+            b[i] -= factor * known;
+        }
+    }
+    for p in (0..N).rev() {
+        let known: f64 = (p + 1..N).map(|column| a[p][column] * b[column]).sum();
+        b[p] = (b[p] - known) / a[p][p];
+    }
+    b
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::Random;
+
+    /// The change solves the equations of all nine components: (1 − J W) change = found − before.
+    #[test]
+    fn forces_of_planes_are_held_by_a_newton_step() {
+        let mut random = Random::new(7);
+        let mut draw = |low: f64, high: f64| low + (high - low) * random.unit();
+        for number in 0..200 {
+            let mut vector = |size: f64| DVec3::new(draw(-size, size), draw(-size, size), draw(-size, size));
+            let normal = vector(1.0).normalize();
+            let (before, found) = ([(); 4].map(|()| vector(3.0)), [(); 4].map(|()| vector(3.0)));
+            let place = Place { centre: vector(0.1), velocity: vector(0.5) };
+            let seen =
+                [(); 4].map(|()| Seen { s: vector(0.3), rate: vector(2.0), a: DVec3::X, place, turning: DVec3::ZERO });
+            let responses = [(); 3].map(|()| [(); 3].map(|()| (draw(-1e-3, 1e-3), draw(-1e-2, 1e-2))));
+            let friction = if number % 3 == 0 { 0.0 } else { draw(0.1, 1.0) };
+            let plane = Plane { normal, offset: 0.2, stiffness: draw(1.0, 2000.0), friction, slip: 0.1 };
+            let held = hold(&plane, &before, &found, &seen, &responses);
+            assert_eq!(held[0], found[0]);
+            for i in 0..3 {
+                let at = &seen[i + 1];
+                let (by_position, by_velocity) =
+                    plane.derivatives(plane.depth(place.centre + at.s), place.velocity + at.rate);
+                let change = |node: usize| held[node] - before[node];
+                let caused = (0..3).map(|j| {
+                    let (x, u) = responses[i][j];
+                    by_position * (x * change(j + 1)) + by_velocity * (u * change(j + 1))
+                });
+                let sum: DVec3 = change(i + 1) - caused.sum::<DVec3>();
+                let residual = found[i + 1] - before[i + 1];
+                let largest = held.iter().map(|held| held.length()).fold(10.0, f64::max);
+                assert!(sum.distance(residual) < 1e-9 * largest, "scene {number}: {sum} instead of {residual}");
             }
         }
     }
-    let mut solution = [0.0; 9];
-    for p in (0..9).rev() {
-        let known: f64 = (p + 1..9).map(|column| a[p][column] * solution[column]).sum();
-        solution[p] = (a[p][9] - known) / a[p][p];
-    }
-    solution
 }
