@@ -1679,19 +1679,7 @@ fn name_place(world: &World, index: usize) -> DVec3 {
     let away: DVec3 = others.map(|other| (centre(index) - centre(other)).normalize_or_zero()).sum();
     let aside = if index.is_multiple_of(2) { DVec3::NEG_X } else { DVec3::X };
     let direction = (away + 0.05 * aside).normalize_or(DVec3::Z);
-    let towards_eye = DVec3::new(-0.2, -1.0, 0.4).normalize();
-    let right = DVec3::new(1.0, -0.2, 0.0).normalize();
-    // not on the disc that a body in front of it shows to the eye
-    let is_clear = |place: &DVec3| {
-        (0..world.bodies().len()).filter(|&other| other != index).all(|other| {
-            let apart = centre(other) - place;
-            let aside = apart.cross(towards_eye).length();
-            apart.dot(towards_eye) <= 0.0 || aside >= world.body(other).scene().radius
-        })
-    };
-    let offsets = [0.9 * direction + 0.35 * DVec3::Z, DVec3::Z, right, -right, DVec3::NEG_Z];
-    let places = offsets.map(|offset| centre(index) + world.body(index).scene().radius * offset);
-    places.into_iter().find(is_clear).unwrap_or(places[0])
+    centre(index) + world.body(index).scene().radius * (0.9 * direction + 0.35 * DVec3::Z)
 }
 
 /// A number with at least three digits.

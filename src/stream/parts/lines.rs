@@ -181,8 +181,7 @@ pub fn track_labels(entity: &str, chunks: &mut Chunks) -> TrackId {
     chunks.track(entity, [Points3D::descriptor_positions(), Points3D::descriptor_labels()])
 }
 
-/// Where the name of a body stands [scene unit]: off its centre, away from the bodies near it; from the usual direction of
-/// the camera, not upon a body in front of it if there is such a place.
+/// Where the name of a body stands [scene unit]: off its centre, away from the bodies near it.
 pub fn name_place(view: FrameView<'_>, index: usize) -> DVec3 {
     let (body, now) = (&view.schema.bodies[index], &view.frame.bodies[index]);
     let met = view.frame.pairs.iter().filter_map(|pair| match (pair.a == index, pair.b == index) {
@@ -195,20 +194,7 @@ pub fn name_place(view: FrameView<'_>, index: usize) -> DVec3 {
     let aside = if index.is_multiple_of(2) { DVec3::NEG_X } else { DVec3::X };
     let up = view.schema.up;
     let direction = (away + 0.05 * aside).normalize_or(up);
-    let towards_eye = view.towards_eye().normalize();
-    let right = up.cross(towards_eye).normalize();
-    let is_covered = |place: &DVec3| {
-        view.bodies().enumerate().any(|(other, (schema, now))| {
-            let apart = now.centre - place;
-            let depth = apart.dot(towards_eye);
-            let is_before = other != index && !now.is_absent && depth > 0.0;
-            is_before && apart.reject_from_normalized(towards_eye).length() < schema.radius
-        })
-    };
-    let first = 0.9 * direction + 0.35 * up;
-    let place = |offset: DVec3| now.centre + body.radius * offset;
-    let mut places = [first, up, right, -right, -up].map(place).into_iter();
-    places.find(|place| !is_covered(place)).unwrap_or(place(first))
+    now.centre + body.radius * (0.9 * direction + 0.35 * up)
 }
 
 /// Number of bodies that have names, the first ones.
