@@ -20,7 +20,8 @@ use crate::{
     stream::{
         Pipeline, Recorder,
         blueprint::Tab,
-        machine, pipeline,
+        machine,
+        pipeline::PipelineEnd,
         settings::{DETAILS, Detail, Frames, Settings, application},
         sinks::{Destinations, Sinks},
     },
@@ -280,7 +281,7 @@ struct Saver {
     /// From then on.
     pipeline: Option<Pipeline>,
     /// From the last of them on, or the last of the replay.
-    end: Option<pipeline::Recorded>,
+    end: Option<PipelineEnd>,
     failure: Option<String>,
 }
 
@@ -357,7 +358,7 @@ impl Saver {
     /// Finishes the file and says what it holds.
     fn finish(self) -> Result<(), Failure> {
         let (sinks, frames) = match (self.end, self.sinks) {
-            (Some(pipeline::Recorded { recorder, sinks, .. }), _) => (sinks, recorder.written()),
+            (Some(PipelineEnd { recorder, sinks, .. }), _) => (sinks, recorder.written()),
             (None, Some(sinks)) => (sinks, 0),
             (None, None) => return Ok(()),
         };

@@ -72,7 +72,7 @@ pub struct Pipeline {
 }
 
 /// A complete recording, whose destinations are still open.
-pub struct Recorded {
+pub struct PipelineEnd {
     /// The recorder, finished.
     pub recorder: Recorder,
     /// The destinations, which have all messages.
@@ -162,12 +162,14 @@ impl Pipeline {
 
     /// Observes the simulation after a step, whose summary it wrote; `lag` is its delay behind real time, if that is to be
     /// recorded. Returns whether more can be recorded; if not, [`Pipeline::finish`] says why.
+    #[must_use]
     pub fn observe(&mut self, simulation: &dyn Simulation, summary: &StepSummary, lag: Option<Duration>) -> bool {
         let taken = self.take(simulation, summary, lag);
         self.allow(taken)
     }
 
     /// Hands over what has been observed, for a viewer that must not wait; returns as [`Pipeline::observe`] does.
+    #[must_use]
     pub fn show(&mut self) -> bool {
         let handed_over = self.hand_over();
         self.allow(handed_over)
@@ -242,7 +244,7 @@ impl Pipeline {
     ///
     /// # Errors
     /// The recording thread has panicked.
-    pub fn finish(mut self, simulation: &dyn Simulation, cause: Option<&str>) -> Result<Recorded, String> {
+    pub fn finish(mut self, simulation: &dyn Simulation, cause: Option<&str>) -> Result<PipelineEnd, String> {
         let handed_over = self.hand_over();
         self.full = None;
         let Some(Ok(Recording { mut recorder, mut sinks, is_live, is_recorded, .. })) =
@@ -268,7 +270,7 @@ impl Pipeline {
         let Shared { mut notes, failure } = take(&mut *lock(&self.shared));
         notes.append(&mut sinks.notes());
         let failure = self.refused.or(failure).or(handed_over.err()).or(unsent);
-        Ok(Recorded { recorder, sinks, notes, failure })
+        Ok(PipelineEnd { recorder, sinks, notes, failure })
     }
 }
 

@@ -16,7 +16,7 @@ use crate::{
     scene::Scene,
     stream::{
         Pipeline, Recorder,
-        pipeline::Recorded,
+        pipeline::PipelineEnd,
         settings::{Frames, Settings},
         sinks::{Complete, Finished, Serving, Sinks},
     },
@@ -139,7 +139,7 @@ pub fn simulate(
     // The steps simulated so far are saved, however the run ended.
     console.progress.stage("finishing the recording");
     let failed = run.cause();
-    let Recorded { recorder, sinks, mut notes, failure } =
+    let PipelineEnd { recorder, sinks, mut notes, failure } =
         pipeline.finish(&*run.simulation, failed.as_deref()).map_err(Failure::Run)?;
     let seconds = [simulating, start.elapsed()].map(|time| time.as_secs_f64());
     let (simulation, failure) = (run.simulation, failed.or(failure));
