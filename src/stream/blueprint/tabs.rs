@@ -55,7 +55,8 @@ impl Layout {
         let close = simulation.framing(true);
         self.set_ground(schema, &framing);
         let depths: Vec<f64> = schema.variants.iter().map(|variant| (schema.upright() * variant.heading).y).collect();
-        self.laid_out = depths.windows(2).any(|pair| pair[0] != pair[1]);
+        let rounding = 1e-9 * schema.largest_radius();
+        self.laid_out = depths.windows(2).any(|pair| (pair[0] - pair[1]).abs() > rounding);
         if front == Tab::Stages {
             self.timeline = STAGE;
         }
