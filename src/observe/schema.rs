@@ -459,6 +459,11 @@ impl Schema {
         DQuat::from_rotation_arc(self.up, DVec3::Z)
     }
 
+    /// The place at this height [scene unit] straight above or below another.
+    pub fn raised(&self, place: DVec3, height: f64) -> DVec3 {
+        place + (height - place.dot(self.up)) * self.up
+    }
+
     /// The largest radius of a body [scene unit].
     pub fn largest_radius(&self) -> f64 {
         self.bodies.iter().map(|body| body.radius).fold(0.0, f64::max)

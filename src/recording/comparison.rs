@@ -264,10 +264,9 @@ impl Comparison {
                 label += &format!("\narrows {} times as long", short(times));
             }
             // above all bodies: beside the vertex the label would hide what differs
-            let up = schema.up;
-            let heights = self.shown.iter().map(|&(index, ..)| above(index, LABEL_HEIGHT).as_dvec3().dot(up));
+            let heights = self.shown.iter().map(|&(index, ..)| above(index, LABEL_HEIGHT).as_dvec3().dot(schema.up));
             let height = heights.fold(f64::NEG_INFINITY, f64::max);
-            ([position, position + (height - position.dot(up)) * up], label)
+            ([position, schema.raised(position, height)], label)
         });
         self.worst.log(worst, at, &mut self.chunks);
         log_difference(&mut self.chunks, TOLERANCE, tolerance, at);

@@ -45,7 +45,7 @@ impl Focus {
         }
         if schema.variants.is_empty() {
             let middle = 0.5 * (frame.bodies[pair[0]].centre + frame.bodies[pair[1]].centre);
-            spheres.push((view.raised(middle, recent::label_height(view)), 0.0));
+            spheres.push((view.schema.raised(middle, recent::label_height(view)), 0.0));
         }
         let points = schema.points.iter().filter_map(|point| point.sphere.at(view.at.time));
         let reached = |&(centre, reach): &(DVec3, f64)| {
@@ -163,7 +163,7 @@ impl FocusFinder {
         let bodies: Vec<(DVec3, f64)> = bodies.filter(|(centre, _)| centre.is_finite()).collect();
         if let Some(&(centre, _)) = bodies.first().filter(|_| schema.variants.is_empty()) {
             let known = self.events.into_iter().flatten().map(|corner| (corner, 0.0));
-            let label = (view.raised(centre, recent::label_height(view)), 0.0);
+            let label = (view.schema.raised(centre, recent::label_height(view)), 0.0);
             self.events = Some(bounds(known.chain(bodies).chain([label])));
         }
         self.frames += 1;
@@ -229,7 +229,7 @@ mod tests {
         view,
     };
 
-    /// What falls along an axis falls downwards in views: labels stand above the bodies, and the camera does, too.
+    /// What falls along an axis falls downwards in views: labels stand above the bodies, and the usual camera does, too.
     #[test]
     fn views_are_upright_whatever_the_direction_of_gravity() {
         for (gravity, up) in [

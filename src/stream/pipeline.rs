@@ -170,7 +170,7 @@ impl Pipeline {
 
     /// Hands over what has been observed, for a viewer that must not wait; returns as [`Pipeline::observe`] does.
     #[must_use]
-    pub fn show(&mut self) -> bool {
+    pub fn flush(&mut self) -> bool {
         let handed_over = self.hand_over();
         self.allow(handed_over)
     }

@@ -1,4 +1,4 @@
-//! What a camera should have in view.
+//! What a camera should have in view, and which way up.
 
 use glam::DVec3;
 
@@ -10,6 +10,13 @@ use crate::{
 /// What a camera should have in view, see [`Simulation::framing`](crate::observe::Simulation::framing).
 pub fn framing(scene: &Scene, only_affected_bodies: bool) -> Vec<(DVec3, f64)> {
     if only_affected_bodies { affected_bodies(scene) } else { all_spheres(scene) }
+}
+
+/// The axis direction that is closest to the opposite of gravity; z without gravity.
+pub fn up(scene: &Scene) -> DVec3 {
+    let axes = [DVec3::Z, DVec3::NEG_Z, DVec3::Y, DVec3::NEG_Y, DVec3::X, DVec3::NEG_X];
+    let against = |axis: &DVec3| scene.gravity.dot(*axis);
+    axes.into_iter().min_by(|one, other| against(one).total_cmp(&against(other))).unwrap_or(DVec3::Z)
 }
 
 /// Instants within the first minute at which the camera framing samples positions [s].

@@ -40,7 +40,7 @@ use crate::{
     },
     text::{change, short},
 };
-use camera::framing;
+use camera::{framing, up};
 pub(crate) use frames::pair_frame;
 use frames::{add_coupled_forces, add_forces};
 use scalars::{ScalarValue, StateNumbers, scalars};
@@ -380,13 +380,6 @@ pub fn schema(scene: &Scene) -> Schema {
         warnings: scene.warnings(),
         ..Schema::default()
     }
-}
-
-/// The axis direction that is closest to the opposite of gravity; z without gravity.
-fn up(scene: &Scene) -> DVec3 {
-    let axes = [DVec3::Z, DVec3::NEG_Z, DVec3::Y, DVec3::NEG_Y, DVec3::X, DVec3::NEG_X];
-    let against = |axis: &DVec3| scene.gravity.dot(*axis);
-    axes.into_iter().min_by(|one, other| against(one).total_cmp(&against(other))).unwrap_or(DVec3::Z)
 }
 
 impl From<&Event> for PairEvent {

@@ -124,7 +124,7 @@ pub fn simulate(
             events.add(&row, &schema);
         }
         if let Some(due) = due {
-            is_recording &= pipeline.show();
+            is_recording &= pipeline.flush();
             wait_until(due);
         }
         let is_time = simulation.steps_taken().is_multiple_of(STEPS_BETWEEN_CHECKS) || arguments.realtime;

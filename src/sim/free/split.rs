@@ -740,7 +740,7 @@ mod tests {
                 let sum: DVec3 = change(i + 1) - caused.sum::<DVec3>();
                 let residual = found[i + 1] - before[i + 1];
                 let largest = held.iter().map(|held| held.length()).fold(10.0, f64::max);
-                assert!(sum.distance(residual) < 1e-9 * largest, "scene {number}: {sum} instead of {residual}");
+                assert!(sum.distance(residual) < 1e-13 * largest, "scene {number}: {sum} instead of {residual}");
             }
         }
     }

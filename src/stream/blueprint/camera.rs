@@ -12,6 +12,15 @@ use crate::stream::parts::TOWARDS_EYE;
 /// Spheres (centre and radius) to keep in view, and the aspect ratio of the view.
 pub type Framing<'a> = (&'a [(DVec3, f64)], f64);
 
+/// How a scene stands before the camera.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Arrangement {
+    /// Whether variants of the scene lie one behind the other.
+    pub laid_out: bool,
+    /// The rotation to axes in which z is up.
+    pub upright: DQuat,
+}
+
 /// Minimum aspect ratios of views in a 16:9 window.
 pub const WIDE: f64 = 1.45;
 pub const NARROW: f64 = 1.2;
@@ -23,7 +32,8 @@ pub fn camera_past(
     spheres: &[(DVec3, f64)],
     wanted: &[(DVec3, f64)],
     others: &[(DVec3, f64)],
-    (aspect, laid_out, upright): (f64, bool, DQuat),
+    aspect: f64,
+    Arrangement { laid_out, upright }: Arrangement,
 ) -> EyeControls3D {
     let turned = [spheres, wanted, others].map(|spheres| -> Vec<(DVec3, f64)> {
         spheres.iter().map(|&(centre, radius)| (upright * centre, radius)).collect()

@@ -1,9 +1,9 @@
 //! The parts of a layout: containers and views, each an entity of the blueprint store with its own id.
 
-use glam::{DQuat, DVec3};
+use glam::DVec3;
 
 use super::{
-    camera::{Framing, camera_past},
+    camera::{Arrangement, Framing, camera_past},
     plots::Plot,
 };
 use crate::{
@@ -88,10 +88,8 @@ pub struct Layout {
     pub spaces: Vec<(String, f64)>,
     /// The grid below everything visible, if there is one.
     pub ground: Option<Ground>,
-    /// Whether variants of the scene lie one behind the other.
-    pub laid_out: bool,
-    /// The rotation to axes in which z is up.
-    upright: DQuat,
+    /// How the scene stands before the cameras.
+    pub arrangement: Arrangement,
     /// The timeline that the viewer opens with.
     pub timeline: &'static str,
 }
@@ -136,8 +134,7 @@ impl Layout {
             forces: Vec::new(),
             spaces: Vec::new(),
             ground: None,
-            laid_out: false,
-            upright: DQuat::IDENTITY,
+            arrangement: Arrangement::default(),
             timeline: SIM_TIME,
         }
     }
@@ -292,10 +289,13 @@ impl Layout {
         }
     }
 
-    /// Sets the orientation of views in space, and the ground below these spheres (centre and radius); planes have their own
+    /// Sets how the scene stands before the cameras, and the ground below these spheres (centre and radius); planes have their own
     /// grids.
-    pub fn set_ground(&mut self, schema: &Schema, spheres: &[(DVec3, f64)]) {
-        self.upright = schema.upright();
+    pub fn set_arrangement(&mut self, schema: &Schema, spheres: &[(DVec3, f64)]) {
+        let depths: Vec<f64> = schema.variants.iter().map(|variant| (schema.upright() * variant.heading).y).collect();
+        let rounding = 1e-9 * schema.largest_radius();
+        let laid_out = depths.windows(2).any(|pair| (pair[0] - pair[1]).abs() > rounding);
+        self.arrangement = Arrangement { laid_out, upright: schema.upright() };
         self.ground = Ground::under(spheres, schema.up).filter(|_| schema.planes.is_empty());
     }
 
@@ -313,13 +313,13 @@ impl Layout {
             None => LineGrid3D::new().with_visible(false),
             Some(Ground { height, spacing }) => LineGrid3D::new()
                 .with_visible(true)
-                .with_plane(Plane3D::new((self.upright.conjugate() * DVec3::Z).as_vec3(), height as f32))
+                .with_plane(Plane3D::new((self.arrangement.upright.conjugate() * DVec3::Z).as_vec3(), height as f32))
                 .with_spacing(spacing as f32)
                 .with_stroke_width(1.0)
                 .with_color(palette::color(palette::GROUND)),
         };
         let background = Background::new(BackgroundKind::SolidColor).with_color(palette::color(palette::BACKGROUND));
-        let camera = camera_past(spheres, &[], &[], (aspect, self.laid_out, self.upright));
+        let camera = camera_past(spheres, &[], &[], aspect, self.arrangement);
         let properties: [(&str, &dyn AsComponents); 3] =
             [("EyeControls3D", &camera), ("LineGrid3D", &grid), ("Background", &background)];
         let view = self.view("3D", name, WORLD.path, contents, &properties);

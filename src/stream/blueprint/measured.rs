@@ -167,7 +167,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
                 true => (focus.pair.as_slice(), focus.others.as_slice()),
                 false => Default::default(),
             };
-            let camera = camera_past(&focus.spheres, pair, others, (aspect, layout.laid_out, subject.schema.upright()));
+            let camera = camera_past(&focus.spheres, pair, others, aspect, layout.arrangement);
             for (view, _) in spaces.iter().filter(|(_, of)| *of == aspect) {
                 layout.log(&format!("{view}/EyeControls3D"), &camera);
             }

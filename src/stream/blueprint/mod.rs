@@ -73,7 +73,7 @@ pub fn beside_controls(subject: &Subject<'_>, recording: &StoreId) -> Vec<LogMsg
     let (framing, close) = (simulation.framing(false), simulation.framing(true));
     let mut layout = Layout::of(recording);
     layout.timeline = STEP;
-    layout.set_ground(schema, &framing);
+    layout.set_arrangement(schema, &framing);
     let mut tabs = vec![layout.scene_view((&framing, WIDE), schema, scene_title(schema), settings)];
     if schema.bodies.len() > 1 {
         tabs.push(layout.surface_view((&close, WIDE), "One surface per group", schema, settings));
@@ -104,7 +104,7 @@ pub fn of_comparison(
     const AFTER: f64 = 1.0;
 
     let mut layout = Layout::of(recording);
-    layout.set_ground(schema, spheres);
+    layout.set_arrangement(schema, spheres);
     let surfaces = layout.space((spheres, WIDE), "Both surfaces, and arrows between them", &[family(&WORLD)]);
     let dots =
         Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(2.0)]).with_colors([palette::color(rgb)]);

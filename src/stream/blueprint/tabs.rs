@@ -53,10 +53,7 @@ impl Layout {
         let Subject { simulation, schema, settings } = *subject;
         let framing = simulation.framing(false);
         let close = simulation.framing(true);
-        self.set_ground(schema, &framing);
-        let depths: Vec<f64> = schema.variants.iter().map(|variant| (schema.upright() * variant.heading).y).collect();
-        let rounding = 1e-9 * schema.largest_radius();
-        self.laid_out = depths.windows(2).any(|pair| (pair[0] - pair[1]).abs() > rounding);
+        self.set_arrangement(schema, &framing);
         if front == Tab::Stages {
             self.timeline = STAGE;
         }

@@ -194,11 +194,9 @@ impl GroupPlots {
             false => Some(group.bodies.iter().map(|&body| self.volumes[body]).sum::<f64>()),
         };
         // while there are groups, a body that is in none is one of its own
-        let alone = |&body: &usize| !merged.is_merged[body] && !view.frame.bodies[body].is_absent;
-        let mut alone: Vec<usize> = (0..self.volumes.len()).filter(alone).collect();
-        if groups.is_empty() || merged.overlapping > 0 {
-            alone.clear();
-        }
+        let ranked = if groups.is_empty() || merged.overlapping > 0 { 0 } else { self.volumes.len() };
+        let is_alone = |&body: &usize| !merged.is_merged[body] && !view.frame.bodies[body].is_absent;
+        let mut alone: Vec<usize> = (0..ranked).filter(is_alone).collect();
         alone.sort_by(|&one, &other| self.volumes[other].total_cmp(&self.volumes[one]));
         let volumes = groups.iter().map(|group| apart(group).unwrap_or(0.0).max(group.volume));
         let largest = volumes.chain(alone.first().map(|&body| self.volumes[body])).fold(0.0, f64::max);
@@ -218,7 +216,7 @@ impl GroupPlots {
         });
         let rows = rows.chain(alone.into_iter().map(|body| {
             let (volume, color) = (self.volumes[body], palette::of_body(view.schema, body));
-            let label = format!("{}: {}", names(view.schema, &[body]), short(volume));
+            let label = format!("{}: {}", view.schema.bodies[body].name, short(volume));
             Row { label, color, marks: vec![(Mark::Bar(volume / largest), color)] }
         }));
         let none =

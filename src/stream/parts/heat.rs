@@ -118,7 +118,7 @@ impl Heat {
             let hidden = of_all.filter(|of_all| of_all.displacement > outside.displacement);
             let hidden = hidden.map(|hidden| format!("; inside another body: {}", hidden.text(view)));
             let height = f64::min(recent::label_height(view), view.top() + ABOVE * view.schema.largest_radius());
-            let end = view.raised(outside.position, f64::max(height, outside.position.dot(view.schema.up)));
+            let end = view.schema.raised(outside.position, f64::max(height, outside.position.dot(view.schema.up)));
             let label = format!("largest on the surface: {}{}", outside.text(view), hidden.unwrap_or_default());
             ([outside.position, end], label)
         });

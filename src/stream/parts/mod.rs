@@ -131,11 +131,6 @@ impl<'a> FrameView<'a> {
         self.bounds().map(|corner| corner.dot(self.schema.up)).into_iter().fold(f64::NEG_INFINITY, f64::max)
     }
 
-    /// The place at this height above or below another.
-    pub fn raised(self, place: DVec3, height: f64) -> DVec3 {
-        place + (height - place.dot(self.schema.up)) * self.schema.up
-    }
-
     /// See [`TOWARDS_EYE`].
     pub(in crate::stream) fn towards_eye(self) -> DVec3 {
         self.schema.upright().conjugate() * TOWARDS_EYE

@@ -80,7 +80,7 @@ impl Moves {
                     let text = format!("{}:{vertex} moved {} R", schema.name, significant(distance));
                     let ends = ends.get(vertex).map(|&[x, y, z]| {
                         let place = Vec3::new(x, y, z).as_dvec3();
-                        [place, view.raised(place, recent::label_height(view))]
+                        [place, view.schema.raised(place, recent::label_height(view))]
                     });
                     mark = ends.map(|ends| (ends, text));
                 }

@@ -182,8 +182,8 @@ impl Recent {
         let mut rows = Rows::default();
         for (number, RecentEvent { label, q, color: rgb, centres, .. }) in self.events.iter().enumerate() {
             let middle = 0.5 * (centres[0] + centres[1]);
-            let rise = self.top + number as f64 * self.apart - middle.dot(schema.up);
-            let place = middle + f64::max(rise, 0.0) * schema.up;
+            let height = f64::max(self.top + number as f64 * self.apart, middle.dot(schema.up));
+            let place = schema.raised(middle, height);
             rows.strips.extend([centres.map(|centre| centre.as_vec3().to_array()), callout::leader(middle, place)]);
             rows.line_colors.extend([color(*rgb).to_u32(); 2]);
             rows.places.push(place.as_vec3().to_array());
