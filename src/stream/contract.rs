@@ -127,9 +127,9 @@ entities! {
     BODY_FORCE = "/forces/NAME/CAUSE" ["Scalars"]
         "Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, by mass if it is free, and of that by forces at points [scene unit/s²]; with at most 16 bodies, from the first frame in which it acts.";
     RESULTANTS = "/world/resultants" ["Arrows3D"]
-        "The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre; all on one scale, on which the longest of an instant is 1.5 times as long as the largest radius. Of the five bodies with the largest net forces, those for which there is room are labelled with the body, its net force and its strongest cause [scene unit/s²]; with at most 5 bodies, those on which nothing acts have arrows of no length with their names.";
-    STRONGEST = "/strongest" ["Scalars, SeriesLines"]
-        "With more than 3 bodies: the largest of the net forces on bodies by each cause, over their masses [scene unit/s²].";
+        "The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre; all of an instant on the largest scale on which none is longer than 1.5 times the geometric mean of the radius of its body and the largest. Of the five bodies with the largest net forces, those for which there is room are labelled with the body, its net force and its strongest cause [scene unit/s²], and others with their names; with at most 5 bodies, those on which nothing acts have arrows of no length with their names.";
+    STRONGEST = "/strongest/CAUSE" ["Scalars"]
+        "With more than 3 bodies: the largest of the net forces on bodies by one cause, or by all together, over their masses [scene unit/s²]; from the first frame in which it acts.";
     RANKED_FORCES = "/ranking/forces" ["Points2D, LineStrips2D"]
         "Rows with labels and bars: the strongest forces on bodies as wholes at an instant; with more than 3 bodies, those with the largest net forces, each with a dot at each cause.";
     RANKED_DISPLACEMENTS = "/ranking/displacements" ["Points2D, LineStrips2D"]
@@ -212,8 +212,12 @@ entities! {
         "The colour scale of displacements, and its numbers at the instant.";
     LARGEST = "/largest" ["Points3D, LineStrips3D"]
         "The vertex with the largest displacement of those that lie in no other body, and above it its label, also with the largest of all.";
+    BODY_DISPLACEMENT = "/displacement/NAME" ["Scalars"]
+        "With at most 16 bodies: the largest displacement of each [radii].";
+    DISPLACEMENT_OF_ALL = "/displacement" ["Scalars"]
+        "With more bodies: the largest of all [radii].";
     LARGEST_OF_BODIES = "/largest/bodies" ["Points3D"]
-        "Of the five bodies with the largest displacements, the names and these [radii], where there is room.";
+        "Of the five bodies with the largest displacements, the names and these [radii], and the names of others, where there is room.";
     STAGES = "/stages" ["TextLog"]
         "One line per stage of the steps recorded in detail, with the largest displacement and how far vertices moved since the stage before, on the timeline stage, which the entities under /world have too, and on that of steps.";
     MOVES = "/stages/moves" ["Arrows3D"]

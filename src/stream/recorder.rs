@@ -298,7 +298,8 @@ impl Recorder {
             duration: self.at.time,
             durations: Some(parts.numbers.totals()),
             fastest: parts.numbers.fastest(),
-            distances: parts.pairs.plotted(),
+            longest_wait: parts.numbers.longest_wait(),
+            distances: parts.pairs.axis(),
             lines: parts.series.outlines().collect(),
             pairs,
             stages: self.opening_stages,
@@ -417,11 +418,11 @@ impl Recorder {
             let name = |body: usize| self.schema.bodies[body].name.as_str();
             let moved = match moves.log(moved, (view, longest), &mut state.extractor, &mut self.chunks) {
                 Some(Furthest { body, vertex, distance }) => {
-                    format!("largest move {}:{vertex} {} R, ", name(body), significant(distance))
+                    format!("moved {}:{vertex} {} R, ", name(body), significant(distance))
                 }
                 None => String::new(),
             };
-            let displaced = format!("largest displacement {} {largest:.4} R", name(displaced));
+            let displaced = format!("displaced {} {largest:.4} R", name(displaced));
             let line = format!("step {}: {stage} — {moved}{displaced}", at.step);
             // also by step, where it says when there are stages
             let when = at.time_point().with(Timeline::new_sequence(STAGE), self.stage_count as i64);
@@ -591,12 +592,13 @@ impl Recorder {
             parts.series.extend_all(&mut self.chunks);
             parts.numbers.log_ranking(&mut self.chunks);
             if self.flight.is_none() {
-                let level = parts.pairs.plotted().map(|[low, _]| low);
+                let level = parts.pairs.axis().map(|axis| axis.ends[0]);
                 marks::log_ends([first, self.at], level, &mut self.chunks);
-                parts.pairs.log_events_of_told(&self.schema, &parts.told(&self.schema), &mut self.chunks);
+                let told = parts.told(&self.schema);
+                parts.pairs.log_events_of_told(&self.schema, &told, &mut self.chunks);
                 let approaches = self.watch.approaches();
                 let nearest = &approaches[..approaches.len().min(MOST_APPROACHES)];
-                parts.pairs.log_approaches(&self.schema, nearest, &mut self.chunks);
+                parts.pairs.log_approaches(&self.schema, &told, nearest, &mut self.chunks);
             }
         }
         let ranges: Vec<String> =
@@ -646,6 +648,8 @@ impl FrameParts {
         let state = StateParts::new(schema, settings, interrupt, chunks);
         let numbers = FrameNumbers::new(schema, &mut series, chunks);
         let trails = if settings.entities == Entities::Body { Trails::new(schema, chunks) } else { None };
+        let heat = (settings.detail != Detail::Surface)
+            .then(|| Heat::new(schema, &blueprint::surfaces(schema, settings), &mut series, chunks));
         FrameParts {
             state,
             pairs: PairPlots::new(settings),
@@ -657,8 +661,7 @@ impl FrameParts {
             series,
             focus: FocusFinder::new(settings),
             body_forces: (settings.detail != Detail::Surface).then(|| BodyForces::new(schema, chunks)),
-            heat: (settings.detail != Detail::Surface)
-                .then(|| Heat::new(schema, &blueprint::surfaces(schema, settings), chunks)),
+            heat,
         }
     }
 
@@ -676,7 +679,7 @@ impl FrameParts {
             body_forces.log(view, series, chunks);
         }
         if let (Some(heat), Some(forces)) = (heat, &state.forces) {
-            heat.log(view, &forces.displacements, chunks);
+            heat.log(view, &forces.displacements, series, chunks);
         }
         let merged = state.merged.merged();
         pairs.log(view, &merged.pairs, number, series, chunks);

@@ -1551,6 +1551,9 @@ fn events_are_marked_on_the_lines_of_a_crowd() {
     let mut marks = 0;
     for entity in recording.entities() {
         let Some(kind) = entity.to_string().strip_prefix("/marks/drawn/").map(str::to_owned) else { continue };
+        if kind == "near_miss" {
+            continue;
+        }
         for (_, row) in recording.rows(&entity) {
             assert!(events.contains(&(kind.clone(), row.time, row.scalar().expect("a number"))), "{kind} {}", row.time);
             marks += 1;

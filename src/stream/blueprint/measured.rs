@@ -4,6 +4,7 @@ use super::{
     Subject, Tab,
     camera::{NARROW, WIDE, camera_past},
     layout::{Layout, family, including},
+    tabs::PAIR_DISTANCES,
 };
 use crate::{
     observe::schema::ScalarSchema,
@@ -36,8 +37,10 @@ pub struct Measured<'a> {
     pub durations: Option<[&'a Spread; 2]>,
     /// The largest speed [steps per second]; 0 if there is none.
     pub fastest: f64,
-    /// Smallest and largest plotted q [–], if any.
-    pub distances: Option<[f64; 2]>,
+    /// The longest wait for the recorder [ms per step].
+    pub longest_wait: f64,
+    /// The axis of q, if any is plotted.
+    pub distances: Option<pairs::Axis>,
     /// The entities of all lines of plots, and their outlines.
     pub lines: Vec<(&'a str, &'a Outline)>,
     /// The pairs that have plots.
@@ -81,9 +84,16 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
                 end *= HEADROOM;
             }
             let [low, high] = readable([0.0, if is_whole { longest } else { end }]);
+            let mut cut_off = String::new();
             if longest > high {
                 let (count, share) = durations.beyond(high);
-                let title = format!("{title}; {} beyond: {:.0} % of all time", counted(count, "frame"), 100.0 * share);
+                cut_off = format!("; {} beyond: {:.0} % of all time", counted(count, "frame"), 100.0 * share);
+            }
+            if measured.longest_wait > high && !is_recording {
+                cut_off += &format!("; wait up to {} ms", significant(measured.longest_wait));
+            }
+            if !cut_off.is_empty() {
+                let title = title + &cut_off;
                 layout.log(&plot, &ViewBlueprint::update_fields().with_display_name(title));
             }
             layout.set_range(&plot, [low, high]);
@@ -92,11 +102,21 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     if let Some(speeds) = layout.speeds.take().filter(|_| measured.fastest > 0.0) {
         layout.set_range(&speeds, readable([0.0, measured.fastest]));
     }
-    if let Some([low, high]) = measured.distances {
+    if let Some(pairs::Axis { ends: [low, high], .. }) = measured.distances {
         // an automatic axis would begin at 0
         for plot in layout.distances.clone() {
             layout.set_range(&plot, readable([low, high]));
         }
+    }
+    // these would leave the lines no room
+    let beyond = match measured.distances.as_ref().map(|axis| axis.beyond.as_slice()).unwrap_or_default() {
+        [] => String::new(),
+        [(a, b)] => format!("; beyond the axis: some of {}", subject.schema.pair_name(*a, *b)),
+        beyond => format!("; beyond the axis: some of {} pairs", beyond.len()),
+    };
+    for plot in layout.distances.iter().filter(|_| !beyond.is_empty()).cloned().collect::<Vec<_>>() {
+        let title = format!("{PAIR_DISTANCES}{beyond}");
+        layout.log(&plot, &ViewBlueprint::update_fields().with_display_name(title));
     }
     let owned = || subject.schema.body_scalars.iter().chain(&subject.schema.pair_scalars);
     let range_of = |scalar: &ScalarSchema| {
@@ -181,10 +201,9 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         if *left_out > 0 {
             // marks of events on lines that are left out would be puzzling
             lines = vec![family(&MARKS_OF_DRAWN), including(&MARKS_AT_Q.of(&["ends"]))];
-            let changes = if changed.is_empty() { "" } else { ", with changes throughout the run" };
-            let pairs = format!("{} of the {all} pairs with plots{changes}", moving.len());
+            let pairs = format!("q of {} of {all} pairs: with changes, then the closest{beyond}", moving.len());
             for plot in &layout.distances.clone() {
-                let title = ViewBlueprint::update_fields().with_display_name(format!("Pair distances q: {pairs}"));
+                let title = ViewBlueprint::update_fields().with_display_name(pairs.clone());
                 layout.log(plot, &title);
             }
         }

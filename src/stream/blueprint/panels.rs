@@ -43,10 +43,10 @@ fn at_centres(schema: &Schema) -> String {
     let radius = schema.largest_radius();
     let of = forces::NET_KINDS.map(|(name, rgb, _)| format!("{} {}", colors::name(rgb), name.replace('_', " ")));
     format!(
-        "- **At the centres** of free bodies: {} (over M, and over M R), {} unit/s² is 1 R long; at most {} R\n",
+        "- **At the centres** of free bodies, cut off at {} R: {} (over M, and over M R), 1 R long: {} unit/s²\n",
+        forces::LONGEST_NET,
         of.join(", "),
         rounded(radius / schema.net_force_scale),
-        forces::LONGEST_NET,
     )
 }
 
@@ -58,7 +58,7 @@ pub fn arrows(schema: &Schema) -> String {
         return "No force can act in this scene.\n".to_owned();
     }
     format!(
-        "**By body**: the mean of each cause over a body, in the colours below; the strongest of an instant is 1.5 R long. \
+        "**By body**: the mean of each cause over a body, in the colours below; at most 1.5 R long, of small bodies less. \
          Labels: the net force and its strongest cause [unit/s²], where there is room.\n\n\
          **Others**: at vertices{}. An arrow of **1 R = {} unit** means: {}.\n\n\
          **Plots and rows**: means over bodies, in the same colours.\n",
@@ -71,7 +71,8 @@ pub fn arrows(schema: &Schema) -> String {
 /// The text of the panel beside the stages inside steps.
 pub fn stages() -> String {
     format!(
-        "**How does a step come about?** The timeline `stage` counts the rows below: each is a state inside a step.\n\n\
+        "**How does a step come about?** The timeline `stage` counts the rows below: each is a state inside a step, with the vertex that \
+         moved most since the stage before, and the body displaced most.\n\n\
          - **{} arrows**, on this timeline alone: how vertices moved since the stage before; the longest of a step is half of the largest radius long\n\
          - **Other arrows**: the forces in that state, as in Scene\n",
         capitalized(colors::name(moves::MOVED)),
@@ -192,5 +193,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame, ne
         false => String::new(),
     };
     let credit = if schema.credit.is_empty() { String::new() } else { format!("\nAfter {}.\n", schema.credit) };
-    head + &spheres + &springs + &merged + &arrows + &net_forces + &trails + &bound + &warnings + nearest + &credit
+    // what is first is visible in a small panel
+    let colors = spheres + &springs + &arrows + &net_forces + &merged + &trails + &bound;
+    format!("{}{colors}\n{head}{nearest}{credit}", warnings.trim_start())
 }

@@ -20,12 +20,12 @@ use crate::{
     },
     stream::{
         contract::{
-            ABOUT, ABOUT_STAGES, ACCURACY, ARROWS, BODY, BODY_FORCE, BODY_SCALAR, BODY_SURFACE, DEFORMING, DIAGNOSTIC,
-            EVENTS, Entity, FORCE, FURTHEST, INFLUENCE, LAG, LARGEST, LEGEND, MARKS_AT_Q, MERGED, MERGED_SURFACE,
-            MOVES, NAMES, NOT_RECORDED, PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE,
-            PAIR_SCALAR, PLANE, POINTS, RANKED_DISPLACEMENTS, RANKED_FORCES, RANKED_GROUPS, RANKED_PAIRS,
-            RANKED_STAGES, RECENT_NAMES, RECENT_PAIR, RECENT_SPHERES, RESTING, RESULTANTS, SIM_TIME, SPEED, STAGE,
-            STAGES, STEP, STRONGEST, TIMING, TOUCHING, TRAILS, VOLUME, WORLD,
+            ABOUT, ABOUT_STAGES, ACCURACY, ARROWS, BODY, BODY_DISPLACEMENT, BODY_FORCE, BODY_SCALAR, BODY_SURFACE,
+            DEFORMING, DIAGNOSTIC, EVENTS, Entity, FORCE, FURTHEST, INFLUENCE, LAG, LARGEST, LEGEND, MARKS_AT_Q,
+            MERGED, MERGED_SURFACE, MOVES, NAMES, NOT_RECORDED, PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_NECK,
+            PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR, PLANE, POINTS, RANKED_DISPLACEMENTS, RANKED_FORCES, RANKED_GROUPS,
+            RANKED_PAIRS, RANKED_STAGES, RECENT_NAMES, RECENT_PAIR, RECENT_SPHERES, RESTING, RESULTANTS, SIM_TIME,
+            SPEED, STAGE, STAGES, STEP, STRONGEST, TIMING, TOUCHING, TRAILS, VOLUME, WORLD,
         },
         palette,
         parts::{
@@ -40,6 +40,9 @@ use crate::{
 
 /// The shares of the width of a plot of energies and of the numbers beside it.
 const ENERGY_SHARES: [f32; 2] = [1.5, 1.0];
+
+/// The title of plots of distances.
+pub const PAIR_DISTANCES: &str = "Pair distances q and their thresholds";
 
 /// The title of plots of the stages of a step.
 const TIMINGS: &str = "Timings, ms per step: stages stacked";
@@ -226,7 +229,7 @@ impl Layout {
                 plot
             }));
         }
-        let title = "Contact (red-orange: joined, not touching; yellow: touching, not joined)";
+        let title = "Contact (red-orange: joined only; yellow: touching only)";
         let mut contents: Vec<String> = pairs::named(schema, &PAIR_PHASE).map(|lane| format!("- {lane}")).collect();
         contents.push(family(&PAIR_PHASE));
         let contacts = self.lanes(title, PAIR_PHASE.family(), &contents);
@@ -234,7 +237,7 @@ impl Layout {
         let mut parts = match is_ranked(schema) {
             true => {
                 let title = match groups::has_volume(schema) {
-                    true => "Groups now: volume [unit³], and against its bodies one by one (dot)",
+                    true => "Groups now: volume; dot: its bodies one by one [unit³]",
                     false => "Groups now: volume [unit³]",
                 };
                 let ranking = self.ranking(title, RANKED_GROUPS.path);
@@ -307,7 +310,7 @@ impl Layout {
         let of_bodies = if schema.bodies.len() > body_forces::MOST_BODIES { &[] } else { schema.bodies.as_slice() };
         let strongest = is_ranked.then(|| {
             let title = "Strongest on any body, by cause [unit/s²]";
-            let plot = self.plot(title, "/", &[including(STRONGEST.path)], Corner2D::RightTop);
+            let plot = self.plot(title, "/", &[family(&STRONGEST)], Corner2D::RightTop);
             self.hide_legend(&plot); // it would cover half of the lines; the panel below the arrows names the colours
             plot
         });
@@ -398,12 +401,21 @@ impl Layout {
             &[],
         );
         let left = self.container(ContainerKind::Vertical, "Displacement", vec![view, scale], &[6.0, 1.0]);
-        if !is_ranked(schema) {
-            return left;
-        }
-        let title = "Bodies with the largest displacements now: vertex [radii]";
-        let ranking = self.ranking(title, RANKED_DISPLACEMENTS.path);
-        self.container(ContainerKind::Horizontal, "Displacement", vec![left, ranking], &[1.8, 1.0])
+        let title = match schema.bodies.len() {
+            ..=body_forces::MOST_BODIES => "Largest displacement of each body [radii]",
+            _ => "Largest displacement of all bodies [radii]",
+        };
+        let lines = self.plot(title, "/", &[family(&BODY_DISPLACEMENT)], Corner2D::RightTop);
+        let right = match is_ranked(schema) {
+            true => {
+                self.hide_legend(&lines); // as many names would cover half of it
+                let title = "Bodies with the largest displacements now: vertex [radii]";
+                vec![self.ranking(title, RANKED_DISPLACEMENTS.path), lines]
+            }
+            false => vec![lines, self.events()],
+        };
+        let right = self.container(ContainerKind::Vertical, "Largest", right, &[1.0, 1.0]);
+        self.container(ContainerKind::Horizontal, "Displacement", vec![left, right], &[1.8, 1.0])
     }
 
     /// Views of pair distances, phases and events.
@@ -415,8 +427,7 @@ impl Layout {
         };
         let mut contents = without(&MEASURES.map(|(measure, ..)| measure));
         contents.push(family(&MARKS_AT_Q));
-        let title = "Pair distances q and their thresholds";
-        let distances = self.time_series(title, "/", &contents, Corner2D::RightBottom);
+        let distances = self.time_series(PAIR_DISTANCES, "/", &contents, Corner2D::RightBottom);
         self.distances.push(distances.path.clone());
         let contents = without(&[&PAIR_CONTACT]);
         let phases = self.lanes("Pair phases", PAIR_PHASE.family(), &contents);
@@ -446,19 +457,19 @@ impl Layout {
     /// The cost of a step and of its recording, each as stacked stages, and the resulting speed.
     fn timings_tab(&mut self, schema: &Schema) -> Part {
         let recording = self.stacked(
-            "Recording on its own thread, ms per step: extract makes surfaces and arrows, log encodes them",
+            "Recording on its own thread, ms per step: extract makes surfaces, log encodes",
             schema,
             true,
             &[],
         );
-        let title = format!("{TIMINGS}; observe reads the state to be recorded; beside them, wait for the recorder");
+        let title = format!("{TIMINGS}; wait for the recorder beside them");
         let stages = vec![self.stacked(&title, schema, false, &[including(&TIMING.of(&[numbers::WAIT]))]), recording];
         for plot in &stages {
             // the ranking names the colours
             self.hide_legend(plot);
         }
         let stages = self.container(ContainerKind::Vertical, "Stages", stages, &[1.6, 1.0]);
-        let title = "Where the time went: total; longest, its step. +: on other threads";
+        let title = "Total time of each stage; longest ms #step. +: on other threads";
         let sums = vec![self.ranking(title, RANKED_STAGES.path), self.speed()];
         let sums = self.container(ContainerKind::Vertical, "Sums", sums, &[1.2, 1.0]);
         self.container(ContainerKind::Horizontal, "Timings", vec![stages, sums], &[1.6, 1.0])
@@ -558,7 +569,7 @@ impl Layout {
 fn next_title(schema: &Schema) -> String {
     let line = |threshold: &Threshold| format!("{} {}", threshold.name, colors::name(threshold.color));
     let lines: Vec<String> = schema.thresholds.iter().map(line).collect();
-    format!("Next phase changes if q goes on; {}", lines.join(", "))
+    format!("Next changes; {}", lines.join(", "))
 }
 
 /// The title of the view of everything.

@@ -5,6 +5,7 @@ use glam::DVec3;
 
 use super::{
     FrameView, Labels,
+    lines::MAX_NAMED,
     ranking::{self, Mark, Ranking, Row, is_ranked},
 };
 use crate::{
@@ -13,11 +14,12 @@ use crate::{
         BodyFrame, Schema,
         schema::{BodySchema, TermSchema},
     },
-    sdk::{self, Arrows3D, Scalars, SeriesLines},
+    sdk::{self, Arrows3D},
     stream::{
         chunks::{Chunks, TrackId},
         contract::{BODY_FORCE, RANKED_FORCES, RESULTANTS, STRONGEST},
         extract::Float3,
+        instant::Instant,
         palette::color,
         series::{Interpolation, LineId, Series},
     },
@@ -27,7 +29,8 @@ use crate::{
 /// Upper limit on the number of bodies with plots: of more, one would not find a tab.
 pub const MOST_BODIES: usize = 16;
 
-/// Length of the longest arrow [largest radius]: it ends outside of its body.
+/// Upper limit on the length of an arrow [geometric mean of the radius of its body and the largest]: it ends outside of its body,
+/// and that of a small body beside a large one is still in view.
 const LONGEST: f64 = 1.5;
 
 /// A force that is weaker is left out of the ranking [strongest force].
@@ -39,8 +42,8 @@ pub struct BodyForces {
     lines: Vec<Vec<Option<LineId>>>,
     /// The strongest forces; of more than a few bodies, the net forces on them.
     ranking: Ranking,
-    /// The lines of the strongest on any body, if there are more than a few.
-    strongest: Option<TrackId>,
+    /// By term, the lines of the strongest on any body; none if there are only a few.
+    strongest: Vec<Option<LineId>>,
     /// Whether a term has acted on any body.
     has_acted: Vec<bool>,
     arrows: TrackId,
@@ -88,14 +91,7 @@ impl BodyForces {
         BodyForces {
             lines: vec![vec![None; terms]; bodies],
             ranking: Ranking::new(RANKED_FORCES.path, chunks),
-            strongest: is_ranked(schema).then(|| {
-                let causes = || schema.terms.iter().filter(|term| is_plotted(term));
-                let lines = SeriesLines::update_fields()
-                    .with_names(causes().map(|term| term.label))
-                    .with_colors(causes().map(|term| color(term.color)));
-                chunks.log_static(STRONGEST.path, &lines);
-                chunks.track(STRONGEST.path, [Scalars::descriptor_scalars()])
-            }),
+            strongest: vec![None; if is_ranked(schema) { terms } else { 0 }],
             has_acted: vec![false; terms],
             arrows,
         }
@@ -117,15 +113,9 @@ impl BodyForces {
                 if acceleration != DVec3::ZERO {
                     resultants.push(Resultant { body: index, term: number, acceleration });
                 }
-                let Some(line) = self.lines.get_mut(index).map(|lines| &mut lines[number]) else { continue };
-                let strength = acceleration.length();
-                if line.is_none() && strength > 0.0 {
-                    let entity = BODY_FORCE.of(&[&body.name, term.name]);
-                    Series::style(chunks, &entity, term.label, term.color, 1.5, Interpolation::Linear);
-                    *line = Some(series.line(chunks, &entity, Interpolation::Linear));
-                }
-                if let Some(line) = *line {
-                    series.log(chunks, line, strength, view.at);
+                if let Some(line) = self.lines.get_mut(index).map(|lines| &mut lines[number]) {
+                    let entity = || BODY_FORCE.of(&[&body.name, term.name]);
+                    log_strength(line, entity, (term, acceleration.length()), (series, chunks), view.at);
                 }
             }
         }
@@ -137,18 +127,31 @@ impl BodyForces {
             false => rows_of_causes(view.schema, resultants.clone()),
         };
         self.ranking.log(rows.into_iter(), "no force acts on any body", view.at, chunks);
-        let Some(track) = &self.strongest else { return };
-        let strongest = |number: usize| {
-            resultants.iter().filter(|of| of.term == number).map(Resultant::strength).fold(0.0, f64::max)
-        };
-        let causes = (0..view.schema.terms.len()).filter(|&number| is_plotted(&view.schema.terms[number]));
-        chunks.push_changed(*track, view.at, &[&causes.map(strongest).collect::<Vec<f64>>()]);
+        let terms = view.schema.terms.iter().enumerate().zip(&mut self.strongest);
+        for ((number, term), line) in terms {
+            let strongest = resultants.iter().filter(|of| of.term == number).map(Resultant::strength);
+            let strongest = (term, strongest.fold(0.0, f64::max));
+            log_strength(line, || STRONGEST.of(&[term.name]), strongest, (series, chunks), view.at);
+        }
     }
 }
 
-/// Whether there is a line of the strongest on any body.
-fn is_plotted(term: &TermSchema) -> bool {
-    term.can_act && !term.is_sum
+/// Logs the strength of a term to its line, which begins when the term first acts.
+fn log_strength(
+    line: &mut Option<LineId>,
+    entity: impl FnOnce() -> String,
+    (term, strength): (&TermSchema, f64),
+    (series, chunks): (&mut Series, &mut Chunks),
+    at: Instant,
+) {
+    if line.is_none() && strength > 0.0 {
+        let entity = entity();
+        Series::style(chunks, &entity, term.label, term.color, 1.5, Interpolation::Linear);
+        *line = Some(series.line(chunks, &entity, Interpolation::Linear));
+    }
+    if let Some(line) = *line {
+        series.log(chunks, line, strength, at);
+    }
 }
 
 /// What acts on a body as a whole.
@@ -198,9 +201,11 @@ fn of_bodies<'a>(schema: &Schema, resultants: &'a [Resultant]) -> Vec<OfBody<'a>
 
 /// A bar for the sum on each body, with a dot at each cause.
 fn rows_of_bodies(schema: &Schema, of_bodies: &[OfBody<'_>]) -> Vec<Row> {
-    let (largest, sum) = (of_bodies.first().map_or(0.0, |of| of.strength(schema)), schema.sum_of_terms());
-    let listed = || of_bodies.iter().take_while(|of| of.strength(schema) > WEAK * largest).take(ranking::ROWS);
-    let longest = listed().map(|of| of.strength(schema).max(of.strongest.strength())).fold(0.0, f64::max);
+    let sum = schema.sum_of_terms();
+    let largest = |of: &OfBody<'_>| of.strength(schema).max(of.strongest.strength());
+    let longest = of_bodies.iter().map(largest).fold(0.0, f64::max);
+    // also those on which large forces balance
+    let listed = of_bodies.iter().filter(|of| largest(of) > WEAK * longest).take(ranking::ROWS);
     let row = |of: &OfBody<'_>| {
         let color_of = |of: &Resultant| schema.terms[of.term].color;
         let share = |of: &Resultant| of.strength() / longest;
@@ -210,7 +215,7 @@ fn rows_of_bodies(schema: &Schema, of_bodies: &[OfBody<'_>]) -> Vec<Row> {
         let color = sum.map_or(color_of(of.strongest), |sum| schema.terms[sum].color);
         Row { label: of.label(schema), color, marks: net.into_iter().chain(causes).collect() }
     };
-    listed().map(row).collect()
+    listed.map(row).collect()
 }
 
 /// A bar for each cause on each body, and for the sums.
@@ -226,19 +231,28 @@ fn rows_of_causes(schema: &Schema, mut resultants: Vec<Resultant>) -> Vec<Row> {
 }
 
 impl ResultantRows {
-    /// Arrows from the centres, all on one scale, on which the longest is [`LONGEST`]. The first of `ranked` for which there
+    /// Arrows from the centres, all on the largest scale on which none is longer than [`LONGEST`]. The first of `ranked` for which there
     /// is room are labelled, on the arrow of the net force if there is one.
     fn of(view: FrameView<'_>, resultants: &[Resultant], ranked: &[OfBody<'_>]) -> ResultantRows {
         let FrameView { schema, frame, .. } = view;
-        let longest = resultants.iter().map(Resultant::strength).fold(0.0, f64::max);
-        let scale = LONGEST * schema.largest_radius() / longest;
+        let largest = schema.largest_radius();
+        let limit = |of: &Resultant| LONGEST * (schema.bodies[of.body].radius * largest).sqrt() / of.strength();
+        let scale = resultants.iter().map(limit).fold(f64::INFINITY, f64::min);
         let mut labels = Labels::new(view);
         let labelled = ranked.iter().take(ranking::LABELLED).map(|of| (of.labelled(), of.label(schema)));
         let has_room = |(arrow, label): &(&Resultant, String)| {
             let middle = frame.bodies[arrow.body].centre + 0.5 * scale * arrow.acceleration;
             labels.take(middle, label)
         };
-        let labelled: Vec<(&Resultant, String)> = labelled.filter(has_room).collect();
+        let mut labelled: Vec<(&Resultant, String)> = labelled.filter(has_room).collect();
+        // of others the name alone, for which there may be room
+        for of in ranked.iter().take(MAX_NAMED) {
+            let (arrow, name) = (of.labelled(), &schema.bodies[of.strongest.body].name);
+            let middle = frame.bodies[arrow.body].centre + 0.5 * scale * arrow.acceleration;
+            if !labelled.iter().any(|(of, _)| of.body == arrow.body) && labels.take(middle, name) {
+                labelled.push((arrow, name.clone()));
+            }
+        }
         let mut arrows = ResultantRows::default();
         for resultant @ &Resultant { body, term, acceleration } in resultants {
             arrows.origins.push(frame.bodies[body].centre.as_vec3().to_array());

@@ -31,7 +31,7 @@ type NetAcceleration = fn(&NetForce, &BodySchema) -> DVec3;
 
 /// The two kinds of arrows of net forces: name of the entity, colour, and value in a frame.
 pub const NET_KINDS: [(&str, Rgb, NetAcceleration); 2] = [
-    ("net_force", colors::WHITE, |net, _| net.force / net.mass),
+    ("net_force", colors::MAGENTA, |net, _| net.force / net.mass),
     ("torque", colors::YELLOW, |net, body| net.torque / (net.mass * body.radius)),
 ];
 /// Length of the longest arrow of a net force [largest radius]: in an impact, net forces are ten times as strong as before and after

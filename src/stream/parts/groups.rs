@@ -210,7 +210,9 @@ impl GroupPlots {
             label += &short(group.volume);
             if let Some(apart) = apart(group) {
                 marks.push((Mark::Dot(apart / largest), SILVER));
-                label += &format!(", {:+.1} %", 100.0 * (group.volume / apart - 1.0));
+                let change = format!("{:+.1}", 100.0 * (group.volume / apart - 1.0));
+                let change = if change == "-0.0" { "+0.0" } else { &change };
+                label += &format!(", {change} %");
             }
             Row { label, color, marks }
         });

@@ -9,6 +9,7 @@ use glam::DVec3;
 
 use super::{
     FrameView, Labels,
+    body_forces::MOST_BODIES,
     callout::Callout,
     lines,
     ranking::{self, Mark, Ranking, Row, is_ranked},
@@ -17,6 +18,7 @@ use super::{
 use crate::colors;
 use crate::observe::{
     Schema,
+    schema::BodySchema,
     surface::{Group, VertexOrigin},
 };
 use crate::sdk::{
@@ -26,10 +28,14 @@ use crate::sdk::{
 use crate::stream::{
     blueprint::Mapping,
     chunks::{Chunks, TrackId},
-    contract::{HEAT_FORMAT, HEAT_PLACES, HEAT_TEXTURE, LARGEST, LARGEST_OF_BODIES, LEGEND, RANKED_DISPLACEMENTS},
+    contract::{
+        BODY_DISPLACEMENT, DISPLACEMENT_OF_ALL, HEAT_FORMAT, HEAT_PLACES, HEAT_TEXTURE, LARGEST, LARGEST_OF_BODIES,
+        LEGEND, RANKED_DISPLACEMENTS,
+    },
     extract::Float3,
     light,
     palette::{self, color},
+    series::{Interpolation, LineId, Series},
 };
 use crate::text::significant;
 
@@ -76,11 +82,13 @@ pub struct Heat {
     /// The labels of bodies, if they have any.
     bodies: Option<TrackId>,
     ranking: Option<Ranking>,
+    /// The largest displacement of each body over time; of more than [`MOST_BODIES`], of all.
+    lines: Vec<LineId>,
 }
 
 impl Heat {
     /// Logs static data, and the texture of each of these surfaces.
-    pub fn new(schema: &Schema, surfaces: &[String], chunks: &mut Chunks) -> Heat {
+    pub fn new(schema: &Schema, surfaces: &[String], series: &mut Series, chunks: &mut Chunks) -> Heat {
         let texel = |i: usize| palette::heat((i as f64 + 0.5) / WIDTH as f64);
         let row: Vec<u8> = (0..WIDTH).flat_map(texel).collect();
         let bar = Image::from_rgb24(row.repeat(HEIGHT), [WIDTH as u32, HEIGHT as u32]);
@@ -96,22 +104,43 @@ impl Heat {
             .with_colors([color(palette::DOT)])
             .with_show_labels(true);
         chunks.log_static(&LEGEND.of(&["ticks"]), &ticks);
+        let mut line = |entity: &str, name: &str, rgb| {
+            Series::style(chunks, entity, name, rgb, 1.5, Interpolation::Linear);
+            series.line(chunks, entity, Interpolation::Linear)
+        };
+        let lines = match schema.bodies.len() {
+            ..=MOST_BODIES => {
+                let of_body = |(index, body): (usize, &BodySchema)| {
+                    // bodies have no colours of their own beside it
+                    line(&BODY_DISPLACEMENT.of(&[&body.name]), &body.name, palette::distance(index))
+                };
+                schema.bodies.iter().enumerate().map(of_body).collect()
+            }
+            _ => vec![line(DISPLACEMENT_OF_ALL.path, "largest of all bodies", MARK)],
+        };
         Heat {
             ticks: chunks.track(&LEGEND.of(&["ticks"]), [Points2D::descriptor_labels()]),
             mark: Callout::new(LARGEST.path, MARK, chunks),
             bodies: are_bodies_labelled(schema).then(|| lines::track_labels(LARGEST_OF_BODIES.path, chunks)),
             ranking: is_ranked(schema).then(|| Ranking::new(RANKED_DISPLACEMENTS.path, chunks)),
+            lines,
         }
     }
 
     /// Logs the numbers of the scale, and marks the vertex with the largest displacement. Its label is outside of the
     /// body, at the end of a line from the vertex.
-    pub fn log(&mut self, view: FrameView<'_>, displacements: &Displacements, chunks: &mut Chunks) {
+    pub fn log(
+        &mut self,
+        view: FrameView<'_>,
+        displacements: &Displacements,
+        series: &mut Series,
+        chunks: &mut Chunks,
+    ) {
         let Displacements { outside, of_all, end, .. } = displacements;
         let exceeding = outside.filter(|largest| largest.displacement > 1.001 * end);
         let mut ticks: Vec<String> = TICKS.map(|share| significant(share * end)).into();
         if let (Some(largest), Some(last)) = (exceeding, ticks.last_mut()) {
-            *last += &format!(" to {}, at {}", significant(largest.displacement), largest.place(view));
+            *last += &format!(" to {} on the surface, at {}", significant(largest.displacement), largest.place(view));
         }
         chunks.push_changed(self.ticks, view.at, &[&ticks]);
         let mark = outside.filter(|largest| largest.displacement > 0.0).map(|outside| {
@@ -125,6 +154,16 @@ impl Heat {
         self.mark.log(mark, view.at, chunks);
         let largest = |body: usize| view.frame.bodies[body].max_displacement / view.schema.bodies[body].radius;
         let mut ranked: Vec<usize> = (0..view.schema.bodies.len()).collect();
+        match *self.lines {
+            [of_all] if ranked.len() > MOST_BODIES => {
+                let largest = ranked.iter().map(|&body| largest(body)).fold(0.0, f64::max);
+                series.log(chunks, of_all, largest, view.at);
+            }
+            _ => {
+                let of_bodies = self.lines.iter().zip(&ranked);
+                of_bodies.for_each(|(line, body)| series.log(chunks, *line, largest(*body), view.at));
+            }
+        }
         ranked.sort_by(|&one, &other| largest(other).total_cmp(&largest(one)));
         if let Some(bodies) = self.bodies {
             let mut labels = Labels::new(view);
@@ -132,9 +171,12 @@ impl Heat {
                 0.0 => view.schema.bodies[body].name.clone(),
                 largest => format!("{} {largest:.3} R", view.schema.bodies[body].name),
             };
-            let ranked =
-                ranked.iter().take(ranking::LABELLED).map(|body| (lines::name_place(view, *body), label(body)));
-            let labelled = ranked.filter(|(place, label)| labels.take(*place, label));
+            let (first, others) = ranked.split_at(ranked.len().min(ranking::LABELLED));
+            let others =
+                others.iter().take(lines::MAX_NAMED).map(|&body| (body, view.schema.bodies[body].name.clone()));
+            let all = first.iter().map(|body| (*body, label(body))).chain(others);
+            let labelled = all.map(|(body, label)| (lines::name_place(view, body), label));
+            let labelled = labelled.filter(|(place, label)| labels.take(*place, label));
             let labelled = labelled.map(|(place, label)| (place.as_vec3().to_array(), label));
             let (places, labels): (Vec<Float3>, Vec<String>) = labelled.unzip();
             chunks.push_changed(bodies, view.at, &[&places, &labels]);

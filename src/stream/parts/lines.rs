@@ -99,6 +99,9 @@ impl Lines {
         let label = |pair: &PairFrame| format!("{} q = {:.3}", view.schema.pair_name(pair.a, pair.b), pair.q);
         let middle = |a: usize, b: usize| 0.5 * (view.frame.bodies[a].centre + view.frame.bodies[b].centre);
         let mut labels_in_space = Labels::new(view);
+        if let Some(names) = &mut self.names {
+            names.log(view, recent.as_flattened(), &mut labels_in_space, chunks);
+        }
         let most = MAX_LABELLED.saturating_sub(recent.len());
         let mut labelled = 0;
         for index in 0..self.closest.len() {
@@ -123,9 +126,6 @@ impl Lines {
         if !std::mem::replace(&mut self.has_begun, true) || chunks.has_changed(self.track, &cells) {
             chunks.push(self.track, view.at, &cells);
         }
-        if let Some(names) = &mut self.names {
-            names.log(view, recent.as_flattened(), chunks);
-        }
         self.recent.log(view, chunks);
     }
 }
@@ -142,9 +142,8 @@ impl Names {
     }
 
     /// Names the bodies in `first`, then those that had names, then those in front.
-    fn log(&mut self, view: FrameView<'_>, first: &[usize], chunks: &mut Chunks) {
+    fn log(&mut self, view: FrameView<'_>, first: &[usize], labels: &mut Labels, chunks: &mut Chunks) {
         let FrameView { schema, frame, at } = view;
-        let mut labels = Labels::new(view);
         for variant in &schema.variants {
             labels.take(variant.heading, variant.name);
         }

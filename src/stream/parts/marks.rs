@@ -70,11 +70,11 @@ pub fn log_events(schema: &Schema, events: &[&PairEvent], chunks: &mut Chunks) {
 }
 
 /// Marks where pairs came closest that stayed in their first phase, on their lines of q.
-pub fn log_near_misses(schema: &Schema, approaches: &[&Approach], chunks: &mut Chunks) {
+pub fn log_near_misses(family: &Entity, schema: &Schema, approaches: &[&Approach], chunks: &mut Chunks) {
     if approaches.is_empty() {
         return;
     }
-    let entity = MARKS_AT_Q.of(&["near_miss"]);
+    let entity = family.of(&["near_miss"]);
     chunks.log_static(&entity, &style("near miss", SILVER, MarkerShape::Circle, 5.0));
     let mut approaches = approaches.to_vec();
     approaches.sort_by(|x, y| x.time.total_cmp(&y.time));

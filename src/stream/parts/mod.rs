@@ -7,7 +7,7 @@
 //! | `/world/resting/SHAPE`, `/world/deforming/surface` | [`batch`] |
 //! | `/world/influence` | [`spheres`] |
 //! | `/world/forces/TERM`, `…/net_force`, `…/torque` | [`forces`] |
-//! | `/forces/NAME/CAUSE`, `/strongest`, `/world/resultants` | [`body_forces`] |
+//! | `/forces/NAME/CAUSE`, `/strongest/…`, `/world/resultants` | [`body_forces`] |
 //! | `/ranking/pairs` | [`changes`] |
 //! | style of `/ranking/…` and `/timings/ranking` | [`ranking`] |
 //! | `/world/merged/surface`, `/world/merged/seams` | [`merged`] |
@@ -18,7 +18,7 @@
 //! | `/world/points` | [`points`] |
 //! | `/world/springs/NAME` | [`springs`] |
 //! | `/pairs/A~B/…`, `/events` | [`pairs`] |
-//! | `/legend/…`, `/largest` | [`heat`] |
+//! | `/legend/…`, `/largest`, `/displacement` | [`heat`] |
 //! | `/touching/MODEL` | [`touching`] |
 //! | `/marks/…` | [`marks`] |
 //! | `/world/pairs`, `/world/names` | [`lines`] |
@@ -77,9 +77,9 @@ struct Labels {
 impl Labels {
     /// The size of a label in a view in which the bodies are small: its height, and the widths of its margins and of a
     /// character [diagonals].
-    const HEIGHT: f64 = 0.05;
-    const MARGINS: f64 = 0.02;
-    const CHARACTER: f64 = 0.012;
+    const HEIGHT: f64 = 0.06;
+    const MARGINS: f64 = 0.025;
+    const CHARACTER: f64 = 0.016;
 
     fn new(view: FrameView<'_>) -> Labels {
         let [low, high] = view.bounds();

@@ -272,12 +272,12 @@ impl FrameNumbers {
                 true => format!("+ {total}"),
                 false => format!("{total}, {:.0} %", 100.0 * share(timing)),
             };
-            let label = format!("{total}; {} ms, step {step}", significant(longest));
+            let label = format!("{total}; {} ms #{step}", significant(longest));
             Row { label, color, marks: vec![(Mark::Bar(share(timing)), color)] }
         });
         let (slowest, step) = self.totals[0].largest();
         let slowest = (slowest > 0.0).then(|| {
-            let label = format!("slowest frame: {} ms per step, step {step}", significant(slowest));
+            let label = format!("slowest, without wait: {} ms #{step}", significant(slowest));
             Row { label, color: SILVER, marks: Vec::new() }
         });
         ranking::log_static(RANKED_STAGES.path, stages.chain(slowest), chunks);
@@ -286,6 +286,11 @@ impl FrameNumbers {
     /// The largest speed of the run [steps per second]; 0 if there were no two frames.
     pub fn fastest(&self) -> f64 {
         self.fastest
+    }
+
+    /// The longest wait for the recorder [ms per step].
+    pub fn longest_wait(&self) -> f64 {
+        self.timings.iter().find(|timing| !is_work(timing.name)).map_or(0.0, |wait| wait.spread.largest().0)
     }
 
     /// The durations of steps, and of their recordings.

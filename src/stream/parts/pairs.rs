@@ -24,8 +24,9 @@ use crate::{
     stream::{
         chunks::Chunks,
         contract::{
-            ACCURACY, BODIES, BODY_EVENTS, ENERGY, EVENTS, Entity, PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_LEVEL,
-            PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR, PHASES, Q, RATE, SURFACE_EVENTS, TIME,
+            ACCURACY, BODIES, BODY_EVENTS, ENERGY, EVENTS, Entity, MARKS_AT_Q, MARKS_OF_DRAWN, PAIR_CONTACT,
+            PAIR_DISTANCE, PAIR_GAP, PAIR_LEVEL, PAIR_NECK, PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR, PHASES, Q, RATE,
+            SURFACE_EVENTS, TIME,
         },
         instant::Instant,
         palette::{self, color},
@@ -64,12 +65,21 @@ pub struct PairPlots {
     /// Scratch storage, reused.
     next_in_reach: BTreeSet<(usize, usize)>,
     new: Vec<PairFrame>,
-    /// Smallest and largest number in any plot of distances.
+    /// Smallest and largest q in any plot.
     plotted: Option<[f64; 2]>,
     /// The pairs of the current frame that have their own entities.
     shown: Vec<[usize; 2]>,
     /// The error over the tolerance that was logged last, while the error exceeds the tolerance.
     shortfall: Option<f64>,
+}
+
+/// The axis of plots of q.
+#[derive(Clone, Debug)]
+pub struct Axis {
+    /// Its ends [–].
+    pub ends: [f64; 2],
+    /// The pairs with thresholds beyond these: those far from all q would leave its lines no room.
+    pub beyond: Vec<(usize, usize)>,
 }
 
 fn extended(range: Option<[f64; 2]>, number: f64) -> [f64; 2] {
@@ -86,6 +96,8 @@ struct PairPlot {
     range: Option<[f64; 2]>,
     distance: LineId,
     thresholds: Vec<(LineId, usize)>,
+    /// Smallest and largest level of each of these.
+    levels: Vec<Option<[f64; 2]>>,
     /// Lines of gap, overlap and neck.
     measures: [LineId; 3],
     /// Lines of the scalars of the schema.
@@ -98,6 +110,8 @@ struct PairPlot {
 /// Upper limits on the numbers of lines and of lanes in one view: of more, one would find none.
 const MOST_LINES: usize = 8;
 const MOST_LANES: usize = 12;
+/// With fewer lanes of pairs that change phase, there is room for others, which came closest.
+const FEW_LANES: usize = 5;
 /// Share of the places for pairs with events that is free from the start; the rest becomes free in proportion to time.
 const FIRST_EVENTS: f64 = 0.25;
 /// Upper limit on the known phase changes of a pair: a run need not end.
@@ -111,7 +125,7 @@ pub struct Told {
     pub moving: Vec<String>,
     /// Number of others whose q changed.
     pub left_out: usize,
-    /// Those whose phase changed.
+    /// Those whose phase changed, and others where there is room for their lanes.
     pub changed: Vec<String>,
     /// Those that touched, or were joined.
     pub met: Vec<String>,
@@ -189,7 +203,10 @@ impl PairPlots {
         };
         let (moving, count) = of(|plot| !plot.changes.is_empty() || !plot.is_still(), &[], MOST_LINES);
         // lanes of the same pairs, and of others
-        let (changed, _) = of(|plot| !plot.changes.is_empty(), &moving, MOST_LANES);
+        let (mut changed, _) = of(|plot| !plot.changes.is_empty(), &moving, MOST_LANES);
+        let others = self.known.iter().filter(|(pair, _)| !changed.contains(pair)).collect();
+        let others = spread(others, opening, FEW_LANES.saturating_sub(changed.len()));
+        changed.extend(others.into_iter().map(|(pair, _)| *pair));
         let (met, _) = of(|plot| plot.has_met, &moving, MOST_LANES);
         let left_out = count - moving.len();
         let [moving, changed, met] = [moving, changed, met]
@@ -208,11 +225,16 @@ impl PairPlots {
         marks::log_events(schema, &events, chunks);
     }
 
-    /// Marks the closest approaches of pairs that have plots.
-    pub fn log_approaches(&self, schema: &Schema, approaches: &[Approach], chunks: &mut Chunks) {
-        let plotted: Vec<&Approach> =
-            approaches.iter().filter(|approach| self.known.contains_key(&(approach.a, approach.b))).collect();
-        marks::log_near_misses(schema, &plotted, chunks);
+    /// Marks the closest approaches of pairs that have plots, and those of the pairs whose lines are drawn, if not all are.
+    pub fn log_approaches(&self, schema: &Schema, told: &Told, approaches: &[Approach], chunks: &mut Chunks) {
+        let plotted = approaches.iter().filter(|approach| self.known.contains_key(&(approach.a, approach.b)));
+        let plotted: Vec<&Approach> = plotted.collect();
+        marks::log_near_misses(&MARKS_AT_Q, schema, &plotted, chunks);
+        if told.left_out > 0 {
+            let is_drawn = |of: &&Approach| told.moving.contains(&schema.pair_name(of.a, of.b));
+            let drawn: Vec<&Approach> = plotted.into_iter().filter(is_drawn).collect();
+            marks::log_near_misses(&MARKS_OF_DRAWN, schema, &drawn, chunks);
+        }
     }
 
     /// The pairs of the current frame that have their own entities.
@@ -220,9 +242,22 @@ impl PairPlots {
         &self.shown
     }
 
-    /// Smallest and largest number in any plot of distances: q or threshold.
-    pub fn plotted(&self) -> Option<[f64; 2]> {
-        self.plotted
+    /// The axis of plots of q; `None` without a plot.
+    pub fn axis(&self) -> Option<Axis> {
+        /// How far from q, as a ratio to its range.
+        const FAR: f64 = 1.5;
+        /// A range of q that leaves thresholds room [–].
+        const LEAST: f64 = 0.2;
+
+        let [low, high] = self.plotted?;
+        let margin = FAR * (high - low).max(LEAST);
+        let is_near = |level: &[f64; 2]| level[1] >= low - margin && level[0] <= high + margin;
+        let levels = |plot: &PairPlot| plot.levels.clone().into_iter().flatten();
+        let near = self.known.values().flat_map(levels).filter(is_near).flatten();
+        let ends = near.fold([low, high], |[low, high], level| [low.min(level), high.max(level)]);
+        let is_beyond = |plot: &PairPlot| levels(plot).any(|level| !is_near(&level));
+        let beyond = self.known.iter().filter(|(_, plot)| is_beyond(plot)).map(|(pair, _)| *pair);
+        Some(Axis { ends, beyond: beyond.collect() })
     }
 
     /// The pairs that [`PairPlots::choose`] will choose in each frame of the second list, after those of the first. Pairs
@@ -315,10 +350,10 @@ impl PairPlots {
             series.log(chunks, known.distance, pair.q, at);
             known.range = Some(extended(known.range, pair.q));
             self.plotted = Some(extended(self.plotted, pair.q));
-            for &(line, threshold) in &known.thresholds {
+            for (&(line, threshold), range) in known.thresholds.iter().zip(&mut known.levels) {
                 let Some(level) = view.schema.level(threshold, [pair.a, pair.b], at.time) else { continue };
                 series.log(chunks, line, level, at);
-                self.plotted = Some(extended(self.plotted, level));
+                *range = Some(extended(*range, level));
                 // A constant line has no new values, but should keep up with a live plot.
                 if frame.is_multiple_of(THRESHOLD_FRAMES) {
                     series.extend(chunks, line);
@@ -414,7 +449,8 @@ impl PairPlots {
 /// A pair that has plots.
 type Known<'p> = (&'p (usize, usize), &'p PairPlot);
 
-/// Of many pairs, the one that changes phase nearest to `opening` [s], and others that do so at times spread over the run.
+/// Of many pairs, the one that changes phase nearest to `opening` [s], and others that do so at times spread over the run;
+/// then those that come closest.
 fn spread<'p>(mut pairs: Vec<Known<'p>>, opening: f64, most: usize) -> Vec<Known<'p>> {
     if pairs.len() <= most {
         return pairs;
@@ -428,7 +464,11 @@ fn spread<'p>(mut pairs: Vec<Known<'p>>, opening: f64, most: usize) -> Vec<Known
     for time in times {
         let away =
             |plot: &PairPlot| plot.changes.iter().map(|event| (event.time - time).abs()).fold(f64::INFINITY, f64::min);
-        let nearest = (0..pairs.len()).min_by(|&x, &y| away(pairs[x].1).total_cmp(&away(pairs[y].1)));
+        let closest = |plot: &PairPlot| plot.range.map_or(f64::INFINITY, |[low, _]| low);
+        let nearest = (0..pairs.len()).min_by(|&x, &y| {
+            let [x, y] = [x, y].map(|index| pairs[index].1);
+            away(x).total_cmp(&away(y)).then(closest(x).total_cmp(&closest(y)))
+        });
         chosen.extend(nearest.map(|nearest| pairs.remove(nearest)));
     }
     let start = |plot: &PairPlot| plot.changes.first().map_or(f64::INFINITY, |event| event.time);
@@ -471,7 +511,7 @@ impl PairPlot {
             Series::style(chunks, &entity, &name, threshold.color, 1.0, Interpolation::Step);
             Some((series.line(chunks, &entity, Interpolation::Step), index))
         });
-        let thresholds = thresholds.collect();
+        let thresholds: Vec<(LineId, usize)> = thresholds.collect();
         let names = || schema.phases.iter().map(|phase| phase.name);
         let lane = StateConfiguration::new()
             .with_values(names())
@@ -505,6 +545,7 @@ impl PairPlot {
             range: None,
             phase,
             distance,
+            levels: vec![None; thresholds.len()],
             thresholds,
             measures,
             scalars,

@@ -21,10 +21,10 @@ const FEW: usize = 3;
 pub const LABELLED: usize = 5;
 /// Distance of two rows, and the widths of labels and of marks.
 const PITCH: f32 = 10.0;
-const LABEL: f32 = 104.0;
+const LABEL: f32 = 112.0;
 const WIDTH: f32 = 106.0;
 /// A label hangs from its place.
-const HANG: f32 = 3.0;
+const HANG: f32 = 4.0;
 
 /// What is in view: left, right, top and bottom.
 pub const BOUNDS: [f64; 4] =
