@@ -153,7 +153,7 @@ impl FocusFinder {
         /// Number of extents while the instant is shown.
         const EXTENTS_AFTER: f64 = 8.0;
 
-        let FrameView { schema, frame, at } = view;
+        let FrameView { schema, frame, at, .. } = view;
         // of several variants, the whole run would be too small
         if self.frames.is_multiple_of(1_u64 << self.spacing) && schema.variants.is_empty() {
             self.run.push(extent(view));
@@ -249,7 +249,7 @@ mod tests {
             assert!((schema.upright() * up).distance(DVec3::Z) < 1e-15);
             let (world, mut frame) = (World::new(scene).unwrap(), Frame::default());
             world.observe(Want::default(), &mut frame);
-            let view = FrameView { schema: &schema, frame: &frame, at: Instant { step: 0, time: 0.0 } };
+            let view = FrameView::of(&schema, &frame, Instant { step: 0, time: 0.0 });
             let highest = frame.bodies.iter().map(|body| body.centre.dot(up) + 1.0).fold(f64::NEG_INFINITY, f64::max);
             assert!(recent::label_height(view) > highest);
             assert!(view.towards_eye().dot(up) > 0.0);
@@ -279,7 +279,7 @@ mod tests {
                 }
                 let mut frame = Frame::default();
                 world.observe(Want::default(), &mut frame);
-                finder.frame(FrameView { schema: &schema, frame: &frame, at });
+                finder.frame(FrameView::of(&schema, &frame, at));
             }
             let [_, high] = bounds(finder.focus().unwrap().spheres.into_iter());
             assert_eq!(high.x >= right, late == 12, "an event at step {late}: up to {}", high.x);

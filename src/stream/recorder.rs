@@ -99,6 +99,8 @@ pub struct Recorder {
     kept: Vec<Kept>,
     /// The middle of all bodies in the last frame.
     middle: DVec3,
+    /// See [`FrameView::widest`].
+    widest: f64,
     /// The parts that show stages inside steps.
     stages: Option<(StateParts, Moves)>,
     /// Number of stages shown.
@@ -220,6 +222,7 @@ impl Recorder {
             written: 0,
             kept: Vec::new(),
             middle: DVec3::ZERO,
+            widest: 0.0,
             stages: matches!(settings.detail, Detail::Stages { .. }).then(|| {
                 log_text(&ABOUT_STAGES, blueprint::stages(), &mut chunks);
                 (StateParts::new(&schema, &settings, simulation.interrupt(), &mut chunks), Moves::new(&mut chunks))
@@ -354,7 +357,7 @@ impl Recorder {
     pub fn preview(&self, frame: &Frame) -> Vec<LogMsg> {
         let mut chunks = Chunks::preview(self.chunks.store().clone());
         let mut state = StateParts::new(&self.schema, &self.settings, None, &mut chunks);
-        state.log(FrameView { schema: &self.schema, frame, at: frame.at }, &[], &mut chunks);
+        state.log(FrameView::of(&self.schema, frame, frame.at), &[], &mut chunks);
         chunks.take()
     }
 
@@ -412,7 +415,7 @@ impl Recorder {
         let longest = moved.iter().map(|moved| moves::longest(moved)).fold(0.0, f64::max);
         for (StageFrame { name: stage, frame }, moved) in stages.iter().zip(moved) {
             self.chunks.set_stage(Some(self.stage_count));
-            let view = FrameView { schema: &self.schema, frame, at };
+            let view = FrameView::of(&self.schema, frame, at);
             let displacements = view.bodies().map(|(body, now)| now.max_displacement / body.radius);
             let (displaced, largest) = largest(displacements);
             let name = |body: usize| self.schema.bodies[body].name.as_str();
@@ -434,7 +437,9 @@ impl Recorder {
     }
 
     fn log_frame(&mut self, frame: &Frame, at: Instant) {
-        let view = FrameView { schema: &self.schema, frame, at };
+        let mut view = FrameView::of(&self.schema, frame, at);
+        self.widest = self.widest.max(view.widest);
+        view.widest = self.widest;
         if let Some(parts) = &mut self.parts {
             parts.log(view, self.frames, &mut self.chunks);
             if self.flight.is_some() {

@@ -893,8 +893,9 @@ impl Run {
         let track = self.track("/world/resultants");
         let ranking = self.track("/ranking/forces");
         let largest = self.scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
-        let mut forces = BodyForces::default();
+        let (mut forces, mut widest) = (BodyForces::default(), 0.0_f64);
         self.walk_frames(|frame, world| {
+            widest = widest.max(diagonal(world));
             let at = format!("step {}", world.steps_taken());
             let mut expected: Vec<(usize, &str, DVec3, DVec3)> = Vec::new();
             for (index, body) in world.bodies().enumerate() {
@@ -976,7 +977,7 @@ impl Run {
                 let arrow = expected.iter().find(|(body, cause, ..)| *body == index && *cause == "net");
                 (centre + 0.5 * scale * arrow.map_or(mean, |(.., mean)| *mean), label.len())
             };
-            assert_labelled(world, &labelled, &acting, net_on, label_of, &at);
+            assert_labelled(widest, &labelled, &acting, net_on, label_of, &at);
             for (index, body) in self.scene.bodies.iter().enumerate() {
                 let of_body = || expected.iter().zip(&labels).filter(|((body, ..), _)| *body == index);
                 let labelled: Vec<_> = of_body().filter(|(_, label)| !label.is_empty()).collect();
@@ -1020,7 +1021,9 @@ impl Run {
         let of_bodies = self.track("/largest/bodies");
         let ranking = (self.scene.bodies.len() > 3).then(|| self.track("/ranking/displacements"));
         let lines: Vec<_> = self.displacement_lines().iter().map(|line| self.track(line)).collect();
+        let mut widest = 0.0_f64;
         self.walk_frames(|frame, world| {
+            widest = widest.max(diagonal(world));
             // whether a vertex lies in another body: of merged ones by winding number, of others within 0.95 of the radius
             let positions: Vec<Vec<DVec3>> = world.bodies().map(|body| body.positions().collect()).collect();
             let groups = groups(world);
@@ -1099,7 +1102,7 @@ impl Run {
             let labelled: Vec<usize> =
                 labelled.into_iter().filter(|body| all[..all.len().min(5)].contains(body)).collect();
             let label_of = |index: usize| (name_place(world, index), label(index).len());
-            assert_labelled(world, &labelled, &all, |index| largest_of(&world.body(index)), label_of, &at);
+            assert_labelled(widest, &labelled, &all, |index| largest_of(&world.body(index)), label_of, &at);
             if let Some((displacement, position, label)) = largest {
                 let held = &track.held[frame];
                 let logged = held.texts("Points3D:labels").concat();
@@ -1286,7 +1289,9 @@ impl Run {
     fn verify_lines(&self) {
         let (track, recent) = (self.track("/world/pairs"), self.track("/world/recent"));
         let names_track = (2..=32).contains(&self.scene.bodies.len()).then(|| self.track("/world/names"));
+        let mut widest = 0.0_f64;
         self.walk_frames(|frame, world| {
+            widest = widest.max(diagonal(world));
             let named =
                 names_track.as_ref().map(|track| track.held[frame].texts("Points3D:labels")).unwrap_or_default();
             let named = self.scene.bodies.iter().enumerate().filter(|(_, body)| named.contains(&body.name));
@@ -1317,7 +1322,7 @@ impl Run {
             let (mut first, mut rest): (Vec<PairView>, Vec<PairView>) = (vec![], vec![]);
             for pair in pairs {
                 let taken = first.iter().map(place).chain(named.iter().copied());
-                let is_clear = !taken.into_iter().any(|other| covers(world, [other, place(&pair)]));
+                let is_clear = !taken.into_iter().any(|other| covers(widest, [other, place(&pair)]));
                 let is_labelled = !is_highlighted(&pair) && is_clear && highlighted + first.len() < 3;
                 if is_labelled { first.push(pair) } else { rest.push(pair) }
             }
@@ -1744,16 +1749,21 @@ fn significant(x: f64) -> String {
     if x == 0.0 { "0".to_owned() } else { format!("{x:.*}", digits as usize) }
 }
 
-/// Whether one of two labels, of which the places of the middle and the numbers of characters are given, covers the other;
-/// seen from the front and above.
-fn covers(world: &World, labels: [(DVec3, usize); 2]) -> bool {
+/// The diagonal of the box around the bodies.
+fn diagonal(world: &World) -> f64 {
     let corners = world.bodies().map(|body| [-1.0, 1.0].map(|side| body.centre() + side * body.scene().radius));
     let [low, high] = corners.reduce(|one, other| [one[0].min(other[0]), one[1].max(other[1])]).expect("a body");
+    low.distance(high)
+}
+
+/// Whether one of two labels, of which the places of the middle and the numbers of characters are given, covers the other;
+/// seen from the front and above, in a view as wide as the bodies have been.
+fn covers(widest: f64, labels: [(DVec3, usize); 2]) -> bool {
     let towards_eye = DVec3::new(-0.2, -1.0, 0.4).normalize();
     let right = DVec3::new(1.0, -0.2, 0.0).normalize();
     let up = towards_eye.cross(right);
     let [(place, length), (other, other_length)] = labels;
-    let apart = (place - other) / low.distance(high);
+    let apart = (place - other) / widest;
     let widths = 0.025 + 0.008 * (length + other_length) as f64;
     apart.dot(right).abs() <= widths && apart.dot(up).abs() <= 0.06
 }
@@ -1761,14 +1771,14 @@ fn covers(world: &World, labels: [(DVec3, usize); 2]) -> bool {
 /// Verifies which bodies are labelled: of the five strongest of `all`, those whose labels do not cover one of a stronger.
 /// `label` is the place of the middle of a body's label, and its number of characters.
 fn assert_labelled(
-    world: &World,
+    widest: f64,
     labelled: &[usize],
     all: &[usize],
     strength: impl Fn(usize) -> f64,
     label: impl Fn(usize) -> (DVec3, usize),
     at: &str,
 ) {
-    let covers = |one: usize, other: usize| covers(world, [one, other].map(&label));
+    let covers = |one: usize, other: usize| covers(widest, [one, other].map(&label));
     // equal ones are in any order
     let stronger = |body: usize, by: f64| {
         let limit = strength(body) * by;

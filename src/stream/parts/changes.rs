@@ -45,7 +45,7 @@ impl Changes {
 
     /// Logs changed rows.
     pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
-        let FrameView { schema, frame, at } = view;
+        let FrameView { schema, frame, at, .. } = view;
         let since = (at.time - self.time).max(f64::MIN_POSITIVE);
         let mut ranked: Vec<(PairFrame, Option<Next>)> = Vec::with_capacity(frame.pairs.len());
         let mut now = BTreeMap::new();

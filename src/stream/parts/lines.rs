@@ -143,7 +143,7 @@ impl Names {
 
     /// Names the bodies in `first`, then those that had names, then those in front.
     fn log(&mut self, view: FrameView<'_>, first: &[usize], labels: &mut Labels, chunks: &mut Chunks) {
-        let FrameView { schema, frame, at } = view;
+        let FrameView { schema, frame, at, .. } = view;
         for variant in &schema.variants {
             labels.take(variant.heading, variant.name);
         }

@@ -300,7 +300,7 @@ mod tests {
             }
             merged.expect(lookahead.compute(&frames, &pairs.foresee(&schema, [&[], &frames]), || {}));
             for frame in &frames {
-                let view = FrameView { schema: &schema, frame, at: frame.at };
+                let view = FrameView::of(&schema, frame, frame.at);
                 let shown = pairs.choose(view, &mut series, &mut chunks);
                 let ahead = merged.log(view, shown, &mut chunks);
                 let is_foreseen = frame.pairs.is_empty() || threads < 2 || ahead > Duration::ZERO;

@@ -68,34 +68,33 @@ pub const TOWARDS_EYE: DVec3 = DVec3::new(-0.2, -1.0, 0.4);
 struct Labels {
     right: DVec3,
     up: DVec3,
-    /// Of the box around the bodies [scene unit].
-    diagonal: f64,
+    /// The widest view [scene unit].
+    widest: f64,
     /// Middles and half widths [scene unit].
     taken: Vec<(DVec2, f64)>,
 }
 
 impl Labels {
     /// The size of a label in a view in which the bodies are small: its height, and the widths of its margins and of a
-    /// character [diagonals].
+    /// character [widest view].
     const HEIGHT: f64 = 0.06;
     const MARGINS: f64 = 0.025;
     const CHARACTER: f64 = 0.016;
 
     fn new(view: FrameView<'_>) -> Labels {
-        let [low, high] = view.bounds();
         let towards_eye = view.towards_eye();
         let right = view.schema.up.cross(towards_eye).normalize();
         let up = towards_eye.cross(right).normalize();
-        Labels { right, up, diagonal: low.distance(high), taken: Vec::new() }
+        Labels { right, up, widest: view.widest, taken: Vec::new() }
     }
 
     /// Takes this place for a label if there is room.
     fn take(&mut self, place: DVec3, label: &str) -> bool {
         let middle = DVec2::new(place.dot(self.right), place.dot(self.up));
-        let half = 0.5 * self.diagonal * (Labels::MARGINS + Labels::CHARACTER * label.chars().count() as f64);
+        let half = 0.5 * self.widest * (Labels::MARGINS + Labels::CHARACTER * label.chars().count() as f64);
         let is_clear = self.taken.iter().all(|&(other, other_half)| {
             let apart = (other - middle).abs();
-            apart.x > half + other_half || apart.y > Labels::HEIGHT * self.diagonal
+            apart.x > half + other_half || apart.y > Labels::HEIGHT * self.widest
         });
         if is_clear {
             self.taken.push((middle, half));
@@ -113,9 +112,19 @@ pub struct FrameView<'a> {
     pub frame: &'a Frame,
     /// The instant of that state.
     pub at: Instant,
+    /// The largest diagonal of the box around the bodies up to now: what the camera has in view, about [scene unit].
+    pub widest: f64,
 }
 
 impl<'a> FrameView<'a> {
+    /// A view of a state alone.
+    pub fn of(schema: &'a Schema, frame: &'a Frame, at: Instant) -> FrameView<'a> {
+        let mut view = FrameView { schema, frame, at, widest: 0.0 };
+        let [low, high] = view.bounds();
+        view.widest = low.distance(high);
+        view
+    }
+
     pub(in crate::stream) fn bodies(self) -> impl Iterator<Item = (&'a BodySchema, &'a BodyFrame)> {
         self.schema.bodies.iter().zip(&self.frame.bodies)
     }

@@ -286,7 +286,7 @@ impl PairPlots {
 
     /// Chooses the pairs of a frame that have their own entities, and creates the entities of new pairs.
     pub fn choose(&mut self, view: FrameView<'_>, series: &mut Series, chunks: &mut Chunks) -> &[[usize; 2]] {
-        let FrameView { schema, frame: now, at } = view;
+        let FrameView { schema, frame: now, at, .. } = view;
         if self.known.len() < self.max_in_reach {
             // of pairs that come within reach in the same frame, take the closest first
             self.new.clear();

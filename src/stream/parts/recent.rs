@@ -160,7 +160,7 @@ impl Recent {
 
     /// Logs changed values.
     pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
-        let FrameView { schema, frame, at } = view;
+        let FrameView { schema, frame, at, .. } = view;
         self.top = label_height(view);
         let [low, high] = view.bounds();
         self.apart = APART * low.distance(high);
