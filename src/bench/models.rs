@@ -8,7 +8,9 @@ use glam::DVec3;
 
 use super::{
     chart::{Axis, Chart, Line, Marker, Panel, SQUARE, Style, TIP, TRIANGLE},
+    grown,
     report::{Cell, Column, Machine, Report, Table},
+    resident,
 };
 use crate::{
     Scene,
@@ -62,7 +64,8 @@ pub struct Row {
     pub build: f64,
     /// Time of a step with its frame: the state with its forces, and the merged surface [s].
     pub frame: f64,
-    /// Memory of the simulation, if known [bytes].
+    /// Measured growth of the process's resident memory while the simulation was built and took its first step [bytes];
+    /// `None` if it is too small to be told from other allocations.
     pub memory: Option<u64>,
     /// Runs with several steps, with the largest error over time and vertices against the model's own converged solution.
     pub points: Vec<Point>,
@@ -114,11 +117,14 @@ pub(super) fn step(run: &mut Run) -> Result<bool, String> {
 }
 
 fn row(scene: &Scene, progress: &mut dyn FnMut(f64)) -> Result<Row, String> {
+    let before = resident();
     let clock = Instant::now();
-    drop(start(scene)?);
+    let mut run = start(scene)?;
     let build = clock.elapsed().as_secs_f64();
-    let mut row = observe(scene)?;
-    row.build = build;
+    step(&mut run)?;
+    let memory = grown(before);
+    drop(run);
+    let mut row = Row { build, memory, ..observe(scene)? };
     progress(0.3);
     let own = follow(scene, scene.dt)?;
     let finest = follow(scene, scene.dt / FINEST)?;
@@ -173,7 +179,7 @@ pub(super) fn observe(scene: &Scene) -> Result<Row, String> {
     Ok(Row {
         build: 0.0,
         frame: seconds / scene.steps().max(1) as f64,
-        memory: run.simulation.memory(),
+        memory: None,
         points: vec![],
         largest_step: None,
         volume_lost: lost.unwrap_or(0.0),

@@ -13,8 +13,10 @@ use rayon::{ThreadPool, ThreadPoolBuilder, prelude::*};
 use super::{
     MeasureError,
     chart::{Axis, Chart, DIAMOND, Line, Marker, Panel, SQUARE, Style, TRIANGLE},
+    grown,
     reference::{Accuracy, NoReference, Reference},
     report::{Cell, Column, Machine, Report, Table},
+    resident,
 };
 use crate::{
     Scene, World,
@@ -58,8 +60,9 @@ pub struct Point {
     pub vertices: u64,
     /// Number of bodies that are awake.
     pub awake: u64,
-    /// Memory allocated by the world [bytes].
-    pub memory: usize,
+    /// Measured growth of the process's resident memory while the world was built and stepped [bytes]; `None` if it is
+    /// too small to be told from other allocations.
+    pub memory: Option<u64>,
     /// Step time on one core [s].
     pub one: f64,
     /// Step time on all cores [s]; `None` on a single-core machine.
@@ -109,6 +112,7 @@ fn measure_point(
     time: Duration,
 ) -> Result<Point, WorldError> {
     let fastest = &pools[pools.len() - 1];
+    let before = resident();
     let mut world = fastest.install(|| World::new(layout.scene(two)))?;
     let mut error = None;
     let start = Instant::now();
@@ -135,7 +139,7 @@ fn measure_point(
         bodies: layout.bodies,
         vertices: world.scene().vertex_count(),
         awake: layout.bodies as u64 - world.report().sleeping_bodies,
-        memory: world.memory(),
+        memory: grown(before),
         one: best[0],
         all: best.get(1).copied(),
         error: error.filter(|_| !layout.pairs.is_empty()),
@@ -298,7 +302,7 @@ impl Point {
             (1.0 / self.one).into(),
             self.all.map(|seconds| 1.0 / seconds).into(),
             (self.vertices as f64 / self.one).into(),
-            (self.memory as f64 / self.bodies as f64).into(),
+            self.memory.map(|memory| memory as f64 / self.bodies as f64).into(),
             self.error.into(),
         ]
     }

@@ -63,11 +63,6 @@ impl Facets {
             drawn.iter().for_each(|&i| normals[first + i as usize] = normal);
         }
     }
-
-    /// Allocated memory [bytes].
-    pub fn memory(&self) -> usize {
-        self.copies.capacity() * size_of::<u32>() + self.triangles.capacity() * size_of::<[u32; 3]>()
-    }
 }
 
 #[cfg(test)]

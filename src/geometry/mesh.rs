@@ -137,15 +137,6 @@ impl Mesh {
     pub fn at(&self, radius: f64) -> Rest<'_> {
         Rest { mesh: self, radius }
     }
-
-    /// Memory allocated for the mesh [bytes].
-    pub fn memory(&self) -> usize {
-        let vectors = [Some(&self.positions), self.directions.as_ref(), self.normals.as_ref()];
-        vectors.into_iter().flatten().map(Vectors::memory).sum::<usize>()
-            + self.triangles.capacity() * size_of::<[u32; 3]>()
-            + self.shares.capacity() * size_of::<f64>()
-            + self.facets.as_ref().map_or(0, Facets::memory)
-    }
 }
 
 /// A mesh at the scale of a body.

@@ -48,11 +48,6 @@ pub trait Simulation {
         None
     }
 
-    /// Memory allocated for the state and for stepping it, if known [bytes].
-    fn memory(&self) -> Option<u64> {
-        None
-    }
-
     /// A flag that, once raised, ends the simulation and all analysis of its states as soon as possible.
     fn interrupt(&self) -> Option<&'static AtomicBool> {
         None

@@ -146,13 +146,6 @@ impl PairLaws {
     fn sides(&self, body: usize) -> [Option<Members>; 2] {
         [Some(Members::Body(body as u32)), self.group_of(body).map(Members::Group)]
     }
-
-    /// Allocated memory [bytes].
-    pub fn memory(&self) -> usize {
-        self.laws.capacity() * size_of::<PairLaw>()
-            + self.by_members.capacity() * size_of::<([Members; 2], u32)>()
-            + self.group_of.capacity() * size_of::<Option<u32>>()
-    }
 }
 
 /// Sides in ascending order: bodies before groups.

@@ -315,12 +315,6 @@ impl Path {
         }
     }
 
-    /// Allocated memory [bytes].
-    pub fn memory(&self) -> usize {
-        let Path::Keyframes(spline) = self else { return 0 };
-        size_of_val(&*spline.times) + size_of_val(&*spline.segments)
-    }
-
     /// Whether the centre is at rest throughout `[start, end]` [s], without jumps.
     pub fn is_still(&self, start: f64, end: f64) -> bool {
         match self {

@@ -6,8 +6,6 @@ use std::{
     time::{Duration, Instant},
 };
 
-use smallvec::{Array, SmallVec};
-
 use crate::{geometry::Shape, scene::Scene, text::bytes};
 
 /// State of a vertex: displacement and velocity, three doubles each [bytes].
@@ -110,16 +108,6 @@ pub fn needed(scene: &Scene) -> u64 {
         .saturating_add(3 * scene.source.len() as u64) // kept by the scene, by the schema, and for the recording
 }
 
-/// Memory allocated for the bodies of a scene [bytes].
-pub fn of_scene_bodies(scene: &Scene) -> usize {
-    let names: usize = scene.bodies.iter().map(|body| body.name.capacity() + of_path(body)).sum();
-    names + scene.bodies.capacity() * size_of::<crate::scene::Body>()
-}
-
-fn of_path(body: &crate::scene::Body) -> usize {
-    body.path().map_or(0, crate::scene::Path::memory)
-}
-
 /// Memory that this process can still allocate, limited by the machine and by its control group [bytes].
 pub fn available() -> u64 {
     let mut system = sysinfo::System::new();
@@ -188,9 +176,4 @@ impl Budget {
             available: self.available,
         }
     }
-}
-
-/// Memory allocated for a list beyond what it holds in place [bytes].
-pub(super) fn spilled<A: Array>(list: &SmallVec<A>) -> usize {
-    if list.spilled() { list.capacity() * size_of::<A::Item>() } else { 0 }
 }

@@ -336,11 +336,6 @@ impl<P: Listed> NearPairs<P> {
         };
         self.pairs.iter().map(of).fold(0, u64::wrapping_add)
     }
-
-    /// Memory allocated for the pairs [bytes].
-    pub fn memory(&self) -> usize {
-        self.pairs.capacity() * size_of::<P>() + self.unused.capacity() * size_of::<PairId>() + self.grid.memory()
-    }
 }
 
 /// Whether, within their fat bounds, one of two bodies can have vertices inside the other's sphere, or the two can

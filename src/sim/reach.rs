@@ -66,12 +66,6 @@ impl Level {
 }
 
 impl Grid {
-    /// Memory allocated for the grid [bytes].
-    pub fn memory(&self) -> usize {
-        let cells: usize = self.levels.iter().map(|level| level.cells.capacity()).sum();
-        self.balls.capacity() * size_of::<Placed>() + cells * size_of::<([i64; 3], u32)>()
-    }
-
     /// Ball `i`, as placed.
     pub fn ball(&self, i: u32) -> &Ball {
         &self.balls[i as usize].ball

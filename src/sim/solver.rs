@@ -201,12 +201,4 @@ impl Solver {
             Solver::Coupled(coupled) => coupled.hash(),
         }
     }
-
-    /// Memory allocated for the state [bytes].
-    pub fn memory(&self) -> usize {
-        match self {
-            Solver::Prescribed(prescribed) => prescribed.memory(),
-            Solver::Coupled(coupled) => coupled.memory(),
-        }
-    }
 }

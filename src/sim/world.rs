@@ -310,11 +310,6 @@ impl World {
         self.options
     }
 
-    /// Memory allocated for the state [bytes].
-    pub fn memory(&self) -> usize {
-        self.solver.memory() + memory::of_scene_bodies(&self.scene)
-    }
-
     /// All bodies, in the order of the scene.
     pub fn bodies(&self) -> impl ExactSizeIterator<Item = BodyView<'_>> {
         (0..self.body_count()).map(|index| self.body(index))

@@ -95,10 +95,6 @@ impl Simulation for World {
         self.options().interrupt
     }
 
-    fn memory(&self) -> Option<u64> {
-        Some(World::memory(self) as u64)
-    }
-
     fn account(&self) -> Option<String> {
         if self.scene().bodies.iter().all(|body| body.path().is_some()) {
             return None;

@@ -346,7 +346,7 @@ fn the_model_benchmark_measures_every_model_that_can_run() {
     assert!((1e-12..1e-2).contains(&oscillators.points[0].error), "{oscillators:?}");
     for row in [&oscillators, &metaballs] {
         assert!(row.events.iter().any(|(name, _)| name == "merge a~b"), "{row:?}");
-        assert!(row.points[0].seconds > 0.0 && row.frame > 0.0 && row.memory.is_some());
+        assert!(row.points[0].seconds > 0.0 && row.frame > 0.0);
         assert!(row.largest_step.is_some_and(|dt| dt >= scene.dt), "{row:?}");
     }
     assert!(metaballs.events.iter().any(|(name, _)| name == "touch a~b"), "{metaballs:?}");

@@ -50,7 +50,7 @@ fn every_family_is_measured_at_every_size() {
         assert_eq!(point.error.is_none(), point.family == Family::FreeRest, "{name}");
         // Measured: 2.2e-8 on paths, 5.0e-8 of free bodies.
         assert!(point.error.is_none_or(|error| error < 1e-7), "{name}: {point:?}");
-        assert!(point.one > 0.0 && point.memory > 300 * point.bodies, "{name}: {point:?}");
+        assert!(point.one > 0.0, "{name}: {point:?}");
     }
     let awake = |family| measured.of(family).nth(1).expect("measured").awake;
     assert_eq!(Family::ALL.map(awake), [10, 2, 2, 10, 1]);

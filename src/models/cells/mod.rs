@@ -209,15 +209,6 @@ impl Cells {
         sets.all_least().into_iter().map(number_of).collect()
     }
 
-    /// Allocated memory [bytes].
-    pub fn memory(&self) -> usize {
-        self.nodes.capacity() * size_of::<DVec3>()
-            + self.corners.capacity() * size_of::<[u32; 8]>()
-            + self.weights.capacity() * size_of::<f64>()
-            + self.places.capacity() * size_of::<[u32; 3]>()
-            + self.embedded.capacity() * size_of::<Embedded>()
-    }
-
     /// Upper bound of the memory to cover a mesh with this many vertices, for a body that fills the grid [bytes].
     pub fn most_memory(across: u32, vertices: u64) -> u64 {
         const GRID_BYTES: u64 = 9; // inside flag, winding number, index

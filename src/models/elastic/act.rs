@@ -112,11 +112,6 @@ impl ExternalForces {
         self.loads.clear();
         self.places.clear();
     }
-
-    /// Allocated memory [bytes].
-    pub fn memory(&self) -> usize {
-        (self.loads.capacity() + self.places.capacity()) * size_of::<DVec3>()
-    }
 }
 
 impl StepContext<'_> {

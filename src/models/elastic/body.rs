@@ -141,12 +141,6 @@ pub struct Shared {
 type Kind = (Shape, [u64; 4], bool);
 
 impl Shared {
-    /// Allocated memory [bytes].
-    pub fn memory(&self) -> usize {
-        let of = |(element, stepper): &(Arc<Element>, Arc<Stepper>)| element.memory() + stepper.memory();
-        self.elements.values().map(of).sum()
-    }
-
     /// No elements yet, with this much memory left for factors [bytes]; `contact` is the largest [`contact`] of all
     /// bodies.
     pub fn new(left: u64, scene: &Scene, contact: f64) -> Shared {
@@ -603,22 +597,6 @@ impl Body {
             let ends = [spring.a, spring.b].map(|node| places[node as usize]);
             SpringFrame { ends, strain: ends[0].distance(ends[1]) / spring.rest - 1.0 }
         }));
-    }
-
-    /// Allocated memory, without data shared with other bodies [bytes].
-    pub fn memory(&self) -> usize {
-        let vectors = [&self.rest, &self.directions, &self.x, &self.u];
-        let matter = match &self.matter {
-            Matter::Lattice(springs) => springs.lattice.memory() + springs.motion.memory(),
-            Matter::Fem(finite) => {
-                let vectors = [&finite.positions, &finite.velocities, &finite.forces];
-                finite.motion.memory() + vectors.iter().map(|of| of.capacity() * size_of::<DVec3>()).sum::<usize>()
-            }
-        };
-        vectors.iter().map(|of| of.capacity() * size_of::<DVec3>()).sum::<usize>()
-            + matter
-            + self.acted.memory()
-            + self.torn.as_ref().map_or(0, |mesh| mesh.memory())
     }
 }
 

@@ -59,8 +59,6 @@ pub struct Elastic {
     farthest: f64,
     /// Number of implicit steps in a step of the scene, for finite elements.
     divided: u64,
-    /// Memory of data shared by bodies [bytes].
-    shared: usize,
     /// Phases at the end of the last step, of pairs that are not apart.
     phases: BTreeMap<[u32; 2], Phase>,
     /// Broad phase: bounds of each body and of its influence sphere.
@@ -159,7 +157,6 @@ impl Elastic {
             bodies.push(Body::new(&scene, index, cells, &mut shared, options.interrupt)?);
         }
         let divided = shared.divided;
-        let shared = covered.values().map(|cells| cells.memory()).sum::<usize>() + shared.memory();
         drop(covered);
         let mut elastic = Elastic {
             has_free: has_free(&scene),
@@ -168,7 +165,6 @@ impl Elastic {
             scene,
             options,
             bodies,
-            shared,
             phases: BTreeMap::new(),
             grid: Grid::default(),
             step: 0,

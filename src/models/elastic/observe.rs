@@ -459,11 +459,6 @@ impl Simulation for Elastic {
         summary.failure.clone_from(&self.failure);
     }
 
-    fn memory(&self) -> Option<u64> {
-        let own: usize = self.bodies.iter().map(Body::memory).sum();
-        Some((own + self.shared + self.grid.memory()) as u64)
-    }
-
     fn near(&self, pairs: &mut Vec<NearPair>) {
         let mut found = Vec::new();
         self.near_pairs(&mut found);

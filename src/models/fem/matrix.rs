@@ -49,13 +49,6 @@ impl Symmetric {
         Some(matrix)
     }
 
-    /// Allocated memory [bytes].
-    pub fn memory(&self) -> usize {
-        self.blocks.capacity() * size_of::<DMat3>()
-            + self.rows.capacity() * size_of::<u32>()
-            + self.starts.capacity() * size_of::<usize>()
-    }
-
     /// Number of rows of blocks.
     pub fn len(&self) -> usize {
         self.starts.len() - 1

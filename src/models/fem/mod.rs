@@ -199,14 +199,6 @@ impl Element {
         }
     }
 
-    /// Allocated memory [bytes].
-    pub fn memory(&self) -> usize {
-        self.corners.capacity() * size_of::<[u32; 8]>()
-            + self.masses.capacity() * size_of::<f64>()
-            + self.free.capacity() * size_of::<u32>()
-            + self.stiffness.memory()
-    }
-
     /// Upper bound of the memory for this many cells along a diameter, without the factor [bytes].
     pub fn most_memory(across: u32) -> u64 {
         const NODE_BYTES: u64 = 14 * (72 + 4) + 16 + 6 * 24;
@@ -240,12 +232,6 @@ impl Stepper {
 }
 
 impl Motion {
-    /// Allocated memory [bytes].
-    pub fn memory(&self) -> usize {
-        let vectors = [&self.displacements, &self.velocities, &self.scratch];
-        vectors.iter().map(|of| of.capacity() * size_of::<DVec3>()).sum()
-    }
-
     /// A body at rest.
     pub fn at_rest(element: &Element) -> Motion {
         let zeros = vec![DVec3::ZERO; element.free.len()];

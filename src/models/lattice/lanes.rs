@@ -92,12 +92,6 @@ impl Lanes {
         forces.extend(x.iter().zip(y).zip(z).take(positions.len()).map(|((&x, &y), &z)| DVec3::new(x, y, z)));
         largest.sqrt()
     }
-
-    /// Allocated memory [bytes].
-    pub fn memory(&self) -> usize {
-        let of = |lanes: &[Vec<f64>; 3]| lanes.iter().map(|lane| lane.capacity() * size_of::<f64>()).sum::<usize>();
-        of(&self.positions) + of(&self.velocities) + of(&self.forces)
-    }
 }
 
 struct Pull<'a> {

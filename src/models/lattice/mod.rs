@@ -277,18 +277,6 @@ impl Lattice {
         let sizes = [size_of::<Spring>(), size_of::<Group>()].map(|size| size as u64);
         cells * (41 + KEY_BYTES) + springs * sizes[0] + groups * sizes[1] + nodes * NODE_BYTES
     }
-
-    /// Allocated memory [bytes].
-    pub fn memory(&self) -> usize {
-        self.corners.capacity() * size_of::<[u32; 8]>()
-            + self.is_whole.capacity()
-            + self.rest.capacity() * size_of::<DVec3>()
-            + self.masses.capacity() * size_of::<f64>()
-            + self.held.capacity()
-            + self.cell_masses.capacity() * size_of::<f64>()
-            + self.groups.capacity() * size_of::<Group>()
-            + self.keys.capacity() * size_of::<(u64, u32)>()
-    }
 }
 
 #[cfg(test)]

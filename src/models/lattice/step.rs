@@ -73,14 +73,6 @@ impl Motion {
         self.inverse.extend(masses.map(|(&mass, &held)| if held || !(mass > 0.0) { 0.0 } else { 1.0 / mass }));
         self.accelerations.clear();
     }
-
-    /// Allocated memory [bytes].
-    pub fn memory(&self) -> usize {
-        let vectors = [&self.positions, &self.velocities, &self.accelerations, &self.predicted, &self.forces];
-        vectors.iter().map(|of| of.capacity() * size_of::<DVec3>()).sum::<usize>()
-            + self.inverse.capacity() * size_of::<f64>()
-            + self.lanes.memory()
-    }
 }
 
 /// External accelerations [scene unit/s²], given the time within the steps [s], positions and velocities; written to

@@ -323,11 +323,6 @@ impl Simulation for Metaballs {
         summary.shortfall = None;
     }
 
-    fn memory(&self) -> Option<u64> {
-        let pairs = self.ones.len() * size_of::<([usize; 2], bool)>();
-        Some((self.world.memory() + pairs + self.centres.capacity() * size_of::<DVec3>()) as u64)
-    }
-
     fn account(&self) -> Option<String> {
         let mut lines = Vec::new();
         for change in self.changes.iter().filter(|change| change.is_of_surface) {

@@ -1,6 +1,6 @@
 //! Access to the state.
 
-use super::{Coupled, dense::Interpolated, islands::Job, member::Member};
+use super::{Coupled, dense::Interpolated, member::Member};
 use crate::{
     model::phase::Phase,
     scene::{self, Scene},
@@ -109,15 +109,6 @@ impl Coupled {
                 sources.push(Source { origin, centre, sphere_radius, strength: scene.point_strength(point, index) });
             }
         }
-    }
-
-    /// Memory allocated [bytes].
-    pub fn memory(&self) -> usize {
-        self.members.capacity() * size_of::<Member>()
-            + self.members.iter().map(Member::memory).sum::<usize>()
-            + self.jobs.iter().map(Job::memory).sum::<usize>()
-            + self.near.memory()
-            + (self.awake.capacity() + self.job_of.capacity()) * size_of::<u32>()
     }
 
     /// What acts on all bodies at `time` [s], beside pairs.

@@ -113,12 +113,6 @@ pub(super) fn advance(jobs: &mut [Job], conditions: &Conditions<'_>) {
 }
 
 impl Job {
-    /// Memory allocated for the states of its bodies [bytes].
-    pub fn memory(&self) -> usize {
-        let of = |body: &Body| size_of::<Body>() + (body.x.capacity() + body.u.capacity()) * size_of::<DVec3>();
-        self.parts.bodies.iter().map(of).sum()
-    }
-
     /// Calls `write` with the states of some bodies of the island at `time` [s] within the last step, which began at
     /// `start` [s] and ended at `end`, and whose results have become the state. `None` if that fails or exceeds `work`.
     pub fn within(

@@ -15,7 +15,6 @@ use crate::{
     sim::{
         checksum,
         free::{Body, Driven, Shape, Way},
-        memory::spilled,
         neighbours::{FatBounds, Neighbours},
         numerics::control::{MAX_SLOW_TOLERANCE, NEGLIGIBLE, NEGLIGIBLE_TOLERANCE, SLOW_TIME},
         span::Span,
@@ -375,11 +374,6 @@ impl Member {
     /// Approximate work of evaluating its forces: number of vertices times one plus the number of neighbours.
     pub fn size(&self) -> u64 {
         self.body.shape.rest().len() as u64 * (1 + self.neighbours.len() as u64)
-    }
-
-    /// Memory allocated for it [bytes].
-    pub fn memory(&self) -> usize {
-        (self.body.x.capacity() + self.body.u.capacity()) * size_of::<DVec3>() + spilled(&self.neighbours)
     }
 }
 

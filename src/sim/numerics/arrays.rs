@@ -85,9 +85,4 @@ impl<const V: usize> Blocks<V> {
             }
         }
     }
-
-    /// Memory allocated for the blocks [bytes].
-    pub fn memory(&self) -> usize {
-        self.0.capacity() * size_of::<Block<V>>()
-    }
 }

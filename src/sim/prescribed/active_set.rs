@@ -125,9 +125,4 @@ impl ActiveSet {
     pub fn hash(&self) -> u64 {
         checksum::of_bodies(&self.states)
     }
-
-    /// Memory allocated for the set [bytes].
-    pub fn memory(&self) -> usize {
-        self.states.iter().map(Active::memory).sum::<usize>() + self.states.capacity() * size_of::<Active>()
-    }
 }

@@ -17,7 +17,6 @@ use crate::{
     scene::{Material, Push, Scene},
     sim::{
         integrator::exponential::{StepStatistics, together::Largest},
-        memory::spilled,
         neighbours::{FatBounds, Neighbour, Neighbours},
         numerics::larger,
         state::State,
@@ -78,11 +77,6 @@ impl Body {
     pub fn on<'a>(&'a self, scene: &'a Scene, index: u32, tracks: &'a Tracks, phases: &'a Pairs) -> On<'a, &'a Pairs> {
         let Body { material, neighbours, points, pushes, .. } = self;
         On { scene, index, material, neighbours, points, pushes, tracks, phases }
-    }
-
-    /// Memory allocated for the body [bytes].
-    pub fn memory(&self) -> usize {
-        spilled(&self.neighbours) + size_of_val(&*self.pushes) + size_of_val(&*self.points)
     }
 }
 
@@ -207,11 +201,6 @@ impl Active {
         self.state.state_bounds = StateBounds::of(&self.state.deformation, oscillator, arch);
         let momentum = self.state.carried.momentum(oscillator.omega) + self.state.state_bounds.momentum;
         self.state.bound = self.state.bound.max(momentum);
-    }
-
-    /// Memory allocated for the body's state [bytes].
-    pub fn memory(&self) -> usize {
-        self.state.deformation.memory() + spilled(&self.chosen.references) + spilled(&self.bounds.reachable)
     }
 
     /// Whether nothing has acted on the body yet: every displacement and velocity is exactly zero.

@@ -120,14 +120,6 @@ impl Deformation {
         self.active_set.vertices.is_empty() && self.free_vertices.vertices.is_empty()
     }
 
-    /// Memory allocated for the deformation [bytes].
-    pub fn memory(&self) -> usize {
-        let Deformation { active_set, free_vertices } = self;
-        active_set.blocks.memory()
-            + free_vertices.blocks.memory()
-            + (active_set.vertices.capacity() + free_vertices.vertices.capacity()) * size_of::<u32>()
-    }
-
     /// The state of one vertex at the end of the last step.
     pub fn state(&self, vertex: usize, now: Now) -> State {
         let v = vertex as u32;

@@ -550,15 +550,6 @@ impl Prescribed {
         self.actives.hash().wrapping_add(self.pairs.hash())
     }
 
-    /// Memory allocated [bytes].
-    pub fn memory(&self) -> usize {
-        self.bodies.iter().map(Body::memory).sum::<usize>()
-            + self.bodies.capacity() * size_of::<Body>()
-            + self.actives.memory()
-            + self.pairs.memory()
-            + self.tracks.memory()
-    }
-
     /// All pairs that are near each other or not apart, in ascending order of their bodies.
     pub fn known_pairs(&self) -> impl Iterator<Item = &Pair> + '_ {
         later_neighbours(self.bodies.iter().map(|body| &body.neighbours)).map(|pair| self.pairs.get(pair))

@@ -295,11 +295,6 @@ impl Pairs {
         self.near.count()
     }
 
-    /// Memory allocated for the pairs [bytes].
-    pub fn memory(&self) -> usize {
-        self.near.memory()
-    }
-
     /// The sum of the hashes of all pairs that are not apart.
     pub fn hash(&self) -> u64 {
         self.near.hash()

@@ -217,14 +217,6 @@ impl Tracks {
         &self.motion_bounds[body as usize]
     }
 
-    /// Memory allocated for the tracks [bytes].
-    pub fn memory(&self) -> usize {
-        self.movers.capacity() * size_of::<Mover>()
-            + self.motion_bounds.capacity() * size_of::<MotionBounds>()
-            + self.of_body.capacity() * size_of::<u32>()
-            + self.paths.capacity() * size_of::<Path>()
-    }
-
     /// The movers, in ascending order of their bodies.
     pub fn all(&self) -> &[Mover] {
         &self.movers
