@@ -75,17 +75,11 @@ pub(super) fn later_neighbours<'a>(of: impl Iterator<Item = &'a Neighbours>) -> 
 
 /// A listed pair, as the solver knows it.
 pub(super) trait Listed {
-    /// Its bodies, ascending.
-    fn bodies(&self) -> [u32; 2];
+    /// Its bodies, ascending, and its phase.
+    fn listed(&self) -> ([u32; 2], Phase);
 
-    /// Its phase.
-    fn phase(&self) -> Phase;
-
-    /// Gives its bodies other indices.
-    fn renumber(&mut self, bodies: [u32; 2]);
-
-    /// Sets its phase.
-    fn enter(&mut self, phase: Phase);
+    /// Gives its bodies other indices, and sets its phase.
+    fn list(&mut self, bodies: [u32; 2], phase: Phase);
 }
 
 /// The bodies of a solver, as the search for neighbours sees them.
@@ -180,7 +174,8 @@ impl<P: Listed> NearPairs<P> {
             if let Ok(index) = others.binary_search_by_key(&body, |other| other.other) {
                 others.remove(index);
             }
-            self.get_mut(pair).enter(Phase::Apart);
+            let listed = self.get_mut(pair);
+            listed.list(listed.listed().0, Phase::Apart);
             self.unused.push(pair);
         }
         self.grid.take(body);
@@ -192,7 +187,8 @@ impl<P: Listed> NearPairs<P> {
         self.grid.forget(body);
         let shifted = |index: u32| index - u32::from(index > body);
         for pair in &mut self.pairs {
-            pair.renumber(pair.bodies().map(shifted));
+            let (bodies, phase) = pair.listed();
+            pair.list(bodies.map(shifted), phase);
         }
         for index in 0..bodies.scene().bodies.len() as u32 {
             bodies.neighbours(index).iter_mut().for_each(|neighbour| neighbour.other = shifted(neighbour.other));
@@ -266,7 +262,7 @@ impl<P: Listed> NearPairs<P> {
 
     /// Strikes a neighbour of a body off the lists, unless their phase keeps it there.
     fn leave<B: Bodies<Pair = P>>(&mut self, bodies: &mut B, body: u32, neighbour: Neighbour) {
-        if self.get(neighbour.pair).phase() != Phase::Apart {
+        if self.get(neighbour.pair).listed().1 != Phase::Apart {
             bodies.neighbours(body).push(neighbour);
             return;
         }
@@ -331,8 +327,8 @@ impl<P: Listed> NearPairs<P> {
     /// The sum of the hashes of all pairs that are not apart.
     pub fn hash(&self) -> u64 {
         let of = |pair: &P| {
-            let [a, b] = pair.bodies();
-            checksum::of_pair(a, b, pair.phase())
+            let ([a, b], phase) = pair.listed();
+            checksum::of_pair(a, b, phase)
         };
         self.pairs.iter().map(of).fold(0, u64::wrapping_add)
     }

@@ -24,20 +24,12 @@ pub(in crate::sim) struct Among<'a> {
 }
 
 impl Listed for Pair {
-    fn bodies(&self) -> [u32; 2] {
-        [self.a, self.b]
+    fn listed(&self) -> ([u32; 2], Phase) {
+        ([self.a, self.b], self.phase)
     }
 
-    fn phase(&self) -> Phase {
-        self.phase
-    }
-
-    fn renumber(&mut self, [a, b]: [u32; 2]) {
-        (self.a, self.b) = (a, b);
-    }
-
-    fn enter(&mut self, phase: Phase) {
-        self.phase = phase;
+    fn list(&mut self, [a, b]: [u32; 2], phase: Phase) {
+        (self.a, self.b, self.phase) = (a, b, phase);
     }
 }
 
@@ -110,7 +102,7 @@ impl Near {
 
     /// Sets the phase of a pair.
     pub fn enter(&mut self, id: PairId, phase: Phase) {
-        self.get_mut(id).enter(phase);
+        self.get_mut(id).phase = phase;
     }
 
     /// Whether, within the step, one body of a pair can have vertices inside the other's sphere, or the pair can change

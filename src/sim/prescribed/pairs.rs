@@ -68,20 +68,12 @@ pub(in crate::sim) struct Pairs {
 }
 
 impl Listed for Pair {
-    fn bodies(&self) -> [u32; 2] {
-        [self.a, self.b]
+    fn listed(&self) -> ([u32; 2], Phase) {
+        ([self.a, self.b], self.phase)
     }
 
-    fn phase(&self) -> Phase {
-        self.phase
-    }
-
-    fn renumber(&mut self, [a, b]: [u32; 2]) {
-        (self.a, self.b) = (a, b);
-    }
-
-    fn enter(&mut self, phase: Phase) {
-        self.phase = phase;
+    fn list(&mut self, [a, b]: [u32; 2], phase: Phase) {
+        (self.a, self.b, self.phase) = (a, b, phase);
     }
 }
 
