@@ -353,13 +353,7 @@ impl Add for Sums {
     }
 }
 
-impl Default for Sums {
-    fn default() -> Sums {
-        // the default of a matrix is the identity
-        let (none, zero) = (DMat3::ZERO, DVec3::ZERO);
-        Sums { lx: none, lu: none, xx: none, xu: zero, x: zero, u: zero }
-    }
-}
+zero_by_default!(Sums { DMat3::ZERO => lx lu xx, DVec3::ZERO => xu x u });
 
 impl Sums {
     pub fn of(shape: &Shape, x: &[DVec3], u: &[DVec3]) -> Sums {

@@ -552,12 +552,7 @@ pub struct Moved {
     pub xu: DVec3,
 }
 
-impl Default for Moved {
-    fn default() -> Moved {
-        // the default of a matrix is the identity
-        Moved { changes: [0.0; 2], largest: [0.0; 2], xx: DMat3::ZERO, xu: DVec3::ZERO }
-    }
-}
+zero_by_default!(Moved { [0.0; 2] => changes largest, DMat3::ZERO => xx, DVec3::ZERO => xu });
 
 impl Kernel for Move<'_> {
     type Output = Moved;
@@ -832,12 +827,7 @@ pub struct Gathered {
     pub spinning: DVec3,
 }
 
-impl Default for Gathered {
-    fn default() -> Gathered {
-        // the default of a matrix is the identity
-        Gathered { force: DVec3::ZERO, by_rest: DMat3::ZERO, spinning: DVec3::ZERO }
-    }
-}
+zero_by_default!(Gathered { DMat3::ZERO => by_rest, DVec3::ZERO => force spinning });
 
 /// Sums the accelerations of active vertices at a sample; then adds `turning`×x to them.
 pub struct Gather<'a> {

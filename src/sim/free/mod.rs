@@ -16,6 +16,17 @@
 //!
 //! It takes plain data and does not depend on a world or a scene file.
 
+/// Implements `Default` by the zero of each field: the default of a matrix is the identity.
+macro_rules! zero_by_default {
+    ($of:ident { $($zero:expr => $($field:ident)*),* }) => {
+        impl Default for $of {
+            fn default() -> $of {
+                $of { $($($field: $zero),*),* }
+            }
+        }
+    };
+}
+
 pub mod body;
 pub mod conserved;
 pub mod field;

@@ -27,12 +27,7 @@ pub struct Maxima {
     pub rest: f64,
 }
 
-impl Default for Linear {
-    fn default() -> Linear {
-        let none = DMat3::ZERO; // the default of a matrix is the identity
-        Linear { by_x: none, by_u: none, by_rest: none, shift: DVec3::ZERO }
-    }
-}
+zero_by_default!(Linear { DMat3::ZERO => by_x by_u by_rest, DVec3::ZERO => shift });
 
 impl Linear {
     /// x at the start.
@@ -125,12 +120,7 @@ pub struct Moments {
     pub mass: f64,
 }
 
-impl Default for Moments {
-    fn default() -> Moments {
-        let (none, zero) = (DMat3::ZERO, DVec3::ZERO);
-        Moments { xx: none, xu: none, xl: none, uu: none, ul: none, ll: none, x: zero, u: zero, l: zero, mass: 0.0 }
-    }
-}
+zero_by_default!(Moments { DMat3::ZERO => xx xu xl uu ul ll, DVec3::ZERO => x u l, 0.0 => mass });
 
 /// Sums Σ m p qᵀ of a vector q with x, u and l at the start of the step, and Σ m q.
 #[derive(Clone, Copy, Debug)]

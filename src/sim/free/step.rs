@@ -196,22 +196,7 @@ pub struct LateSum {
     pub u_by_rest: DMat3,
 }
 
-impl Default for LateSum {
-    fn default() -> LateSum {
-        let none = DVec3::ZERO;
-        let by_rest = DMat3::ZERO; // the default of a matrix is the identity
-        LateSum {
-            centre: none,
-            velocity: none,
-            momentum: none,
-            turned: none,
-            x: none,
-            u: none,
-            x_by_rest: by_rest,
-            u_by_rest: by_rest,
-        }
-    }
-}
+zero_by_default!(LateSum { DMat3::ZERO => x_by_rest u_by_rest, DVec3::ZERO => centre velocity momentum turned x u });
 
 /// The parameters of a step that all bodies share.
 #[derive(Clone, Debug, Default)]
