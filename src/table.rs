@@ -97,9 +97,12 @@ impl Column {
     }
 }
 
+/// A value of a row that borrows.
+pub type Cell<'a> = Value<&'a str, &'a [f64]>;
+
 /// A value of a row; a value of another type than its column's counts as missing.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Cell<'a> {
+pub enum Value<T, L> {
     /// For [`Kind::Float`].
     Float(f64),
     /// For [`Kind::Count`].
@@ -107,9 +110,9 @@ pub enum Cell<'a> {
     /// For [`Kind::Integer`].
     Integer(i64),
     /// For [`Kind::Text`].
-    Text(&'a str),
+    Text(T),
     /// For [`Kind::List`].
-    List(&'a [f64]),
+    List(L),
     /// Missing.
     Null,
 }
@@ -250,7 +253,7 @@ impl Writer {
                 *rows += 1;
                 file.write_all(b"}")
             }
-            Writer::Parquet(table) => table.row(cells.iter().copied()),
+            Writer::Parquet(table) => table.row(cells),
         }
     }
 
@@ -336,19 +339,23 @@ impl<W: Write + Send> ParquetTable<W> {
     ///
     /// # Errors
     /// The row cannot be written.
-    pub fn row<'a>(&mut self, cells: impl Iterator<Item = Cell<'a>>) -> io::Result<()> {
+    pub fn row<'a, T, L>(&mut self, cells: impl IntoIterator<Item = &'a Value<T, L>>) -> io::Result<()>
+    where
+        T: AsRef<str> + 'a,
+        L: AsRef<[f64]> + 'a,
+    {
         for (builder, cell) in self.builders.iter_mut().zip(cells) {
             match (builder, cell) {
-                (Builder::Float(builder), Cell::Float(number)) => builder.append_value(number),
+                (Builder::Float(builder), Value::Float(number)) => builder.append_value(*number),
                 (Builder::Float(builder), _) => builder.append_null(),
-                (Builder::Count(builder), Cell::Count(number)) => builder.append_value(number),
+                (Builder::Count(builder), Value::Count(number)) => builder.append_value(*number),
                 (Builder::Count(builder), _) => builder.append_null(),
-                (Builder::Integer(builder), Cell::Integer(number)) => builder.append_value(number),
+                (Builder::Integer(builder), Value::Integer(number)) => builder.append_value(*number),
                 (Builder::Integer(builder), _) => builder.append_null(),
-                (Builder::Text(builder), Cell::Text(text)) => builder.append_value(text),
+                (Builder::Text(builder), Value::Text(text)) => builder.append_value(text),
                 (Builder::Text(builder), _) => builder.append_null(),
-                (Builder::List(builder), Cell::List(numbers)) => {
-                    builder.values().append_slice(numbers);
+                (Builder::List(builder), Value::List(numbers)) => {
+                    builder.values().append_slice(numbers.as_ref());
                     builder.append(true);
                 }
                 (Builder::List(builder), _) => builder.append_null(),

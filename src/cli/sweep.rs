@@ -276,7 +276,7 @@ impl RunningSweep<'_> {
         let columns = self.store.named(&["outcome", "steps", "run_time", "failure"]);
         self.store.read(0..u32::MAX, None, &columns, |(row, cells)| {
             counts[usize::from(classes.of(cells.first()))] += 1;
-            if let [_, Cell::I64(of_row), Cell::F64(time), why] = &cells[..] {
+            if let [_, Cell::Integer(of_row), Cell::Float(time), why] = &cells[..] {
                 (steps, seconds) = (steps + of_row, seconds + time);
                 if let Cell::Text(why) = why {
                     failure.get_or_insert((row, why.clone()));
@@ -386,7 +386,7 @@ fn open(sweep: &Sweep, store: &Store, row: u64) -> Result<(), Failure> {
     let (Some((_, cells)), false) = (known, point.is_empty()) else {
         return Err(Failure::Input(format!("{} has no row {row}: run the sweep first", store.path().display())));
     };
-    let [outcome, Cell::I64(steps), Cell::U64(checksum)] = &cells[..] else {
+    let [outcome, Cell::Integer(steps), Cell::Count(checksum)] = &cells[..] else {
         return Err(Failure::Run(format!("row {row} has no checksum")));
     };
     if *steps == 0 {

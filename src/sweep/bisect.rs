@@ -134,7 +134,7 @@ pub fn rows(thresholds: &[Threshold], classes: &Classes) -> Vec<Row> {
     let rows = thresholds.iter().zip(0..).map(|(threshold, number)| {
         let [low, high] = threshold.bracket;
         let mut cells: Vec<Cell> = threshold.point.iter().map(Cell::from).collect();
-        cells.extend([Cell::F64(0.5 * (low + high)), Cell::F64((high - low).abs())]);
+        cells.extend([Cell::Float(0.5 * (low + high)), Cell::Float((high - low).abs())]);
         cells.extend(threshold.classes.map(|class| Cell::Text(classes.name(class))));
         (number, cells)
     });

@@ -102,8 +102,8 @@ impl Map {
         let mut found: BTreeMap<u64, (Option<Cell>, f64)> = BTreeMap::new();
         store.read(0..u32::MAX, None, &columns, |(row, cells)| {
             let value = match cells.last() {
-                Some(Cell::F64(x)) => *x,
-                Some(Cell::I64(n)) if is_count => *n as f64,
+                Some(Cell::Float(x)) => *x,
+                Some(Cell::Integer(n)) if is_count => *n as f64,
                 _ => f64::NAN,
             };
             found.insert(row, (cells.first().cloned(), value));

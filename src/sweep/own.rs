@@ -60,11 +60,12 @@ pub fn run(
         None => Cell::Text(events.clone()),
         Some(_) => Cell::Null,
     });
-    cells.extend([Cell::Text(events), Cell::List(times), Cell::I64(count)]);
-    cells.extend([Cell::I64(simulation.steps_taken() as i64), Cell::F64(simulation.time())]);
-    cells.push(Cell::U64(simulation.checksum()));
+    cells.extend([Cell::Text(events), Cell::List(times), Cell::Integer(count)]);
+    cells.extend([Cell::Integer(simulation.steps_taken() as i64), Cell::Float(simulation.time())]);
+    cells.push(Cell::Count(simulation.checksum()));
     let scalar = |index: usize| frame.scalars.get(index).filter(|value| !value.is_nan());
-    cells.extend(final_scalars(&schema).map(|(index, _)| scalar(index).map_or(Cell::Null, |&value| Cell::F64(value))));
+    cells
+        .extend(final_scalars(&schema).map(|(index, _)| scalar(index).map_or(Cell::Null, |&value| Cell::Float(value))));
     cells.push(run.cause().map_or(Cell::Null, Cell::Text));
     Ok(())
 }

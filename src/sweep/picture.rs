@@ -264,7 +264,7 @@ fn log_along(
     values.sort_by(|x, y| (x.0, x.1).partial_cmp(&(y.0, y.1)).unwrap_or(Ordering::Equal));
     for (k, (measure, column)) in measures.iter().zip(columns.iter().skip(1)).enumerate() {
         let known = |cells: &[Cell]| match cells.get(k) {
-            Some(Cell::F64(value)) if value.is_finite() => Some(*value),
+            Some(Cell::Float(value)) if value.is_finite() => Some(*value),
             _ => None,
         };
         let all = || values.iter().filter_map(|(.., cells)| known(cells));

@@ -34,8 +34,8 @@ impl Given {
     /// Reads the cells of the columns listed by [`columns`].
     pub fn new(sweep: &Sweep, cells: &[Cell]) -> Given {
         let measures = cells.iter().skip(1).map(|cell| match cell {
-            Cell::F64(number) => *number,
-            Cell::I64(count) => *count as f64,
+            Cell::Float(number) => *number,
+            Cell::Integer(count) => *count as f64,
             _ => f64::NAN,
         });
         Given { class: sweep.classes.of(cells.first()), measures: measures.collect() }

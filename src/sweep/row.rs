@@ -11,7 +11,7 @@ use crate::{
         schema::{ScalarOf, ScalarSchema},
     },
     scene::template::Setting,
-    table::{self, Column, Kind},
+    table::{Column, Kind, Value},
 };
 
 /// Optional measures, which need much more work than a number per step.
@@ -24,35 +24,7 @@ pub struct Measures {
 }
 
 /// A value of a table.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Cell {
-    /// No value.
-    Null,
-    /// A count.
-    I64(i64),
-    /// A row's number, or a checksum.
-    U64(u64),
-    /// A number.
-    F64(f64),
-    /// A text.
-    Text(String),
-    /// Numbers.
-    List(Vec<f64>),
-}
-
-impl Cell {
-    /// Converts to a value of a table.
-    pub fn as_table_cell(&self) -> table::Cell<'_> {
-        match self {
-            Cell::Null => table::Cell::Null,
-            Cell::I64(n) => table::Cell::Integer(*n),
-            Cell::U64(n) => table::Cell::Count(*n),
-            Cell::F64(x) => table::Cell::Float(*x),
-            Cell::Text(text) => table::Cell::Text(text),
-            Cell::List(list) => table::Cell::List(list),
-        }
-    }
-}
+pub type Cell = Value<String, Vec<f64>>;
 
 /// A row: its number, and one cell per further column.
 pub type Row = (u64, Vec<Cell>);
@@ -163,9 +135,9 @@ pub(super) fn without_results(sweep: &Sweep, why: String) -> Vec<Cell> {
     let results = &columns[1 + sweep.design.axes.len()..columns.len() - LAST.len()];
     let empty = |column: &Column| match column.kind {
         _ if column.is_nullable => Cell::Null,
-        Kind::Float => Cell::F64(0.0),
-        Kind::Count => Cell::U64(0),
-        Kind::Integer => Cell::I64(0),
+        Kind::Float => Cell::Float(0.0),
+        Kind::Count => Cell::Count(0),
+        Kind::Integer => Cell::Integer(0),
         Kind::Text => Cell::Text(String::new()),
         Kind::List => Cell::List(vec![]),
     };
@@ -180,7 +152,7 @@ pub(super) fn final_scalars(schema: &Schema) -> impl Iterator<Item = (usize, &Sc
 impl From<&Setting> for Cell {
     fn from(setting: &Setting) -> Cell {
         match setting {
-            Setting::Number(number) => Cell::F64(*number),
+            Setting::Number(number) => Cell::Float(*number),
             Setting::Text(text) => Cell::Text(text.clone()),
         }
     }
@@ -198,9 +170,9 @@ pub fn append_record((row, cells): &Row, to: &mut Vec<u8>) {
     for cell in cells {
         match cell {
             Cell::Null => to.push(0),
-            Cell::I64(n) => number(to, 1, *n as u64),
-            Cell::U64(n) => number(to, 2, *n),
-            Cell::F64(x) => number(to, 3, x.to_bits()),
+            Cell::Integer(n) => number(to, 1, *n as u64),
+            Cell::Count(n) => number(to, 2, *n),
+            Cell::Float(x) => number(to, 3, x.to_bits()),
             Cell::Text(text) => {
                 number(to, 4, text.len() as u64);
                 to.extend(text.as_bytes());
@@ -236,9 +208,9 @@ pub fn take_record(bytes: &mut &[u8]) -> Option<Row> {
         }
         let bits = u64::from_le_bytes(take(&mut rest)?);
         cells.push(match tag {
-            1 => Cell::I64(bits as i64),
-            2 => Cell::U64(bits),
-            3 => Cell::F64(f64::from_bits(bits)),
+            1 => Cell::Integer(bits as i64),
+            2 => Cell::Count(bits),
+            3 => Cell::Float(f64::from_bits(bits)),
             4 => Cell::Text(String::from_utf8(rest.split_off(..bits as usize)?.to_vec()).ok()?),
             5 => {
                 let list = rest.split_off(..(bits as usize).checked_mul(8)?)?;
@@ -269,9 +241,9 @@ mod tests {
     fn intact_records_are_read_and_damaged_ones_rejected() {
         let cells = vec![
             Cell::Null,
-            Cell::I64(-5),
-            Cell::U64(u64::MAX),
-            Cell::F64(0.1),
+            Cell::Integer(-5),
+            Cell::Count(u64::MAX),
+            Cell::Float(0.1),
             Cell::Text("größe".to_owned()),
             Cell::List(vec![1.0, f64::NEG_INFINITY]),
         ];

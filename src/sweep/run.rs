@@ -146,7 +146,7 @@ impl<'a> Runner<'a> {
             Some(template) => self.run(template, point, &mut cells)?,
             None => own::run(self.sweep, point, self.interrupt, &mut cells)?,
         }
-        cells.push(Cell::F64(start.elapsed().as_secs_f64()));
+        cells.push(Cell::Float(start.elapsed().as_secs_f64()));
         Ok(cells)
     }
 
@@ -440,19 +440,19 @@ impl<'a> Run<'a> {
         let (end, is_coupled) = (self.world.time(), self.world.scene().is_coupled());
         self.time_merged += self.pairs.values().filter(|pair| pair.is_merged).map(|pair| end - pair.since).sum::<f64>();
         let outcome = failure.is_none().then(|| self.outcome().name().to_owned());
-        let number = |number: Option<f64>| number.map_or(Cell::Null, Cell::F64);
+        let number = |number: Option<f64>| number.map_or(Cell::Null, Cell::Float);
         cells.push(outcome.map_or(Cell::Null, Cell::Text));
         cells.push(Cell::Text(self.events));
         cells.push(Cell::List(self.times));
-        cells.extend(self.counts.map(Cell::I64));
-        cells.extend([number(self.first_merge), number(self.first_split), Cell::F64(self.time_merged)]);
+        cells.extend(self.counts.map(Cell::Integer));
+        cells.extend([number(self.first_merge), number(self.first_split), Cell::Float(self.time_merged)]);
         cells.extend([number(self.closest.map(|(q, _)| q)), number(self.closest.map(|(_, time)| time))]);
         cells.push(number(is_coupled.then_some(self.energy)));
         let momentum = self.world.conserved().map(|conserved| conserved.momentum.to_array());
         cells.extend((0..3).map(|k| number(momentum.map(|momentum| momentum[k]))));
-        cells.extend([Cell::F64(self.error), Cell::I64(self.world.steps_taken() as i64), Cell::F64(end)]);
-        cells.push(Cell::U64(self.world.checksum()));
-        cells.extend(self.sweep.measures.displacement.then_some(Cell::F64(self.displacement)));
+        cells.extend([Cell::Float(self.error), Cell::Integer(self.world.steps_taken() as i64), Cell::Float(end)]);
+        cells.push(Cell::Count(self.world.checksum()));
+        cells.extend(self.sweep.measures.displacement.then_some(Cell::Float(self.displacement)));
         if self.sweep.measures.surfaces {
             cells.extend(self.surfaces.map(Cell::List));
         }

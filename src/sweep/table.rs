@@ -15,7 +15,7 @@ use crate::sdk::arrow::{
 };
 use crate::{
     recording::read::catching,
-    table::{self, Column, Kind, ParquetTable},
+    table::{Column, Kind, ParquetTable},
 };
 
 /// Why a table cannot be read.
@@ -33,7 +33,7 @@ pub struct TableError {
 pub fn write(columns: &[Column], rows: &[Row], to: impl Write + Send) -> io::Result<()> {
     let mut table = ParquetTable::new(columns, to)?;
     for (row, cells) in rows {
-        table.row(std::iter::once(table::Cell::Count(*row)).chain(cells.iter().map(Cell::as_table_cell)))?;
+        table.row(std::iter::once(&Cell::Count(*row)).chain(cells))?;
     }
     table.finish().map(drop)
 }
@@ -69,7 +69,7 @@ fn rows(path: &Path, columns: &[Column]) -> Result<Vec<Row>, String> {
         let arrays: Vec<&ArrayRef> = columns.iter().filter_map(|column| batch.column_by_name(&column.name)).collect();
         for i in 0..batch.num_rows() {
             let mut cells = columns.iter().zip(&arrays).map(|(column, array)| cell(column.kind, array, i));
-            let Some(Cell::U64(row)) = cells.next() else {
+            let Some(Cell::Count(row)) = cells.next() else {
                 return Err("a row has no number".to_owned());
             };
             rows.push((row, cells.collect()));
@@ -83,9 +83,9 @@ fn cell(kind: Kind, array: &ArrayRef, i: usize) -> Cell {
         return Cell::Null;
     }
     match kind {
-        Kind::Integer => Cell::I64(array.as_primitive::<Int64Type>().value(i)),
-        Kind::Count => Cell::U64(array.as_primitive::<UInt64Type>().value(i)),
-        Kind::Float => Cell::F64(array.as_primitive::<Float64Type>().value(i)),
+        Kind::Integer => Cell::Integer(array.as_primitive::<Int64Type>().value(i)),
+        Kind::Count => Cell::Count(array.as_primitive::<UInt64Type>().value(i)),
+        Kind::Float => Cell::Float(array.as_primitive::<Float64Type>().value(i)),
         Kind::Text => Cell::Text(array.as_string::<i32>().value(i).to_owned()),
         Kind::List => {
             let list = array.as_list::<i32>().value(i);

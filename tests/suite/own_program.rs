@@ -146,9 +146,9 @@ fn an_own_program_sweeps_over_parameters() {
     assert_eq!(names[..5], ["row", "pull", "outcome", "events", "event_times"]);
     assert_eq!(names[8..], ["checksum", "final_stretch", "failure", "run_time"]);
     table::read(&rows, &columns, |(row, cells)| {
-        assert_eq!((&cells[0], &cells[1]), (&Cell::F64(row as f64), &Cell::Text("grip slip".to_owned())));
+        assert_eq!((&cells[0], &cells[1]), (&Cell::Float(row as f64), &Cell::Text("grip slip".to_owned())));
         assert_eq!(cells[1], cells[2]);
-        let Cell::U64(checksum) = cells[7] else { panic!("{cells:?}") };
+        let Cell::Count(checksum) = cells[7] else { panic!("{cells:?}") };
         checksums.insert(checksum);
     })
     .expect("rows");

@@ -177,7 +177,7 @@ fn a_boundary_in_closed_form_is_found_to_1e_9() {
     let (mut found, mut all) = (0, 0);
     table::read(&dir.file("out/thresholds-1.parquet"), &columns, |(_, cells)| {
         all += 1;
-        let [Cell::F64(offset), Cell::F64(threshold), Cell::Text(below)] = &cells[..] else { panic!("{cells:?}") };
+        let [Cell::Float(offset), Cell::Float(threshold), Cell::Text(below)] = &cells[..] else { panic!("{cells:?}") };
         // the closest distance is the offset, and the sum of the radii is 2
         if below == "apart" {
             assert!((threshold - offset / 2.0).abs() < 1e-9, "{offset}: {threshold}");
@@ -189,9 +189,11 @@ fn a_boundary_in_closed_form_is_found_to_1e_9() {
     assert_eq!(svg.matches("a2.6 2.6 0 ").count(), 2 * (all + 1), "each threshold, and the legend: {svg}");
     // and the closest approaches of runs without a merge are the offsets
     for cells in rows(&dir.file("out"), &of(&dir)).values() {
-        let [Cell::F64(offset), Cell::F64(merge_at), Cell::Text(outcome), ..] = &cells[..] else { panic!("{cells:?}") };
+        let [Cell::Float(offset), Cell::Float(merge_at), Cell::Text(outcome), ..] = &cells[..] else {
+            panic!("{cells:?}")
+        };
         assert_eq!(outcome == "apart", offset / 2.0 > *merge_at, "{cells:?}");
-        if let (true, Cell::F64(closest)) = (outcome == "apart", &cells[11]) {
+        if let (true, Cell::Float(closest)) = (outcome == "apart", &cells[11]) {
             assert!((closest - offset / 2.0).abs() < 1e-12, "{cells:?}");
         }
     }
@@ -214,7 +216,7 @@ fn the_closest_approach_and_the_time_merged_are_exact() {
             let number = |name: &str| {
                 let at = columns.iter().position(|column| column.name == name).unwrap();
                 // the row is no cell
-                let Cell::F64(number) = cells[at - 1] else { panic!("{name}: {cells:?}") };
+                let Cell::Float(number) = cells[at - 1] else { panic!("{name}: {cells:?}") };
                 number
             };
             let speed = number("body.b.motion.line.velocity[0]");
@@ -333,7 +335,7 @@ fn a_row_opens_as_a_recording_with_its_checksum() {
     let rows = rows(&dir.file("out"), &columns);
     let cell = |name: &str| rows[&1][columns.iter().position(|column| column.name == name).unwrap() - 1].clone();
     assert_eq!(cell("events"), Cell::Text("merge, core".to_owned()));
-    let (Cell::F64(displacement), Cell::List(gaps)) = (cell("max_displacement"), cell("gaps")) else { panic!() };
+    let (Cell::Float(displacement), Cell::List(gaps)) = (cell("max_displacement"), cell("gaps")) else { panic!() };
     assert!(displacement > 0.01 && gaps.len() == 2 && gaps[1] < 0.0, "{displacement} {gaps:?}");
 }
 
