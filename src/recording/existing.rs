@@ -130,7 +130,7 @@ impl Existing {
 /// # Errors
 /// The file is a golden recording and the new one is not, or it was recorded by another program.
 pub fn replace(path: &Path, new: &Existing) -> Result<Option<String>, SinkError> {
-    let taken = |what: String| SinkError::Taken { path: path.to_owned(), what };
+    let taken = |what: String| SinkError::taken(path, &what);
     let there = Existing::at(path);
     if let Some(there) = &there
         && !there.is_ours()

@@ -2,10 +2,9 @@
 
 use std::io;
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use super::note::viewer_help;
 use crate::sdk;
 use crate::text::counted;
 
@@ -14,6 +13,12 @@ use crate::text::counted;
 /// Displays on one line: what failed, which destination, the operating system's message, what to do.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum SinkError {
+    /// The request is invalid: the message.
+    #[error("{0}")]
+    Usage(String),
+    /// A destination has failed, see the message.
+    #[error("{0}")]
+    Failed(String),
     /// No destination was asked for.
     #[error("there is nowhere to send the recording: give at least one destination")]
     Nowhere,
@@ -28,12 +33,6 @@ pub enum SinkError {
         /// What is wrong with the address.
         reason: String,
     },
-    /// Standard output is a terminal.
-    #[error(
-        "a recording is binary data and standard output is a terminal; \
-         send it into a file or a program, for example `… --stdout | rerun -`"
-    )]
-    Terminal,
     /// The web page and its data server cannot share a port.
     #[error("the web viewer and its data cannot both use port {port}; give each its own")]
     SamePort {
@@ -58,20 +57,6 @@ pub enum SinkError {
         /// The requested file.
         path: PathBuf,
     },
-    /// The existing file at the path, or one in the way, must not be replaced by this program.
-    #[error("cannot save to {}: {what}", path.display())]
-    Taken {
-        /// The requested file.
-        path: PathBuf,
-        /// What is there, and what to do.
-        what: String,
-    },
-    /// Standard output is a file that a recording would corrupt.
-    #[error("{what}")]
-    StdoutTaken {
-        /// The file, and what to do.
-        what: String,
-    },
     /// Writing to standard output failed.
     #[error("cannot write the recording to standard output: {source}; {help}")]
     Stdout {
@@ -79,14 +64,6 @@ pub enum SinkError {
         source: Arc<io::Error>,
         /// What to do about it.
         help: String,
-    },
-    /// Rerun's encoder rejected a message: a bug in this program or in the encoder.
-    #[error("cannot encode a message for {target}: {reason}; this is a bug, please report it")]
-    Encode {
-        /// The destination.
-        target: String,
-        /// The encoder's message.
-        reason: String,
     },
     /// A server cannot listen on its address.
     #[error("{what} cannot listen on {address}: {source}; {help}")]
@@ -97,36 +74,6 @@ pub enum SinkError {
         address: SocketAddr,
         /// The operating system's error.
         source: Arc<io::Error>,
-        /// What to do about it.
-        help: String,
-    },
-    /// A server did not start although its port is free.
-    #[error("{what} did not start on {address}: {reason}")]
-    Serve {
-        /// "the web viewer" or "the data server".
-        what: &'static str,
-        /// The requested address.
-        address: SocketAddr,
-        /// The reason, if known.
-        reason: String,
-    },
-    /// Nothing listens at a viewer's address.
-    #[error("no viewer answers at {url} ({reason}); start one first with `rerun`, or let --spawn start it{}", viewer_help(*.local))]
-    NoViewer {
-        /// The viewer's address.
-        url: String,
-        /// The error of the connection attempt.
-        reason: String,
-        /// Whether the viewer should be on this machine.
-        local: bool,
-    },
-    /// A viewer could not be started.
-    #[error("cannot start the viewer `{program}`: {reason}; {help}")]
-    Spawn {
-        /// The program that was run.
-        program: String,
-        /// The viewer's message, or the operating system's error.
-        reason: String,
         /// What to do about it.
         help: String,
     },
@@ -161,20 +108,25 @@ pub enum SinkError {
 impl SinkError {
     /// Whether the request itself is invalid (exit status 2), as opposed to a failure while running (exit status 1).
     pub fn is_usage(&self) -> bool {
-        matches!(
-            self,
-            Self::Nowhere
-                | Self::Url { .. }
-                | Self::Terminal
-                | Self::SamePort { .. }
-                | Self::Taken { .. }
-                | Self::StdoutTaken { .. }
-        )
+        matches!(self, Self::Usage(_) | Self::Nowhere | Self::Url { .. } | Self::SamePort { .. })
+    }
+
+    /// The existing file at `path`, or one in the way, must not be replaced by this program: what is there, and what to
+    /// do.
+    pub(crate) fn taken(path: &Path, what: &str) -> SinkError {
+        SinkError::Usage(format!("cannot save to {}: {what}", path.display()))
+    }
+
+    /// Standard output is a terminal.
+    pub(super) fn terminal() -> SinkError {
+        let what = "a recording is binary data and standard output is a terminal; \
+                    send it into a file or a program, for example `… --stdout | rerun -`";
+        SinkError::Usage(what.to_owned())
     }
 }
 
 /// Advice for an error of a file that is being written.
-pub(super) fn file_help(source: &io::Error, kept: Option<&std::path::Path>) -> String {
+pub(super) fn file_help(source: &io::Error, kept: Option<&Path>) -> String {
     let remedy = match source.kind() {
         io::ErrorKind::StorageFull => "the disk is full: make room or save elsewhere",
         io::ErrorKind::QuotaExceeded => "your disk quota is used up: make room or save elsewhere",

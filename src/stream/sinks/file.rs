@@ -77,7 +77,7 @@ impl Claim {
             };
             SinkError::File { doing, path: path.clone(), source: Arc::new(source), help }
         };
-        let taken = |what: &str| SinkError::Taken { path: path.clone(), what: what.to_owned() };
+        let taken = |what: &str| SinkError::taken(path, what);
 
         let mut there = None;
         match std::fs::metadata(path) {
@@ -268,7 +268,10 @@ impl Target {
     fn encode_error(&self, error: EncodeError) -> SinkError {
         match error {
             EncodeError::Write(source) => self.error("write", source),
-            other => SinkError::Encode { target: self.name(), reason: other.to_string() },
+            other => SinkError::Failed(format!(
+                "cannot encode a message for {}: {other}; this is a bug, please report it",
+                self.name()
+            )),
         }
     }
 
@@ -313,7 +316,7 @@ impl Writer {
     /// Any other output to it would corrupt the recording.
     pub fn stdout() -> Result<Writer, SinkError> {
         if is_terminal() {
-            return Err(SinkError::Terminal);
+            return Err(SinkError::terminal());
         }
         // locked per write, not for the whole run: otherwise a print from elsewhere would block forever
         Writer::start(Target::Stdout, io::stdout())
@@ -403,20 +406,15 @@ impl Complete {
             return Ok(());
         };
         // another file may have been put at the destination during the run
-        let in_the_way = |what: &str| SinkError::Taken {
-            path: path.clone(),
-            what: format!("{what}; the recording is in {}", partial.path.display()),
-        };
+        let written = partial.path.display();
         if !leads_to(&partial.path, &file) {
-            return Err(SinkError::Taken {
-                path: path.clone(),
-                what: format!("another program has replaced {}; record it again", partial.path.display()),
-            });
+            return Err(SinkError::taken(path, &format!("another program has replaced {written}; record it again")));
         }
         if let Ok(found) = std::fs::symlink_metadata(path) {
             let is_same = found.is_file() && there.is_some() && Handle::from_path(path).ok() == there;
             if !is_same || !File::open(path).is_ok_and(|file| may_be_replaced(&file).unwrap_or(false)) {
-                return Err(in_the_way("something else has been put there in the meantime"));
+                let what = format!("something else has been put there in the meantime; the recording is in {written}");
+                return Err(SinkError::taken(path, &what));
             }
         }
         drop(there);
@@ -445,7 +443,7 @@ impl Drop for Writer {
 /// Rejects a standard output that a recording would corrupt, or that would corrupt one: a non-empty file, or the file
 /// to save to.
 pub(super) fn check_stdout(save: Option<&Path>) -> Result<(), SinkError> {
-    let rejected = |what: &str| Err(SinkError::StdoutTaken { what: what.to_owned() });
+    let rejected = |what: &str| Err(SinkError::Usage(what.to_owned()));
     let Ok(stdout) = Handle::stdout() else { return Ok(()) };
     match stdout.as_file().metadata() {
         Ok(there) if there.is_file() && there.len() > 0 => {

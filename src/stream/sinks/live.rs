@@ -9,6 +9,7 @@ use std::time::Duration;
 use re_sorbet::timestamp_metadata::{TimestampLocation, now_timestamp};
 
 use super::SinkError;
+use super::note::viewer_help;
 use super::queue::{Parcel, Queue, WhenFull};
 use crate::sdk::LogMsg;
 use crate::sdk::{
@@ -179,7 +180,10 @@ pub(super) fn probe(uri: &ProxyUri) -> Result<(), SinkError> {
         Some(Err(err)) => err.to_string(),
         None => "no answer".to_owned(),
     };
-    Err(SinkError::NoViewer { url: uri.to_string(), reason, local: uri.origin.is_localhost() })
+    let help = viewer_help(uri.origin.is_localhost());
+    Err(SinkError::Failed(format!(
+        "no viewer answers at {uri} ({reason}); start one first with `rerun`, or let --spawn start it{help}"
+    )))
 }
 
 /// The result of `work`, or `None` if it takes longer than `limit`, cannot be started, or panics. After a timeout it

@@ -172,7 +172,7 @@ impl Sinks {
         // first the checks that have no side effects
         let connect = connect.as_deref().map(parse_url).transpose()?;
         if *stdout && file::is_terminal() {
-            return Err(SinkError::Terminal);
+            return Err(SinkError::terminal());
         }
         if *stdout {
             file::check_stdout(save.as_deref())?;

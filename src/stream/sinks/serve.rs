@@ -76,8 +76,8 @@ impl Serving {
         let open = |stopping| {
             let (web_listener, web_address) = listen(WEB, bind, web_port)?;
             let (data_listener, data_address) = listen(NAME, bind, grpc_port)?;
-            let files =
-                viewer_files().map_err(|reason| SinkError::Serve { what: WEB, address: web_address, reason })?;
+            let files = viewer_files()
+                .map_err(|reason| SinkError::Failed(format!("{WEB} did not start on {web_address}: {reason}")))?;
             let web = Port::new(OfRun::Viewer(files, data_address.port()), Arc::clone(&guard));
             let data = Port::new(OfRun::Data(history), Arc::clone(&guard));
             let serving = async move {

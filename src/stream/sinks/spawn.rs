@@ -35,7 +35,9 @@ pub(super) struct Spawned {
 /// is known to be in use by something else, and a free one is used instead.
 pub(super) fn spawn(spawn: &Spawn, avoid: bool) -> Result<Spawned, SinkError> {
     let program = spawn.program.to_string_lossy().into_owned();
-    let spawn_error = |reason: String, help: String| SinkError::Spawn { program: program.clone(), reason, help };
+    let spawn_error = |reason: String, help: String| {
+        SinkError::Failed(format!("cannot start the viewer `{program}`: {reason}; {help}"))
+    };
     let mut address = SocketAddr::from((Ipv4Addr::LOCALHOST, spawn.port));
     if avoid {
         let free = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).and_then(|listener| listener.local_addr());
