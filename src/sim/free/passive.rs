@@ -5,6 +5,8 @@
 //! therefore linear in its state at the start and in l, with the same matrices for all such vertices. Sums over them
 //! follow from their second moments at the start, so the cost of an iteration does not depend on their number.
 
+use std::ops::Mul;
+
 use glam::{DMat3, DVec3};
 
 use super::body::Sums;
@@ -12,11 +14,34 @@ use crate::model::shape_matching::{cross_matrix, moment, outer};
 
 /// A vector that is linear in x and u at the start of the step and in the rest position l of a vertex.
 #[derive(Clone, Copy, Debug)]
-pub struct Linear {
-    pub by_x: DMat3,
-    pub by_u: DMat3,
+pub struct Linear<F = DMat3> {
+    pub by_x: F,
+    pub by_u: F,
     pub by_rest: DMat3,
     pub shift: DVec3,
+}
+
+/// A [`Linear`] vector whose matrices by x and u are multiples of the identity.
+pub type Scaled = Linear<f64>;
+
+/// A matrix, or a multiple of the identity.
+pub trait Factor: Copy + Mul<DVec3, Output = DVec3> + Mul<DMat3, Output = DMat3> {
+    /// A matrix times the transpose of this one.
+    fn transposed_after(self, matrix: DMat3) -> DMat3;
+}
+
+impl Factor for DMat3 {
+    #[inline(always)]
+    fn transposed_after(self, matrix: DMat3) -> DMat3 {
+        matrix * self.transpose()
+    }
+}
+
+impl Factor for f64 {
+    #[inline(always)]
+    fn transposed_after(self, matrix: DMat3) -> DMat3 {
+        matrix * self
+    }
 }
 
 /// The largest |x|, |u| and |l| of any vertex.
@@ -76,15 +101,6 @@ fn size(a: &DMat3) -> f64 {
     if columns.is_nan() { f64::NAN } else { (columns * (x + y + z).max_element()).sqrt() }
 }
 
-/// A [`Linear`] vector whose matrices by x and u are multiples of the identity.
-#[derive(Clone, Copy, Debug)]
-pub struct Scaled {
-    pub by_x: f64,
-    pub by_u: f64,
-    pub by_rest: DMat3,
-    pub shift: DVec3,
-}
-
 impl Scaled {
     pub fn linear(&self) -> Linear {
         let [by_x, by_u] = [self.by_x, self.by_u].map(|by| DMat3::from_diagonal(DVec3::splat(by)));
@@ -132,15 +148,18 @@ struct With {
 }
 
 impl Moments {
-    fn with(&self, q: &Linear) -> With {
+    #[inline(always)]
+    fn with<F: Factor>(&self, q: &Linear<F>) -> With {
         let Linear { by_x, by_u, by_rest, shift } = *q;
-        let (by_x, by_u, by_rest) = (by_x.transpose(), by_u.transpose(), by_rest.transpose());
         let Moments { xx, xu, xl, uu, ul, ll, .. } = *self;
+        let by = |x: DMat3, u: DMat3, l: DMat3, one: DVec3| {
+            by_x.transposed_after(x) + by_u.transposed_after(u) + (by_rest.transposed_after(l) + outer(one, shift))
+        };
         With {
-            x: xx * by_x + xu * by_u + (xl * by_rest + outer(self.x, shift)),
-            u: xu.transpose() * by_x + uu * by_u + (ul * by_rest + outer(self.u, shift)),
-            l: xl.transpose() * by_x + ul.transpose() * by_u + (ll * by_rest + outer(self.l, shift)),
-            one: q.by_x * self.x + q.by_u * self.u + (q.by_rest * self.l + self.mass * shift),
+            x: by(xx, xu, xl, self.x),
+            u: by(xu.transpose(), uu, ul, self.u),
+            l: by(xl.transpose(), ul.transpose(), ll, self.l),
+            one: by_x * self.x + by_u * self.u + (by_rest * self.l + self.mass * shift),
         }
     }
 
@@ -156,50 +175,22 @@ impl Moments {
         p.x_axis.x + p.y_axis.y + p.z_axis.z
     }
 
-    fn with_scaled(&self, q: &Scaled) -> With {
-        let Scaled { by_x, by_u, by_rest, shift } = *q;
-        let by_rest = by_rest.transpose();
-        let Moments { xx, xu, xl, uu, ul, ll, .. } = *self;
-        With {
-            x: xx * by_x + xu * by_u + (xl * by_rest + outer(self.x, shift)),
-            u: xu.transpose() * by_x + uu * by_u + (ul * by_rest + outer(self.u, shift)),
-            l: xl.transpose() * by_x + ul.transpose() * by_u + (ll * by_rest + outer(self.l, shift)),
-            one: by_x * self.x + by_u * self.u + (q.by_rest * self.l + self.mass * shift),
-        }
-    }
-
     /// Σ m l qᵀ and Σ m q.
     pub fn linear_sums(&self, q: &Scaled) -> (DMat3, DVec3) {
-        let Scaled { by_x, by_u, by_rest, shift } = *q;
-        let by_l = self.xl.transpose() * by_x
-            + self.ul.transpose() * by_u
-            + (self.ll * by_rest.transpose() + outer(self.l, shift));
-        (by_l, by_x * self.x + by_u * self.u + (by_rest * self.l + self.mass * shift))
-    }
-
-    /// Like [`Moments::sums`], for states whose matrices are multiples of the identity.
-    pub fn scaled_sums(&self, x: &Scaled, u: &Scaled) -> Sums {
-        let (with_x, with_u) = (self.with_scaled(x), self.with_scaled(u));
-        let by_x = |q: &With| q.x * x.by_x + q.u * x.by_u + (x.by_rest * q.l + outer(x.shift, q.one));
-        Sums { lx: with_x.l, lu: with_u.l, xx: by_x(&with_x), xu: moment(by_x(&with_u)), x: with_x.one, u: with_u.one }
+        let With { l, one, .. } = self.with(q);
+        (l, one)
     }
 
     /// The sums over the vertices when their states are `x` and `u`.
-    pub fn sums(&self, x: &Linear, u: &Linear) -> Sums {
+    pub fn sums<F: Factor>(&self, x: &Linear<F>, u: &Linear<F>) -> Sums {
         let (with_x, with_u) = (self.with(x), self.with(u));
-        Sums {
-            lx: with_x.l,
-            lu: with_u.l,
-            xx: product(x, &with_x),
-            xu: moment(product(x, &with_u)),
-            x: with_x.one,
-            u: with_u.one,
-        }
+        let (xx, xu) = (product(x, &with_x), moment(product(x, &with_u)));
+        Sums { lx: with_x.l, lu: with_u.l, xx, xu, x: with_x.one, u: with_u.one }
     }
 }
 
 /// Σ m p qᵀ.
-fn product(p: &Linear, q: &With) -> DMat3 {
+fn product<F: Factor>(p: &Linear<F>, q: &With) -> DMat3 {
     p.by_x * q.x + p.by_u * q.u + (p.by_rest * q.l + outer(p.shift, q.one))
 }
 
@@ -261,7 +252,7 @@ mod tests {
 
         let scaled = |by_x, by_u, of: &Linear| Scaled { by_x, by_u, by_rest: of.by_rest, shift: of.shift };
         let (p, q) = (scaled(0.3, -0.7, &p), scaled(1.1, 0.2, &q));
-        let (found, expected) = (moments.scaled_sums(&p, &q), moments.sums(&p.linear(), &q.linear()));
+        let (found, expected) = (moments.sums(&p, &q), moments.sums(&p.linear(), &q.linear()));
         for (found, expected) in [(found.lx, expected.lx), (found.lu, expected.lu), (found.xx, expected.xx)] {
             assert!(found.abs_diff_eq(expected, 1e-12), "{found} {expected}");
         }

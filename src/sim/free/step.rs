@@ -545,11 +545,8 @@ impl Course {
                 }
                 self.frames[sample].sums = self.sums[sample];
                 if are_others {
-                    let sums = if is_coupled {
-                        self.moments.sums(&others[0], &others[1])
-                    } else {
-                        self.moments.scaled_sums(&x, &u)
-                    };
+                    let sums =
+                        if is_coupled { self.moments.sums(&others[0], &others[1]) } else { self.moments.sums(&x, &u) };
                     self.frames[sample].sums = sums + self.sums[sample];
                 }
             }
