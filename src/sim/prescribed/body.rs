@@ -97,7 +97,7 @@ pub(in crate::sim) struct Active {
 
 /// The state of a body's vertices: at the end of the last step if the body is awake, otherwise as of the last time it
 /// was needed. Nothing acts on a sleeping body, so the flow advances it to any later time.
-#[derive(Clone)]
+#[derive(Clone, Default)]
 pub(in crate::sim) struct BodyState {
     /// ω and κ of its vertices.
     pub oscillator: Oscillator,
@@ -128,7 +128,7 @@ pub(in crate::sim) struct Chosen {
 }
 
 /// Bounds on the motion of a body's vertices in a step, and on the spheres that reach them.
-#[derive(Clone)]
+#[derive(Clone, Default)]
 pub(in crate::sim) struct StepBounds {
     /// Bodies whose spheres can reach it.
     pub reachable: Neighbours,
@@ -160,21 +160,11 @@ impl Active {
             body: index as u32,
             state: BodyState {
                 oscillator: scene.bodies[index].material.oscillator(),
-                carried: State::default(),
                 carried_as_of: step,
-                deformation: Deformation::default(),
-                halvings: 0,
-                state_bounds: StateBounds::default(),
-                bound: 0.0,
+                ..BodyState::default()
             },
             chosen: Chosen::default(),
-            bounds: StepBounds {
-                reachable: Neighbours::new(),
-                farthest: 0.0,
-                pull: 0.0,
-                max_reach: 0.0,
-                may_sleep: true,
-            },
+            bounds: StepBounds { may_sleep: true, ..StepBounds::default() },
             statistics: StepStatistics::default(),
         }
     }
