@@ -22,8 +22,6 @@ const FIRST: Duration = Duration::from_secs(1);
 /// The interval between lines on a terminal, and elsewhere.
 const REWRITTEN: Duration = Duration::from_millis(200);
 const PRINTED: Duration = Duration::from_secs(10);
-/// Rates are averages over at least this long.
-const WINDOW: Duration = Duration::from_secs(1);
 /// A unit of work that takes longer than this is reported with its duration instead of a rate.
 const LONG_UNIT: Duration = Duration::from_secs(3);
 
@@ -154,7 +152,7 @@ impl Drop for Progress {
 impl Shared {
     /// Reports until the work has ended.
     fn report(&self) {
-        let mut pace = Pace::new(Instant::now());
+        let mut changed = (Instant::now(), 0);
         let mut next = Instant::now() + if self.bar.is_hidden() { PRINTED } else { FIRST };
         let mut text = lock(&self.text);
         loop {
@@ -167,10 +165,14 @@ impl Shared {
             }
             let now = Instant::now();
             let done = self.done.load(Ordering::Relaxed);
-            pace.add(now, done);
+            if done != changed.1 {
+                changed = (now, done);
+            }
             if now < next {
                 continue;
             }
+            self.bar.set_position(done);
+            let pace = Pace { done, elapsed: self.bar.elapsed(), idle: now - changed.0, rate: self.bar.per_sec() };
             let size = text.file.as_deref().and_then(written);
             let time = Some(f64::from_bits(self.time.load(Ordering::Relaxed))).filter(|time| time.is_finite());
             let line = line(&text.what, self.work, time, size, &pace);
@@ -178,7 +180,6 @@ impl Shared {
                 say(&line);
                 next = now + PRINTED;
             } else {
-                self.bar.set_position(done);
                 self.bar.set_message(line);
                 next = now + REWRITTEN;
             }
@@ -194,74 +195,37 @@ fn written(file: &Path) -> Option<u64> {
     found.ok().map(|found| found.len()).filter(|&size| size > 0)
 }
 
-/// Amounts of work done at several times.
+/// How far some work is, and how fast.
 struct Pace {
-    start: Instant,
-    now: Instant,
-    /// Times at which the amount had changed, from before the window on.
-    seen: Vec<(Instant, u64)>,
-}
-
-impl Pace {
-    fn new(start: Instant) -> Pace {
-        Pace { start, now: start, seen: vec![(start, 0)] }
-    }
-
-    fn add(&mut self, now: Instant, done: u64) {
-        self.now = now;
-        if self.done() != done {
-            self.seen.push((now, done));
-        }
-        let old = self.seen.iter().rposition(|(at, _)| now - *at >= WINDOW).unwrap_or(0);
-        // one amount from before the window is needed, and a second one if nothing has changed since
-        self.seen.drain(..old.min(self.seen.len().saturating_sub(2)));
-    }
-
-    fn done(&self) -> u64 {
-        self.seen.last().map_or(0, |(_, done)| *done)
-    }
-
-    /// Time since the amount changed [s].
-    fn idle(&self) -> Duration {
-        self.seen.last().map_or(Duration::ZERO, |(at, _)| self.now - *at)
-    }
-
-    /// Units per second since the start.
-    fn mean(&self) -> Option<f64> {
-        let seconds = (self.now - self.start).as_secs_f64();
-        (self.done() > 0 && seconds > 0.0).then(|| self.done() as f64 / seconds)
-    }
-
-    /// Units per second of late.
-    fn rate(&self) -> Option<f64> {
-        let (Some((first, was)), Some((_, is))) = (self.seen.first(), self.seen.last()) else { return None };
-        let seconds = (self.now - *first).as_secs_f64();
-        (is > was && seconds > 0.0).then(|| (is - was) as f64 / seconds)
-    }
+    done: u64,
+    /// Time since the start.
+    elapsed: Duration,
+    /// Time since the amount changed.
+    idle: Duration,
+    /// Units per second of late; 0 if not known.
+    rate: f64,
 }
 
 fn line(what: &str, work: Work, time: Option<f64>, size: Option<u64>, pace: &Pace) -> String {
-    let done = pace.done();
+    let Pace { done, elapsed, idle, rate } = *pace;
     let mut parts = Vec::new();
     match work {
-        Work::Uncounted => parts.push(span((pace.now - pace.start).as_secs_f64())),
+        Work::Uncounted => parts.push(span(elapsed.as_secs_f64())),
         Work::Share => parts.push(format!("{} %", done / 10)),
         Work::Units(unit, Some(total)) => parts.push(format!("{unit} {} of {}", thousands(done), thousands(total))),
         Work::Units(unit, None) => parts.push(format!("{unit} {}", thousands(done))),
     }
     parts.extend(time.map(|time| format!("t = {time:.3} s")));
     if let Work::Units(unit, _) = work {
-        match pace.rate() {
-            _ if pace.idle() >= LONG_UNIT => {
-                parts.push(format!("{} in this {unit}", span(pace.idle().as_secs_f64())));
-            }
-            Some(rate) => parts.push(format!("{} {unit}s/s", significant(rate))),
-            None => {}
+        if idle >= LONG_UNIT {
+            parts.push(format!("{} in this {unit}", span(idle.as_secs_f64())));
+        } else if rate > 0.0 {
+            parts.push(format!("{} {unit}s/s", significant(rate)));
         }
     }
     // a share grows in few and unequal parts, so that the last ones say little about the rest
-    let rate = if let Work::Share = work { pace.mean() } else { pace.rate() };
-    if let (Some(total), Some(rate)) = (work.total(), rate) {
+    let rate = if let Work::Share = work { done as f64 / elapsed.as_secs_f64() } else { rate };
+    if let Some(total) = work.total().filter(|_| rate > 0.0) {
         parts.push(format!("{} left", span(total.saturating_sub(done) as f64 / rate)));
     }
     parts.extend(size.map(bytes));
@@ -284,21 +248,14 @@ fn span(seconds: f64) -> String {
 mod tests {
     use super::*;
 
-    /// The pace of work of which this much was done after so many seconds.
-    fn pace(seen: &[(f64, u64)]) -> Pace {
-        let start = Instant::now();
-        let mut pace = Pace::new(start);
-        for &(seconds, done) in seen {
-            pace.add(start + Duration::from_secs_f64(seconds), done);
-        }
-        pace
+    fn pace(done: u64, elapsed: u64, idle: u64, rate: f64) -> Pace {
+        Pace { done, elapsed: Duration::from_secs(elapsed), idle: Duration::from_secs(idle), rate }
     }
 
     #[test]
-    fn steps_are_reported_with_their_rate_over_the_last_second() {
+    fn steps_are_reported_with_their_rate() {
         let steps = Work::Units("step", Some(6000));
-        // ten steps per second at first, a hundred in the last second
-        let changing = pace(&[(1.0, 10), (2.0, 20), (3.0, 30), (3.5, 80), (4.0, 130)]);
+        let changing = pace(130, 4, 0, 100.0);
         let of_steps = line("", steps, Some(2.1667), Some(12 << 20), &changing);
         assert_eq!(of_steps, "step 130 of 6,000, t = 2.167 s, 100 steps/s, 59 s left, 12.0 MiB");
         let endless = line("", Work::Units("step", None), Some(0.5), None, &changing);
@@ -307,11 +264,11 @@ mod tests {
 
     #[test]
     fn a_long_step_is_reported_with_its_duration() {
-        let slow = pace(&[(1.0, 0), (20.0, 1), (21.0, 1), (75.0, 1)]);
+        let slow = pace(1, 75, 55, 1.0 / 75.0);
         let line = line("", Work::Units("step", Some(3)), None, None, &slow);
         assert_eq!(line, "step 1 of 3, 55 s in this step, 2 min 30 s left");
         assert_eq!(
-            super::line("", Work::Units("step", Some(3)), None, None, &pace(&[(9.0, 0)])),
+            super::line("", Work::Units("step", Some(3)), None, None, &pace(0, 9, 9, 0.0)),
             "step 0 of 3, 9 s in this step"
         );
     }
@@ -319,14 +276,14 @@ mod tests {
     #[test]
     fn work_without_units_is_reported_by_share_or_time() {
         assert_eq!(
-            line("measuring two", Work::Share, None, None, &pace(&[(2.0, 400)])),
+            line("measuring two", Work::Share, None, None, &pace(400, 2, 0, 0.0)),
             "measuring two: 40 %, 3 s left"
         );
         // a part that takes long among some that do not
-        let uneven = pace(&[(1.0, 158), (60.0, 160), (64.0, 160)]);
+        let uneven = pace(160, 64, 4, 0.03);
         assert_eq!(line("bodies", Work::Share, None, None, &uneven), "bodies: 16 %, 5 min 36 s left");
         assert_eq!(
-            line("building bodies", Work::Uncounted, None, None, &pace(&[(4000.0, 0)])),
+            line("building bodies", Work::Uncounted, None, None, &pace(0, 4000, 4000, 0.0)),
             "building bodies: 1 h 06 min"
         );
     }
