@@ -61,8 +61,8 @@ pub enum MeasureError {
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
 
-/// Growth of the process that counts as measured [bytes]: anything may allocate less.
-const LEAST_GROWTH: u64 = 1 << 20;
+/// Growth of the process that counts as measured [bytes]: buffers of threads and of the measurement itself may take less.
+const LEAST_GROWTH: u64 = 16 << 20;
 
 /// Resident memory of this process [bytes].
 fn resident() -> Option<u64> {
