@@ -26,8 +26,6 @@ pub mod stability;
 pub mod surface;
 pub mod thesis;
 
-use sysinfo::{ProcessRefreshKind, ProcessesToUpdate};
-
 use crate::{
     SceneError,
     scene::{Body, Path},
@@ -61,24 +59,6 @@ pub enum MeasureError {
     Threads(#[from] rayon::ThreadPoolBuildError),
 }
 
-/// Growth of the process that counts as measured [bytes]: buffers of threads and of the measurement itself may take less.
-const LEAST_GROWTH: u64 = 16 << 20;
-
-/// Resident memory of this process [bytes].
-fn resident() -> Option<u64> {
-    let process = sysinfo::get_current_pid().ok()?;
-    let mut system = sysinfo::System::new();
-    let memory = ProcessRefreshKind::nothing().with_memory();
-    system.refresh_processes_specifics(ProcessesToUpdate::Some(&[process]), false, memory);
-    Some(system.process(process)?.memory())
-}
-
-/// What the [`resident`] memory has grown by [bytes]. `None` if that is too little to be told from other allocations:
-/// few bodies, or memory that was freed before and is used again.
-fn grown(before: Option<u64>) -> Option<u64> {
-    resident()?.checked_sub(before?).filter(|&growth| growth >= LEAST_GROWTH)
-}
-
 /// The path of a body, where only those on paths matter.
 fn path(body: &Body) -> &Path {
     body.path().unwrap_or(&NOWHERE)
@@ -90,16 +70,3 @@ fn source_path(scene: &crate::scene::Scene, source: usize) -> &Path {
 }
 
 static NOWHERE: Path = Path::Fixed(glam::DVec3::ZERO);
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn growth_is_measured() {
-        let before = resident();
-        let filled = std::hint::black_box(vec![1_u8; 256 << 20]);
-        let growth = grown(before);
-        assert!(growth.is_some_and(|growth| growth > 128 << 20), "{growth:?} for {} bytes", filled.len());
-    }
-}

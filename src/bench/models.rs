@@ -8,9 +8,7 @@ use glam::DVec3;
 
 use super::{
     chart::{Axis, Chart, Line, Marker, Panel, SQUARE, Style, TIP, TRIANGLE},
-    grown,
     report::{Cell, Column, Machine, Report, Table},
-    resident,
 };
 use crate::{
     Scene,
@@ -21,7 +19,7 @@ use crate::{
     scene::Model,
     sim::Options,
     svg,
-    text::{bytes, counted, significant},
+    text::{counted, significant},
 };
 
 /// Upper limit on the measured steps of a scene.
@@ -64,9 +62,6 @@ pub struct Row {
     pub build: f64,
     /// Time of a step with its frame: the state with its forces, and the merged surface [s].
     pub frame: f64,
-    /// Measured growth of the process's resident memory while the simulation was built and took its first step [bytes];
-    /// `None` if it is too small to be told from other allocations.
-    pub memory: Option<u64>,
     /// Runs with several steps, with the largest error over time and vertices against the model's own converged solution.
     pub points: Vec<Point>,
     /// The largest stable step [s], if any that was tried is stable.
@@ -117,14 +112,11 @@ pub(super) fn step(run: &mut Run) -> Result<bool, String> {
 }
 
 fn row(scene: &Scene, progress: &mut dyn FnMut(f64)) -> Result<Row, String> {
-    let before = resident();
     let clock = Instant::now();
-    let mut run = start(scene)?;
+    drop(start(scene)?);
     let build = clock.elapsed().as_secs_f64();
-    step(&mut run)?;
-    let memory = grown(before);
-    drop(run);
-    let mut row = Row { build, memory, ..observe(scene)? };
+    let mut row = observe(scene)?;
+    row.build = build;
     progress(0.3);
     let own = follow(scene, scene.dt)?;
     let finest = follow(scene, scene.dt / FINEST)?;
@@ -179,7 +171,6 @@ pub(super) fn observe(scene: &Scene) -> Result<Row, String> {
     Ok(Row {
         build: 0.0,
         frame: seconds / scene.steps().max(1) as f64,
-        memory: None,
         points: vec![],
         largest_step: None,
         volume_lost: lost.unwrap_or(0.0),
@@ -275,7 +266,6 @@ pub fn columns() -> Vec<Column> {
         Column::number("step [ms]", "step_ms", significant),
         Column::number("frame [ms]", "frame_ms", significant),
         Column::number("build [ms]", "build_ms", significant),
-        Column::number("memory", "memory_bytes", |size| bytes(size as u64)),
         Column::number("error [R]", "error_radii", error),
         Column::number("largest dt [s]", "largest_dt_s", |dt| format!("{dt:.4}")),
         Column::number("volume lost", "volume_lost", |share| format!("{:.2} %", 100.0 * share + 0.0)),
@@ -298,7 +288,6 @@ impl Measured {
             (1e3 * point.seconds / point.steps as f64).into(),
             (1e3 * row.frame).into(),
             (1e3 * row.build).into(),
-            row.memory.map(|memory| memory as f64).into(),
             point.error.into(),
             row.largest_step.into(),
             row.volume_lost.into(),

@@ -13,16 +13,14 @@ use rayon::{ThreadPool, ThreadPoolBuilder, prelude::*};
 use super::{
     MeasureError,
     chart::{Axis, Chart, DIAMOND, Line, Marker, Panel, SQUARE, Style, TRIANGLE},
-    grown,
     reference::{Accuracy, NoReference, Reference},
     report::{Cell, Column, Machine, Report, Table},
-    resident,
 };
 use crate::{
     Scene, World,
     sim::WorldError,
     svg,
-    text::{bytes, number, significant},
+    text::{number, significant},
 };
 use scenes::{Family, Layout, PERIOD, PHASES};
 
@@ -60,9 +58,6 @@ pub struct Point {
     pub vertices: u64,
     /// Number of bodies that are awake.
     pub awake: u64,
-    /// Measured growth of the process's resident memory while the world was built and stepped [bytes]; `None` if it is
-    /// too small to be told from other allocations.
-    pub memory: Option<u64>,
     /// Step time on one core [s].
     pub one: f64,
     /// Step time on all cores [s]; `None` on a single-core machine.
@@ -112,7 +107,6 @@ fn measure_point(
     time: Duration,
 ) -> Result<Point, WorldError> {
     let fastest = &pools[pools.len() - 1];
-    let before = resident();
     let mut world = fastest.install(|| World::new(layout.scene(two)))?;
     let mut error = None;
     let start = Instant::now();
@@ -139,7 +133,6 @@ fn measure_point(
         bodies: layout.bodies,
         vertices: world.scene().vertex_count(),
         awake: layout.bodies as u64 - world.report().sleeping_bodies,
-        memory: grown(before),
         one: best[0],
         all: best.get(1).copied(),
         error: error.filter(|_| !layout.pairs.is_empty()),
@@ -287,7 +280,6 @@ pub fn columns() -> Vec<Column> {
         Column::number("one core [steps/s]", "steps_per_s_on_one_core", number),
         Column::number("all cores [steps/s]", "steps_per_s_on_all_cores", number),
         Column::number("vertex-steps [M/s]", "vertex_steps_per_s", |rate| significant(1e-6 * rate)),
-        Column::number("memory per body", "memory_per_body_bytes", |size| bytes(size as u64)),
         Column::number("error [R]", "error_radii", |error| format!("{error:.0e}")),
     ]
 }
@@ -302,7 +294,6 @@ impl Point {
             (1.0 / self.one).into(),
             self.all.map(|seconds| 1.0 / seconds).into(),
             (self.vertices as f64 / self.one).into(),
-            self.memory.map(|memory| memory as f64 / self.bodies as f64).into(),
             self.error.into(),
         ]
     }

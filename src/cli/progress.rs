@@ -223,8 +223,10 @@ fn line(what: &str, work: Work, time: Option<f64>, size: Option<u64>, pace: &Pac
             parts.push(format!("{} {unit}s/s", significant(rate)));
         }
     }
-    // a share grows in few and unequal parts, so that the last ones say little about the rest
-    let rate = if let Work::Share = work { done as f64 / elapsed.as_secs_f64() } else { rate };
+    // a share grows in few and unequal parts, so that the last ones say little about the rest; and a rate of late decays while a
+    // unit takes long
+    let is_mean = matches!(work, Work::Share) || idle >= LONG_UNIT;
+    let rate = if is_mean { done as f64 / elapsed.as_secs_f64() } else { rate };
     if let Some(total) = work.total().filter(|_| rate > 0.0) {
         parts.push(format!("{} left", span(total.saturating_sub(done) as f64 / rate)));
     }
@@ -264,7 +266,7 @@ mod tests {
 
     #[test]
     fn a_long_step_is_reported_with_its_duration() {
-        let slow = pace(1, 75, 55, 1.0 / 75.0);
+        let slow = pace(1, 75, 55, 2e-5);
         let line = line("", Work::Units("step", Some(3)), None, None, &slow);
         assert_eq!(line, "step 1 of 3, 55 s in this step, 2 min 30 s left");
         assert_eq!(

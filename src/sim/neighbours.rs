@@ -76,10 +76,10 @@ pub(super) fn later_neighbours<'a>(of: impl Iterator<Item = &'a Neighbours>) -> 
 /// A listed pair, as the solver knows it.
 pub(super) trait Listed {
     /// Its bodies, ascending, and its phase.
-    fn listed(&self) -> ([u32; 2], Phase);
+    fn bodies_and_phase(&self) -> ([u32; 2], Phase);
 
     /// Gives its bodies other indices, and sets its phase.
-    fn list(&mut self, bodies: [u32; 2], phase: Phase);
+    fn set_bodies_and_phase(&mut self, bodies: [u32; 2], phase: Phase);
 }
 
 /// The bodies of a solver, as the search for neighbours sees them.
@@ -175,7 +175,7 @@ impl<P: Listed> NearPairs<P> {
                 others.remove(index);
             }
             let listed = self.get_mut(pair);
-            listed.list(listed.listed().0, Phase::Apart);
+            listed.set_bodies_and_phase(listed.bodies_and_phase().0, Phase::Apart);
             self.unused.push(pair);
         }
         self.grid.take(body);
@@ -187,8 +187,8 @@ impl<P: Listed> NearPairs<P> {
         self.grid.forget(body);
         let shifted = |index: u32| index - u32::from(index > body);
         for pair in &mut self.pairs {
-            let (bodies, phase) = pair.listed();
-            pair.list(bodies.map(shifted), phase);
+            let (bodies, phase) = pair.bodies_and_phase();
+            pair.set_bodies_and_phase(bodies.map(shifted), phase);
         }
         for index in 0..bodies.scene().bodies.len() as u32 {
             bodies.neighbours(index).iter_mut().for_each(|neighbour| neighbour.other = shifted(neighbour.other));
@@ -262,7 +262,7 @@ impl<P: Listed> NearPairs<P> {
 
     /// Strikes a neighbour of a body off the lists, unless their phase keeps it there.
     fn leave<B: Bodies<Pair = P>>(&mut self, bodies: &mut B, body: u32, neighbour: Neighbour) {
-        if self.get(neighbour.pair).listed().1 != Phase::Apart {
+        if self.get(neighbour.pair).bodies_and_phase().1 != Phase::Apart {
             bodies.neighbours(body).push(neighbour);
             return;
         }
@@ -327,7 +327,7 @@ impl<P: Listed> NearPairs<P> {
     /// The sum of the hashes of all pairs that are not apart.
     pub fn hash(&self) -> u64 {
         let of = |pair: &P| {
-            let ([a, b], phase) = pair.listed();
+            let ([a, b], phase) = pair.bodies_and_phase();
             checksum::of_pair(a, b, phase)
         };
         self.pairs.iter().map(of).fold(0, u64::wrapping_add)

@@ -127,7 +127,7 @@ entities! {
     BODY_FORCE = "/forces/NAME/CAUSE" ["Scalars"]
         "Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, by mass if it is free, and of that by forces at points [scene unit/s²]; with at most 16 bodies, from the first frame in which it acts.";
     RESULTANTS = "/world/resultants" ["Arrows3D"]
-        "The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre; all of an instant on the largest scale on which none is longer than 1.5 times the geometric mean of the radius of its body and the largest. Of the five bodies with the largest net forces, those for which there is room are labelled with the body, its net force and its strongest cause [scene unit/s²], and others with their names; with at most 5 bodies, those on which nothing acts have arrows of no length with their names.";
+        "The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre; all of an instant on the largest scale on which none is longer than 1.5 times the geometric mean of the radius of its body and the largest radius. Of the five bodies with the largest net forces, those for which there is room are labelled with the body, its net force and its strongest cause [scene unit/s²], and of the others the names, of at most 32; with at most 5 bodies, those on which nothing acts have arrows of no length with their names.";
     STRONGEST = "/strongest/CAUSE" ["Scalars"]
         "With more than 3 bodies: the largest of the net forces on bodies by one cause, or by all together, over their masses [scene unit/s²]; from the first frame in which it acts.";
     RANKED_FORCES = "/ranking/forces" ["Points2D, LineStrips2D"]
@@ -187,7 +187,7 @@ entities! {
     MARKS_ON_AXIS = "/marks/axis/KIND" ["Scalars, SeriesPoints"]
         "Events as markers on the axis of plots.";
     MARKS_AT_Q = "/marks/q/KIND" ["Scalars, SeriesPoints"]
-        "Events as markers in plots of q.";
+        "Events and near misses as markers in plots of q, and the ends of the run.";
     MARKS_OF_DRAWN = "/marks/drawn/KIND" ["Scalars, SeriesPoints"]
         "The same for the pairs whose q the layout draws, if it leaves some out.";
     TIMING = "/timings/STAGE" ["Scalars"]
@@ -213,11 +213,9 @@ entities! {
     LARGEST = "/largest" ["Points3D, LineStrips3D"]
         "The vertex with the largest displacement of those that lie in no other body, and above it its label, also with the largest of all.";
     BODY_DISPLACEMENT = "/displacement/NAME" ["Scalars"]
-        "With at most 16 bodies: the largest displacement of each [radii].";
-    DISPLACEMENT_OF_ALL = "/displacement" ["Scalars"]
-        "With more bodies: the largest of all [radii].";
+        "With at most 16 bodies: the largest displacement of a vertex of each [radii].";
     LARGEST_OF_BODIES = "/largest/bodies" ["Points3D"]
-        "Of the five bodies with the largest displacements, the names and these [radii], and the names of others, where there is room.";
+        "Of the five bodies with the largest displacements, the names and these [radii], and the names of others, of at most 32, where there is room.";
     STAGES = "/stages" ["TextLog"]
         "One line per stage of the steps recorded in detail, with the largest displacement and how far vertices moved since the stage before, on the timeline stage, which the entities under /world have too, and on that of steps.";
     MOVES = "/stages/moves" ["Arrows3D"]

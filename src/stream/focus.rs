@@ -15,6 +15,8 @@ use crate::observe::{PairEvent, Schema};
 const MOST_PAIRS: usize = 64;
 /// How long the viewer plays on after the instant, at most [s].
 const AFTER: f64 = 1.0;
+/// How much wider the box around the whole run may be than that around the instant, for all of the run to be in view.
+pub const WIDER: f64 = 1.6;
 
 /// An instant of a run, and the spheres to look at.
 #[derive(Clone, Debug)]
@@ -194,9 +196,7 @@ impl FocusFinder {
     /// The focus of the run so far, if any bodies came within reach. The whole run is kept in view unless bodies would be
     /// much smaller then; or else the pairs of all events, unless they would be.
     pub fn focus(&self) -> Option<Focus> {
-        /// How much wider the box around the whole run may be than that around the instant.
-        const WIDER: f64 = 1.6;
-        /// The same with the pairs of all events.
+        /// [`WIDER`] with the pairs of all events.
         const WIDER_FOR_EVENTS: f64 = 2.0;
 
         let mut focus = self.focus.clone()?;

@@ -49,7 +49,7 @@
 //! | `/world/forces` | AnnotationContext | Names of the pairs of bodies between which forces act, as classes of arrows. |
 //! | `/world/forces/CAUSE` | Arrows3D | Accelerations of vertices and of points of contact by one cause, times the arrow scale given in the panel; those of uniform forces, net_force and torque: one arrow per free body, at its centre. |
 //! | `/forces/NAME/CAUSE` | Scalars | Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, by mass if it is free, and of that by forces at points [scene unit/s²]; with at most 16 bodies, from the first frame in which it acts. |
-//! | `/world/resultants` | Arrows3D | The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre; all of an instant on the largest scale on which none is longer than 1.5 times the geometric mean of the radius of its body and the largest. Of the five bodies with the largest net forces, those for which there is room are labelled with the body, its net force and its strongest cause [scene unit/s²], and others with their names; with at most 5 bodies, those on which nothing acts have arrows of no length with their names. |
+//! | `/world/resultants` | Arrows3D | The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre; all of an instant on the largest scale on which none is longer than 1.5 times the geometric mean of the radius of its body and the largest radius. Of the five bodies with the largest net forces, those for which there is room are labelled with the body, its net force and its strongest cause [scene unit/s²], and of the others the names, of at most 32; with at most 5 bodies, those on which nothing acts have arrows of no length with their names. |
 //! | `/strongest/CAUSE` | Scalars | With more than 3 bodies: the largest of the net forces on bodies by one cause, or by all together, over their masses [scene unit/s²]; from the first frame in which it acts. |
 //! | `/ranking/forces` | Points2D, LineStrips2D | Rows with labels and bars: the strongest forces on bodies as wholes at an instant; with more than 3 bodies, those with the largest net forces, each with a dot at each cause. |
 //! | `/ranking/displacements` | Points2D, LineStrips2D | With more than 3 bodies: rows with labels and bars, for those with the largest displacements at an instant. |
@@ -79,7 +79,7 @@
 //! | `/events/surfaces` | TextLog, bodies, phases, time, q | One line when surfaces touch or part; phases are empty. |
 //! | `/events/bodies` | TextLog | One line per event of a single body, with its position. |
 //! | `/marks/axis/KIND` | Scalars, SeriesPoints | Events as markers on the axis of plots. |
-//! | `/marks/q/KIND` | Scalars, SeriesPoints | Events as markers in plots of q. |
+//! | `/marks/q/KIND` | Scalars, SeriesPoints | Events and near misses as markers in plots of q, and the ends of the run. |
 //! | `/marks/drawn/KIND` | Scalars, SeriesPoints | The same for the pairs whose q the layout draws, if it leaves some out. |
 //! | `/timings/STAGE` | Scalars | What a stage of the step or of the recording costs [ms per step]. |
 //! | `/timings/stacked/N_STAGE` | Scalars | The same, with the stages before it on the same thread; numbered from the top of the stack. |
@@ -92,9 +92,8 @@
 //! | `/diagnostics/overlapping_groups` | Scalars | Groups that could not be united in time and are drawn as overlapping meshes. |
 //! | `/legend/PART` | Image; Points2D | The colour scale of displacements, and its numbers at the instant. |
 //! | `/largest` | Points3D, LineStrips3D | The vertex with the largest displacement of those that lie in no other body, and above it its label, also with the largest of all. |
-//! | `/displacement/NAME` | Scalars | With at most 16 bodies: the largest displacement of each [radii]. |
-//! | `/displacement` | Scalars | With more bodies: the largest of all [radii]. |
-//! | `/largest/bodies` | Points3D | Of the five bodies with the largest displacements, the names and these [radii], and the names of others, where there is room. |
+//! | `/displacement/NAME` | Scalars | With at most 16 bodies: the largest displacement of a vertex of each [radii]. |
+//! | `/largest/bodies` | Points3D | Of the five bodies with the largest displacements, the names and these [radii], and the names of others, of at most 32, where there is room. |
 //! | `/stages` | TextLog | One line per stage of the steps recorded in detail, with the largest displacement and how far vertices moved since the stage before, on the timeline stage, which the entities under /world have too, and on that of steps. |
 //! | `/stages/moves` | Arrows3D | On the timeline stage: how vertices moved since the stage before, from where they are now; the longest arrow of a step is half as long as the largest radius. |
 //! | `/stages/furthest` | Points3D, LineStrips3D | The vertex that moved furthest, and above it a label with how far [radii]. |

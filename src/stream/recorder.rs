@@ -23,7 +23,7 @@ use super::{
     },
     extract::Extractor,
     flight::{Ended, FlightRecorder},
-    focus::FocusFinder,
+    focus::{self, FocusFinder},
     instant::Instant,
     machine, palette,
     parts::{
@@ -99,7 +99,7 @@ pub struct Recorder {
     kept: Vec<Kept>,
     /// The middle of all bodies in the last frame.
     middle: DVec3,
-    /// See [`FrameView::widest`].
+    /// The largest diagonal of the box around the bodies so far [scene unit].
     widest: f64,
     /// The parts that show stages inside steps.
     stages: Option<(StateParts, Moves)>,
@@ -438,8 +438,9 @@ impl Recorder {
 
     fn log_frame(&mut self, frame: &Frame, at: Instant) {
         let mut view = FrameView::of(&self.schema, frame, at);
-        self.widest = self.widest.max(view.widest);
-        view.widest = self.widest;
+        // infinite if no body is present
+        self.widest = if view.widest.is_finite() { self.widest.max(view.widest) } else { self.widest };
+        view.widest = self.widest.min(focus::WIDER * view.widest);
         if let Some(parts) = &mut self.parts {
             parts.log(view, self.frames, &mut self.chunks);
             if self.flight.is_some() {

@@ -24,11 +24,11 @@ pub(in crate::sim) struct Among<'a> {
 }
 
 impl Listed for Pair {
-    fn listed(&self) -> ([u32; 2], Phase) {
+    fn bodies_and_phase(&self) -> ([u32; 2], Phase) {
         ([self.a, self.b], self.phase)
     }
 
-    fn list(&mut self, [a, b]: [u32; 2], phase: Phase) {
+    fn set_bodies_and_phase(&mut self, [a, b]: [u32; 2], phase: Phase) {
         (self.a, self.b, self.phase) = (a, b, phase);
     }
 }

@@ -44,6 +44,16 @@ pub fn family(entity: &Entity) -> String {
     format!("+ {}/**", entity.family())
 }
 
+/// A plot of timings.
+pub struct TimingsPlot {
+    pub path: String,
+    /// Whether its stages are those of recording.
+    pub is_recording: bool,
+    /// Whether the wait for the recorder has a line.
+    pub has_wait: bool,
+    pub title: String,
+}
+
 /// A container or a view that has been logged.
 pub struct Part {
     pub id: Uuid,
@@ -66,8 +76,8 @@ pub const VERTICES: Mapping = Mapping { target: "Points3D:positions", source: "M
 pub struct Layout {
     pub chunks: Chunks,
     next_id: u64,
-    /// The plots of timings: whether of a recording, and their titles.
-    pub timings: Vec<(String, bool, String)>,
+    /// The plots of timings.
+    pub timings: Vec<TimingsPlot>,
     /// The plot of speed.
     pub speeds: Option<String>,
     /// All plots over time.

@@ -3,7 +3,7 @@
 use super::{
     Subject, Tab,
     camera::{NARROW, WIDE, camera_past},
-    layout::{Layout, family, including},
+    layout::{Layout, TimingsPlot, family, including},
     tabs::PAIR_DISTANCES,
 };
 use crate::{
@@ -72,7 +72,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     let mut layout = Layout::of(recording);
     let root = layout.root(subject, tab);
     layout.finish(root); // already sent; the new ids continue after its own
-    for (plot, is_recording, title) in std::mem::take(&mut layout.timings) {
+    for TimingsPlot { path: plot, is_recording, has_wait, title } in std::mem::take(&mut layout.timings) {
         let Some(durations) = measured.durations.map(|of| of[usize::from(is_recording)]) else { continue };
         let (typical, (longest, _)) = (durations.typical(), durations.largest());
         if typical > 0.0 {
@@ -89,7 +89,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
                 let (count, share) = durations.beyond(high);
                 cut_off = format!("; {} beyond: {:.0} % of all time", counted(count, "frame"), 100.0 * share);
             }
-            if measured.longest_wait > high && !is_recording {
+            if measured.longest_wait > high && has_wait {
                 cut_off += &format!("; wait up to {} ms", significant(measured.longest_wait));
             }
             if !cut_off.is_empty() {
@@ -107,16 +107,6 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         for plot in layout.distances.clone() {
             layout.set_range(&plot, readable([low, high]));
         }
-    }
-    // these would leave the lines no room
-    let beyond = match measured.distances.as_ref().map(|axis| axis.beyond.as_slice()).unwrap_or_default() {
-        [] => String::new(),
-        [(a, b)] => format!("; beyond the axis: some of {}", subject.schema.pair_name(*a, *b)),
-        beyond => format!("; beyond the axis: some of {} pairs", beyond.len()),
-    };
-    for plot in layout.distances.iter().filter(|_| !beyond.is_empty()).cloned().collect::<Vec<_>>() {
-        let title = format!("{PAIR_DISTANCES}{beyond}");
-        layout.log(&plot, &ViewBlueprint::update_fields().with_display_name(title));
     }
     let owned = || subject.schema.body_scalars.iter().chain(&subject.schema.pair_scalars);
     let range_of = |scalar: &ScalarSchema| {
@@ -194,6 +184,25 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         }
     }
     let Told { moving, left_out, changed, met, all } = &measured.pairs;
+    let drawn = if *left_out > 0 {
+        format!("q of {} of {all} pairs, those with changes first", moving.len())
+    } else {
+        PAIR_DISTANCES.to_owned()
+    };
+    // far thresholds would leave the lines of q no room
+    let beyond = measured.distances.iter().flat_map(|axis| &axis.beyond);
+    let beyond = beyond.map(|&(a, b)| subject.schema.pair_name(a, b));
+    let beyond: Vec<String> = beyond.filter(|pair| *left_out == 0 || moving.contains(pair)).collect();
+    let title = match beyond.as_slice() {
+        [] => drawn,
+        [pair] => format!("{drawn}; thresholds of {pair} beyond the axis"),
+        pairs => format!("{drawn}; thresholds of {} pairs beyond the axis", pairs.len()),
+    };
+    if title != PAIR_DISTANCES {
+        for plot in &layout.distances.clone() {
+            layout.log(plot, &ViewBlueprint::update_fields().with_display_name(title.as_str()));
+        }
+    }
     let is_shorter = moving.len() < *all || changed.len() < *all || met.len() < *all;
     if is_shorter || (!pairs::has_named_pairs(subject.schema) && *all > 0) {
         // the pairs that have plots, and what they plot, are known only now
@@ -201,11 +210,6 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         if *left_out > 0 {
             // marks of events on lines that are left out would be puzzling
             lines = vec![family(&MARKS_OF_DRAWN), including(&MARKS_AT_Q.of(&["ends"]))];
-            let pairs = format!("q of {} of {all} pairs: with changes, then the closest{beyond}", moving.len());
-            for plot in &layout.distances.clone() {
-                let title = ViewBlueprint::update_fields().with_display_name(pairs.clone());
-                layout.log(plot, &title);
-            }
         }
         let plots = layout.distances.iter().map(|plot| (plot.clone(), &PAIR_DISTANCE)).chain(layout.measures.clone());
         let plots: Vec<(String, &Entity)> = plots.collect();

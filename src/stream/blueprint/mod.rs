@@ -80,7 +80,7 @@ pub fn beside_controls(subject: &Subject<'_>, recording: &StoreId) -> Vec<LogMsg
     }
     if settings.detail != Detail::Surface {
         tabs.push(layout.forces_tab(&close, schema, settings));
-        tabs.push(layout.displacement_tab(&close, schema, settings));
+        tabs.push(layout.displacement_view(&close, schema, settings));
     }
     let root = layout.container(ContainerKind::Tabs, "meldscope", tabs, &[]);
     layout.log("time_panel", &TimePanelBlueprint::update_fields().with_play_state(PlayState::Paused));

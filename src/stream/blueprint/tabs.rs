@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::{
     Subject, Tab,
     camera::{Framing, NARROW, WIDE},
-    layout::{Layout, Part, VERTICES, family, including},
+    layout::{Layout, Part, TimingsPlot, VERTICES, family, including},
 };
 use crate::{
     colors,
@@ -372,8 +372,31 @@ impl Layout {
         }
     }
 
+    /// Surfaces coloured by displacement, above their scale; the largest displacements, now and over time.
+    fn displacement_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
+        let view = self.displacement_view(framing, schema, settings);
+        let mut right = Vec::new();
+        if is_ranked(schema) {
+            let title = "Bodies with the largest displacements now: vertex [radii]";
+            right.push(self.ranking(title, RANKED_DISPLACEMENTS.path));
+        }
+        if schema.bodies.len() <= body_forces::MOST_BODIES {
+            let title = "Largest displacement of each body [radii]";
+            let lines = self.plot(title, "/", &[family(&BODY_DISPLACEMENT)], Corner2D::RightTop);
+            if is_ranked(schema) {
+                self.hide_legend(&lines); // the ranking names the colours
+            }
+            right.push(lines);
+        }
+        if right.len() < 2 {
+            right.push(self.events());
+        }
+        let right = self.container(ContainerKind::Vertical, "Largest", right, &[1.0, 1.0]);
+        self.container(ContainerKind::Horizontal, "Displacement", vec![view, right], &[1.8, 1.0])
+    }
+
     /// Surfaces coloured by displacement, with selectable vertices, above the colour scale.
-    pub fn displacement_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
+    pub fn displacement_view(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         let names = if heat::are_bodies_labelled(schema) { &LARGEST } else { &NAMES };
         let contents = [&BODY, &DEFORMING, &PLANE, &LARGEST, names, &NOT_RECORDED].map(family);
         let title = "Displacement from rest; select a vertex to see its numbers";
@@ -400,22 +423,7 @@ impl Layout {
             &[family(&LEGEND)],
             &[],
         );
-        let left = self.container(ContainerKind::Vertical, "Displacement", vec![view, scale], &[6.0, 1.0]);
-        let title = match schema.bodies.len() {
-            ..=body_forces::MOST_BODIES => "Largest displacement of each body [radii]",
-            _ => "Largest displacement of all bodies [radii]",
-        };
-        let lines = self.plot(title, "/", &[family(&BODY_DISPLACEMENT)], Corner2D::RightTop);
-        let right = match is_ranked(schema) {
-            true => {
-                self.hide_legend(&lines); // as many names would cover half of it
-                let title = "Bodies with the largest displacements now: vertex [radii]";
-                vec![self.ranking(title, RANKED_DISPLACEMENTS.path), lines]
-            }
-            false => vec![lines, self.events()],
-        };
-        let right = self.container(ContainerKind::Vertical, "Largest", right, &[1.0, 1.0]);
-        self.container(ContainerKind::Horizontal, "Displacement", vec![left, right], &[1.8, 1.0])
+        self.container(ContainerKind::Vertical, "Displacement", vec![view, scale], &[6.0, 1.0])
     }
 
     /// Views of pair distances, phases and events.
@@ -469,7 +477,7 @@ impl Layout {
             self.hide_legend(plot);
         }
         let stages = self.container(ContainerKind::Vertical, "Stages", stages, &[1.6, 1.0]);
-        let title = "Total time of each stage; longest ms #step. +: on other threads";
+        let title = "Total of each stage; longest [ms] and its step; +: other threads";
         let sums = vec![self.ranking(title, RANKED_STAGES.path), self.speed()];
         let sums = self.container(ContainerKind::Vertical, "Sums", sums, &[1.2, 1.0]);
         self.container(ContainerKind::Horizontal, "Timings", vec![stages, sums], &[1.6, 1.0])
@@ -489,7 +497,8 @@ impl Layout {
         let stages = stages.map(|stage| including(&numbers::stacked(schema, stage)));
         let contents: Vec<String> = stages.chain(beside.iter().cloned()).collect();
         let plot = self.plot(title, "/", &contents, Corner2D::LeftTop);
-        self.timings.push((plot.path.clone(), is_recording, title.to_owned()));
+        let has_wait = !beside.is_empty();
+        self.timings.push(TimingsPlot { path: plot.path.clone(), is_recording, has_wait, title: title.to_owned() });
         plot
     }
 

@@ -26,7 +26,7 @@ use crate::{
     text::significant,
 };
 
-/// Upper limit on the number of bodies with plots: of more, one would not find a tab.
+/// Upper limit on the number of bodies with plots of their own: of more, one would not find one.
 pub const MOST_BODIES: usize = 16;
 
 /// Upper limit on the length of an arrow [geometric mean of the radius of its body and the largest]: it ends outside of its body,

@@ -29,8 +29,8 @@ use crate::stream::{
     blueprint::Mapping,
     chunks::{Chunks, TrackId},
     contract::{
-        BODY_DISPLACEMENT, DISPLACEMENT_OF_ALL, HEAT_FORMAT, HEAT_PLACES, HEAT_TEXTURE, LARGEST, LARGEST_OF_BODIES,
-        LEGEND, RANKED_DISPLACEMENTS,
+        BODY_DISPLACEMENT, HEAT_FORMAT, HEAT_PLACES, HEAT_TEXTURE, LARGEST, LARGEST_OF_BODIES, LEGEND,
+        RANKED_DISPLACEMENTS,
     },
     extract::Float3,
     light,
@@ -69,6 +69,11 @@ pub fn place(displacement: f32, end: f64) -> [f32; 2] {
     [0.5 * (displacement / end as f32).min(1.0), 0.5]
 }
 
+/// The colour of a body's line and row: in the view beside them, bodies have the colours of displacements.
+fn line_color(body: usize) -> palette::Rgb {
+    palette::distance(body)
+}
+
 /// Whether the bodies with the largest displacements are labelled with them.
 pub fn are_bodies_labelled(schema: &Schema) -> bool {
     schema.variants.is_empty() && !schema.bodies.iter().any(|body| body.can_be_absent)
@@ -82,7 +87,7 @@ pub struct Heat {
     /// The labels of bodies, if they have any.
     bodies: Option<TrackId>,
     ranking: Option<Ranking>,
-    /// The largest displacement of each body over time; of more than [`MOST_BODIES`], of all.
+    /// The largest displacement of each body over time; none of more than [`MOST_BODIES`].
     lines: Vec<LineId>,
 }
 
@@ -104,20 +109,13 @@ impl Heat {
             .with_colors([color(palette::DOT)])
             .with_show_labels(true);
         chunks.log_static(&LEGEND.of(&["ticks"]), &ticks);
-        let mut line = |entity: &str, name: &str, rgb| {
-            Series::style(chunks, entity, name, rgb, 1.5, Interpolation::Linear);
-            series.line(chunks, entity, Interpolation::Linear)
+        let with_lines = if schema.bodies.len() <= MOST_BODIES { schema.bodies.as_slice() } else { &[] };
+        let line = |(index, body): (usize, &BodySchema)| {
+            let entity = BODY_DISPLACEMENT.of(&[&body.name]);
+            Series::style(chunks, &entity, &body.name, line_color(index), 1.5, Interpolation::Linear);
+            series.line(chunks, &entity, Interpolation::Linear)
         };
-        let lines = match schema.bodies.len() {
-            ..=MOST_BODIES => {
-                let of_body = |(index, body): (usize, &BodySchema)| {
-                    // bodies have no colours of their own beside it
-                    line(&BODY_DISPLACEMENT.of(&[&body.name]), &body.name, palette::distance(index))
-                };
-                schema.bodies.iter().enumerate().map(of_body).collect()
-            }
-            _ => vec![line(DISPLACEMENT_OF_ALL.path, "largest of all bodies", MARK)],
-        };
+        let lines = with_lines.iter().enumerate().map(line).collect();
         Heat {
             ticks: chunks.track(&LEGEND.of(&["ticks"]), [Points2D::descriptor_labels()]),
             mark: Callout::new(LARGEST.path, MARK, chunks),
@@ -154,15 +152,9 @@ impl Heat {
         self.mark.log(mark, view.at, chunks);
         let largest = |body: usize| view.frame.bodies[body].max_displacement / view.schema.bodies[body].radius;
         let mut ranked: Vec<usize> = (0..view.schema.bodies.len()).collect();
-        match *self.lines {
-            [of_all] if ranked.len() > MOST_BODIES => {
-                let largest = ranked.iter().map(|&body| largest(body)).fold(0.0, f64::max);
-                series.log(chunks, of_all, largest, view.at);
-            }
-            _ => {
-                let of_bodies = self.lines.iter().zip(&ranked);
-                of_bodies.for_each(|(line, body)| series.log(chunks, *line, largest(*body), view.at));
-            }
+        for (body, line) in self.lines.iter().enumerate() {
+            let value = if view.frame.bodies[body].is_absent { f64::NAN } else { largest(body) };
+            series.log_or_interrupt(chunks, *line, value, view.at);
         }
         ranked.sort_by(|&one, &other| largest(other).total_cmp(&largest(one)));
         if let Some(bodies) = self.bodies {
@@ -186,7 +178,8 @@ impl Heat {
             let rows = ranked.into_iter().filter(|&body| largest(body) > 0.0).map(|body| {
                 let vertex = view.frame.bodies[body].most_displaced().unwrap_or(0);
                 let label = format!("{}:{vertex} {:.3} R", view.schema.bodies[body].name, largest(body));
-                Row { label, color: palette::DOT, marks: vec![(Mark::Bar(largest(body) / longest), palette::DOT)] }
+                let color = if self.lines.is_empty() { palette::DOT } else { line_color(body) };
+                Row { label, color, marks: vec![(Mark::Bar(largest(body) / longest), color)] }
             });
             ranking.log(rows, "no vertex is displaced", view.at, chunks);
         }

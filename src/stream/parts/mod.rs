@@ -112,7 +112,8 @@ pub struct FrameView<'a> {
     pub frame: &'a Frame,
     /// The instant of that state.
     pub at: Instant,
-    /// The largest diagonal of the box around the bodies up to now: what the camera has in view, about [scene unit].
+    /// What the camera has in view, about: the largest diagonal of the box around the bodies up to now, as far as it is not
+    /// [much](crate::stream::focus::WIDER) larger than the present one [scene unit].
     pub widest: f64,
 }
 

@@ -252,10 +252,11 @@ impl PairPlots {
         let [low, high] = self.plotted?;
         let margin = FAR * (high - low).max(LEAST);
         let is_near = |level: &[f64; 2]| level[1] >= low - margin && level[0] <= high + margin;
-        let levels = |plot: &PairPlot| plot.levels.clone().into_iter().flatten();
+        let levels = |plot: &PairPlot| plot.levels.iter().flatten().copied().collect::<Vec<_>>();
         let near = self.known.values().flat_map(levels).filter(is_near).flatten();
+        let near = near.map(|level| level.max(low - margin).min(high + margin));
         let ends = near.fold([low, high], |[low, high], level| [low.min(level), high.max(level)]);
-        let is_beyond = |plot: &PairPlot| levels(plot).any(|level| !is_near(&level));
+        let is_beyond = |plot: &PairPlot| levels(plot).iter().any(|level| !is_near(level));
         let beyond = self.known.iter().filter(|(_, plot)| is_beyond(plot)).map(|(pair, _)| *pair);
         Some(Axis { ends, beyond: beyond.collect() })
     }
