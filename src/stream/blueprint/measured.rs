@@ -87,7 +87,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             let mut cut_off = String::new();
             if longest > high {
                 let (count, share) = durations.beyond(high);
-                cut_off = format!("; {} beyond: {:.0} % of all time", counted(count, "frame"), 100.0 * share);
+                cut_off = format!("; {} beyond: {:.0} % of stage time", counted(count, "frame"), 100.0 * share);
             }
             if measured.longest_wait > high && has_wait {
                 cut_off += &format!("; wait up to {} ms", significant(measured.longest_wait));

@@ -9,7 +9,7 @@ use super::{
 };
 use crate::{
     colors,
-    observe::{Schema, schema::Threshold},
+    observe::Schema,
     sdk::{
         self, Mesh3D, Points3D,
         blueprint::{
@@ -24,8 +24,8 @@ use crate::{
             DEFORMING, DIAGNOSTIC, EVENTS, Entity, FORCE, FURTHEST, INFLUENCE, LAG, LARGEST, LEGEND, MARKS_AT_Q,
             MERGED, MERGED_SURFACE, MOVES, NAMES, NOT_RECORDED, PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_NECK,
             PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR, PLANE, POINTS, RANKED_DISPLACEMENTS, RANKED_FORCES, RANKED_GROUPS,
-            RANKED_PAIRS, RANKED_STAGES, RECENT_NAMES, RECENT_PAIR, RECENT_SPHERES, RESTING, RESULTANTS, SIM_TIME,
-            SPEED, STAGE, STAGES, STEP, STRONGEST, TIMING, TOUCHING, TRAILS, VOLUME, WORLD,
+            RANKED_PAIRS, RANKED_STAGES, RECENT_NAMES, RECENT_PAIR, RECENT_SPHERES, RESTING, RESULTANT_LABELS,
+            RESULTANTS, SIM_TIME, SPEED, STAGE, STAGES, STEP, STRONGEST, TIMING, TOUCHING, TRAILS, VOLUME, WORLD,
         },
         palette,
         parts::{
@@ -100,12 +100,12 @@ impl Layout {
             if is_ranked(schema) {
                 // as many names would cover half of a small plot, and lanes of all pairs have no room
                 self.hide_legend(&parts[0]);
-                parts[1] = self.ranking(&next_title(schema), RANKED_PAIRS.path);
+                parts[1] = self.ranking(NEXT, RANKED_PAIRS.path);
             }
             let shares = match schema.bodies.len() {
                 2 => [1.5, 0.5, 0.9, 1.0],
                 _ if recent::is_drawn_alone(schema) => [1.0, 1.5, 0.7, 1.2],
-                _ if is_ranked(schema) => [1.0, 1.5, 0.7, 0.7],
+                _ if is_ranked(schema) => [0.9, 1.4, 0.9, 0.7],
                 _ => [1.4, 1.1, 0.8, 0.9],
             };
             parts.push(match recent::is_drawn_alone(schema) {
@@ -174,6 +174,7 @@ impl Layout {
         }
         if settings.detail != Detail::Surface {
             hide(RESULTANTS.path);
+            hide(RESULTANT_LABELS.path);
             for term in schema.terms.iter().filter(|term| is_crowd || !term.is_shown) {
                 hide(&FORCE.of(&[term.name]));
             }
@@ -252,7 +253,9 @@ impl Layout {
             parts.push(self.time_series(title, "/", &[family(&VOLUME)], Corner2D::LeftBottom));
         }
         parts.push(self.events());
-        let shares = vec![1.0; parts.len()];
+        let mut shares = vec![1.0; parts.len()];
+        // rows have the height of their labels
+        shares[0] = if is_ranked(schema) { 1.7 } else { 1.0 };
         let right = self.container(ContainerKind::Vertical, "Measures", parts, &shares);
         self.container(ContainerKind::Horizontal, "Surface", vec![view, right], &[1.6, 1.0])
     }
@@ -284,7 +287,7 @@ impl Layout {
         let mut arrows: Vec<String> = sums.map(|name| format!("- {}", FORCE.of(&[name]))).collect();
         arrows.push(family(&FORCE));
         // a resultant is labelled with its body
-        let resultants = [including(RESULTANTS.path), format!("- {}", NAMES.path)];
+        let resultants = [family(&RESULTANTS), format!("- {}", NAMES.path)];
         let mut views = vec![self.forces_view(framing, "By body", &resultants, schema, settings)];
         // arrows of several scales in one view would be compared
         let mut scales = schema.terms.iter().filter(|term| term.can_act).map(|term| schema.arrow_scale_of(term));
@@ -450,7 +453,7 @@ impl Layout {
         if !is_ranked(schema) {
             return self.container(ContainerKind::Vertical, "Pairs", parts, &[2.0, 1.0, 0.8]);
         }
-        let right = vec![self.ranking(&next_title(schema), RANKED_PAIRS.path), parts.remove(2)];
+        let right = vec![self.ranking(NEXT, RANKED_PAIRS.path), parts.remove(2)];
         let left = self.container(ContainerKind::Vertical, "Over time", parts, &[1.0, 1.0]);
         let right = self.container(ContainerKind::Vertical, "Now", right, &[1.3, 1.0]);
         self.container(ContainerKind::Horizontal, "Pairs", vec![left, right], &[1.5, 1.0])
@@ -470,7 +473,7 @@ impl Layout {
             true,
             &[],
         );
-        let title = format!("{TIMINGS}; wait for the recorder beside them");
+        let title = format!("{TIMINGS}; a line: wait");
         let stages = vec![self.stacked(&title, schema, false, &[including(&TIMING.of(&[numbers::WAIT]))]), recording];
         for plot in &stages {
             // the ranking names the colours
@@ -575,11 +578,7 @@ impl Layout {
 }
 
 /// The title of the ranking of pairs.
-fn next_title(schema: &Schema) -> String {
-    let line = |threshold: &Threshold| format!("{} {}", threshold.name, colors::name(threshold.color));
-    let lines: Vec<String> = schema.thresholds.iter().map(line).collect();
-    format!("Next changes; {}", lines.join(", "))
-}
+const NEXT: &str = "Next changes of pairs within reach, if q goes on so";
 
 /// The title of the view of everything.
 pub fn scene_title(schema: &Schema) -> &'static str {

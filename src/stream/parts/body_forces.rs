@@ -4,12 +4,11 @@
 use glam::DVec3;
 
 use super::{
-    FrameView, Labels,
-    lines::MAX_NAMED,
+    FrameView,
+    lines::BodyLabels,
     ranking::{self, Mark, Ranking, Row, is_ranked},
 };
 use crate::{
-    colors::SILVER,
     observe::{
         BodyFrame, Schema,
         schema::{BodySchema, TermSchema},
@@ -17,7 +16,7 @@ use crate::{
     sdk::{self, Arrows3D},
     stream::{
         chunks::{Chunks, TrackId},
-        contract::{BODY_FORCE, RANKED_FORCES, RESULTANTS, STRONGEST},
+        contract::{BODY_FORCE, RANKED_FORCES, RESULTANT_LABELS, RESULTANTS, STRONGEST},
         extract::Float3,
         instant::Instant,
         palette::color,
@@ -47,15 +46,15 @@ pub struct BodyForces {
     /// Whether a term has acted on any body.
     has_acted: Vec<bool>,
     arrows: TrackId,
+    labels: BodyLabels,
 }
 
-/// The arrows of a frame: origins, vectors, colours and labels.
+/// The arrows of a frame.
 #[derive(Default)]
 struct ResultantRows {
     origins: Vec<Float3>,
     vectors: Vec<Float3>,
     colors: Vec<u32>,
-    labels: Vec<String>,
 }
 
 /// What one cause does to a body as a whole.
@@ -79,14 +78,10 @@ impl BodyForces {
     pub fn new(schema: &Schema, chunks: &mut Chunks) -> BodyForces {
         let terms = schema.terms.len();
         let bodies = if schema.bodies.len() <= MOST_BODIES { schema.bodies.len() } else { 0 };
-        let style = Arrows3D::update_fields().with_radii([sdk::Radius::new_ui_points(3.0)]).with_show_labels(true);
+        let style = Arrows3D::update_fields().with_radii([sdk::Radius::new_ui_points(3.0)]);
         chunks.log_static(RESULTANTS.path, &style);
-        let components = [
-            Arrows3D::descriptor_origins(),
-            Arrows3D::descriptor_vectors(),
-            Arrows3D::descriptor_colors(),
-            Arrows3D::descriptor_labels(),
-        ];
+        let components =
+            [Arrows3D::descriptor_origins(), Arrows3D::descriptor_vectors(), Arrows3D::descriptor_colors()];
         let arrows = chunks.track(RESULTANTS.path, components);
         BodyForces {
             lines: vec![vec![None; terms]; bodies],
@@ -94,6 +89,7 @@ impl BodyForces {
             strongest: vec![None; if is_ranked(schema) { terms } else { 0 }],
             has_acted: vec![false; terms],
             arrows,
+            labels: BodyLabels::new(RESULTANT_LABELS.path, chunks),
         }
     }
 
@@ -120,8 +116,14 @@ impl BodyForces {
             }
         }
         let of_bodies = of_bodies(view.schema, &resultants);
-        let now = ResultantRows::of(view, &resultants, &of_bodies);
-        chunks.push_changed(self.arrows, view.at, &[&now.origins, &now.vectors, &now.colors, &now.labels]);
+        let now = ResultantRows::of(view, &resultants);
+        chunks.push_changed(self.arrows, view.at, &[&now.origins, &now.vectors, &now.colors]);
+        let (first, others) = of_bodies.split_at(of_bodies.len().min(ranking::LABELLED));
+        let mut is_idle: Vec<bool> = view.frame.bodies.iter().map(|now| !now.is_absent).collect();
+        of_bodies.iter().for_each(|of| is_idle[of.body()] = false);
+        let idle = (0..is_idle.len()).filter(|&body| is_idle[body]);
+        let first = first.iter().map(|of| (of.body(), of.label(view.schema)));
+        self.labels.log(view, first, others.iter().map(OfBody::body).chain(idle), chunks);
         let rows = match is_ranked(view.schema) {
             true => rows_of_bodies(view.schema, &of_bodies),
             false => rows_of_causes(view.schema, resultants.clone()),
@@ -174,14 +176,13 @@ impl OfBody<'_> {
     fn label(&self, schema: &Schema) -> String {
         let value = |term: usize, strength: f64| format!("{} {}", schema.terms[term].name, significant(strength));
         let net = self.net.map_or(0.0, Resultant::strength);
-        let sum = schema.sum_of_terms().map_or(String::new(), |sum| value(sum, net) + ", strongest ");
+        let sum = schema.sum_of_terms().map_or(String::new(), |sum| value(sum, net) + ", ");
         let cause = value(self.strongest.term, self.strongest.strength());
-        format!("{}: {sum}{cause}", schema.bodies[self.strongest.body].name)
+        format!("{}: {sum}{cause}", schema.bodies[self.body()].name)
     }
 
-    /// The arrow that has the label.
-    fn labelled(&self) -> &Resultant {
-        self.net.unwrap_or(self.strongest)
+    fn body(&self) -> usize {
+        self.strongest.body
     }
 }
 
@@ -231,45 +232,16 @@ fn rows_of_causes(schema: &Schema, mut resultants: Vec<Resultant>) -> Vec<Row> {
 }
 
 impl ResultantRows {
-    /// Arrows from the centres, all on the largest scale on which none is longer than [`LONGEST`]. The first of `ranked` for which there
-    /// is room are labelled, on the arrow of the net force if there is one.
-    fn of(view: FrameView<'_>, resultants: &[Resultant], ranked: &[OfBody<'_>]) -> ResultantRows {
-        let FrameView { schema, frame, .. } = view;
+    /// Arrows from the centres, all on the largest scale on which none is longer than [`LONGEST`].
+    fn of(FrameView { schema, frame, .. }: FrameView<'_>, resultants: &[Resultant]) -> ResultantRows {
         let largest = schema.largest_radius();
         let limit = |of: &Resultant| LONGEST * (schema.bodies[of.body].radius * largest).sqrt() / of.strength();
         let scale = resultants.iter().map(limit).fold(f64::INFINITY, f64::min);
-        let mut labels = Labels::new(view);
-        let labelled = ranked.iter().take(ranking::LABELLED).map(|of| (of.labelled(), of.label(schema)));
-        let has_room = |(arrow, label): &(&Resultant, String)| {
-            let middle = frame.bodies[arrow.body].centre + 0.5 * scale * arrow.acceleration;
-            labels.take(middle, label)
-        };
-        let mut labelled: Vec<(&Resultant, String)> = labelled.filter(has_room).collect();
-        // of others the name alone, for which there may be room
-        for of in ranked.iter().take(MAX_NAMED) {
-            let (arrow, name) = (of.labelled(), &schema.bodies[of.strongest.body].name);
-            let middle = frame.bodies[arrow.body].centre + 0.5 * scale * arrow.acceleration;
-            if !labelled.iter().any(|(of, _)| of.body == arrow.body) && labels.take(middle, name) {
-                labelled.push((arrow, name.clone()));
-            }
-        }
         let mut arrows = ResultantRows::default();
-        for resultant @ &Resultant { body, term, acceleration } in resultants {
+        for &Resultant { body, term, acceleration } in resultants {
             arrows.origins.push(frame.bodies[body].centre.as_vec3().to_array());
             arrows.vectors.push((scale * acceleration).as_vec3().to_array());
             arrows.colors.push(color(schema.terms[term].color).to_u32());
-            let label = labelled.iter().find(|(arrow, _)| *arrow == resultant).map(|(_, label)| label.clone());
-            arrows.labels.push(label.unwrap_or_default());
-        }
-        // the others have their names alone, on arrows of no length
-        let is_idle = |index: usize| !resultants.iter().any(|of| of.body == index);
-        let are_few = schema.bodies.len() <= ranking::LABELLED;
-        let idle = view.bodies().enumerate().filter(|(index, (_, now))| are_few && !now.is_absent && is_idle(*index));
-        for (_, (body, now)) in idle {
-            arrows.origins.push(now.centre.as_vec3().to_array());
-            arrows.vectors.push([0.0; 3]);
-            arrows.colors.push(color(SILVER).to_u32());
-            arrows.labels.push(body.name.clone());
         }
         arrows
     }

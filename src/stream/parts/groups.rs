@@ -203,10 +203,12 @@ impl GroupPlots {
         let rows = groups.iter().map(|group| {
             let color = palette::of_body(view.schema, group.bodies[0]);
             let mut marks = vec![(Mark::Bar(group.volume / largest), color)];
-            let mut label = format!("{}: ", names(view.schema, &group.bodies));
-            if group.components != 1 {
-                label += &format!("{}, ", counted(group.components as u64, "piece"));
-            }
+            let pieces = match group.components {
+                1 => String::new(),
+                components => format!("{}, ", counted(components as u64, "piece")),
+            };
+            let mut label =
+                format!("{}: {pieces}", names(view.schema, &group.bodies, ROOM.saturating_sub(pieces.len())));
             label += &short(group.volume);
             if let Some(apart) = apart(group) {
                 marks.push((Mark::Dot(apart / largest), SILVER));
@@ -227,14 +229,15 @@ impl GroupPlots {
     }
 }
 
-/// The names of the bodies of a group, as far as there is room beside a bar, and the number of others.
-fn names(schema: &Schema, bodies: &[usize]) -> String {
-    const ROOM: usize = 20;
+/// What has room beside a bar, the names of a group and the number of its pieces [characters].
+const ROOM: usize = 20;
 
+/// The names of the bodies of a group, as far as there is `room`, and the number of others.
+fn names(schema: &Schema, bodies: &[usize], room: usize) -> String {
     let mut names = String::new();
     for (number, &body) in bodies.iter().enumerate() {
         let name = &schema.bodies[body].name;
-        if number > 0 && names.len() + name.len() >= ROOM {
+        if number > 0 && names.len() + name.len() >= room {
             return format!("{names}+{}", bodies.len() - number);
         }
         names += if number > 0 { "+" } else { "" };

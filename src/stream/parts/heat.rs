@@ -8,10 +8,10 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use super::{
-    FrameView, Labels,
+    FrameView,
     body_forces::MOST_BODIES,
     callout::Callout,
-    lines,
+    lines::BodyLabels,
     ranking::{self, Mark, Ranking, Row, is_ranked},
     recent,
 };
@@ -32,7 +32,6 @@ use crate::stream::{
         BODY_DISPLACEMENT, HEAT_FORMAT, HEAT_PLACES, HEAT_TEXTURE, LARGEST, LARGEST_OF_BODIES, LEGEND,
         RANKED_DISPLACEMENTS,
     },
-    extract::Float3,
     light,
     palette::{self, color},
     series::{Interpolation, LineId, Series},
@@ -85,7 +84,7 @@ pub struct Heat {
     ticks: TrackId,
     mark: Callout,
     /// The labels of bodies, if they have any.
-    bodies: Option<TrackId>,
+    bodies: Option<BodyLabels>,
     ranking: Option<Ranking>,
     /// The largest displacement of each body over time; none of more than [`MOST_BODIES`].
     lines: Vec<LineId>,
@@ -119,7 +118,7 @@ impl Heat {
         Heat {
             ticks: chunks.track(&LEGEND.of(&["ticks"]), [Points2D::descriptor_labels()]),
             mark: Callout::new(LARGEST.path, MARK, chunks),
-            bodies: are_bodies_labelled(schema).then(|| lines::track_labels(LARGEST_OF_BODIES.path, chunks)),
+            bodies: are_bodies_labelled(schema).then(|| BodyLabels::new(LARGEST_OF_BODIES.path, chunks)),
             ranking: is_ranked(schema).then(|| Ranking::new(RANKED_DISPLACEMENTS.path, chunks)),
             lines,
         }
@@ -157,21 +156,13 @@ impl Heat {
             series.log_or_interrupt(chunks, *line, value, view.at);
         }
         ranked.sort_by(|&one, &other| largest(other).total_cmp(&largest(one)));
-        if let Some(bodies) = self.bodies {
-            let mut labels = Labels::new(view);
+        if let Some(bodies) = &self.bodies {
             let label = |&body: &usize| match largest(body) {
-                0.0 => view.schema.bodies[body].name.clone(),
-                largest => format!("{} {largest:.3} R", view.schema.bodies[body].name),
+                0.0 => (body, view.schema.bodies[body].name.clone()),
+                largest => (body, format!("{} {largest:.3} R", view.schema.bodies[body].name)),
             };
             let (first, others) = ranked.split_at(ranked.len().min(ranking::LABELLED));
-            let others =
-                others.iter().take(lines::MAX_NAMED).map(|&body| (body, view.schema.bodies[body].name.clone()));
-            let all = first.iter().map(|body| (*body, label(body))).chain(others);
-            let labelled = all.map(|(body, label)| (lines::name_place(view, body), label));
-            let labelled = labelled.filter(|(place, label)| labels.take(*place, label));
-            let labelled = labelled.map(|(place, label)| (place.as_vec3().to_array(), label));
-            let (places, labels): (Vec<Float3>, Vec<String>) = labelled.unzip();
-            chunks.push_changed(bodies, view.at, &[&places, &labels]);
+            bodies.log(view, first.iter().map(label), others.iter().copied(), chunks);
         }
         if let Some(ranking) = &self.ranking {
             let longest = ranked.first().map_or(0.0, |&body| largest(body));

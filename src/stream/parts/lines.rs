@@ -173,11 +173,46 @@ impl Names {
     }
 }
 
-/// A track of the positions and texts of labels of bodies.
-pub fn track_labels(entity: &str, chunks: &mut Chunks) -> TrackId {
-    let style = Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.5)]).with_show_labels(true);
-    chunks.log_static(entity, &style.with_colors([color(palette::SEAM)]));
-    chunks.track(entity, [Points3D::descriptor_positions(), Points3D::descriptor_labels()])
+/// Labels of the bodies that matter most at an instant, and the names of others.
+pub struct BodyLabels(TrackId);
+
+impl BodyLabels {
+    /// Starts without labels.
+    pub fn new(entity: &str, chunks: &mut Chunks) -> BodyLabels {
+        let style = Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.5)]).with_show_labels(true);
+        chunks.log_static(entity, &style.with_colors([color(palette::SEAM)]));
+        BodyLabels(chunks.track(entity, [Points3D::descriptor_positions(), Points3D::descriptor_labels()]))
+    }
+
+    /// Logs the labels of `first` for which there is room, then as many names of the rest of them and of `others`.
+    pub fn log(
+        &self,
+        view: FrameView<'_>,
+        first: impl Iterator<Item = (usize, String)>,
+        others: impl Iterator<Item = usize>,
+        chunks: &mut Chunks,
+    ) {
+        let (mut taken, mut rest) = (Labels::new(view), Vec::new());
+        let (mut places, mut labels): (Vec<Float3>, Vec<String>) = (Vec::new(), Vec::new());
+        let mut has_room = |body: usize, label: String| {
+            let place = name_place(view, body);
+            let has_room = taken.take(place, &label);
+            if has_room {
+                places.push(place.as_vec3().to_array());
+                labels.push(label);
+            }
+            has_room
+        };
+        for (body, label) in first {
+            if !has_room(body, label) {
+                rest.push(body);
+            }
+        }
+        for body in rest.into_iter().chain(others).take(MAX_NAMED) {
+            has_room(body, view.schema.bodies[body].name.clone());
+        }
+        chunks.push_changed(self.0, view.at, &[&places, &labels]);
+    }
 }
 
 /// Where the name of a body stands [scene unit]: off its centre, away from the bodies near it.

@@ -7,7 +7,7 @@
 //! | `/world/resting/SHAPE`, `/world/deforming/surface` | [`batch`] |
 //! | `/world/influence` | [`spheres`] |
 //! | `/world/forces/TERM`, `…/net_force`, `…/torque` | [`forces`] |
-//! | `/forces/NAME/CAUSE`, `/strongest/…`, `/world/resultants` | [`body_forces`] |
+//! | `/forces/NAME/CAUSE`, `/strongest/…`, `/world/resultants/…` | [`body_forces`] |
 //! | `/ranking/pairs` | [`changes`] |
 //! | style of `/ranking/…` and `/timings/ranking` | [`ranking`] |
 //! | `/world/merged/surface`, `/world/merged/seams` | [`merged`] |
@@ -21,7 +21,7 @@
 //! | `/legend/…`, `/largest`, `/displacement` | [`heat`] |
 //! | `/touching/MODEL` | [`touching`] |
 //! | `/marks/…` | [`marks`] |
-//! | `/world/pairs`, `/world/names` | [`lines`] |
+//! | `/world/pairs`, `/world/names`, and labels of bodies | [`lines`] |
 //! | `/world/recent`, `/recent/pair` | [`recent`] |
 //! | `/largest`, `/stages/furthest`, and `/world/worst` of a comparison | [`callout`] |
 //! | values of single vertices, on the entities of their surfaces | [`vertices`] |
