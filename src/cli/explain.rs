@@ -88,6 +88,9 @@ pub fn explain(program: Program<'_>, arguments: &Arguments) -> Result<(), Failur
     if wanted.is_default && found > LISTED {
         let _ = write!(text, "\n… and {} more pairs within reach: name them with --pair", found - LISTED);
     }
+    if wanted.is_default && bodies > 1 && found == 0 {
+        let _ = write!(text, "\nno pair is within reach: name one, such as --pair {}", schema.pair_name(0, 1));
+    }
     print_lines(text.trim_end());
     match &history.failure {
         Some(failure) => Err(Failure::Run(failure.clone())),

@@ -1363,6 +1363,8 @@ fn a_step_is_explained() {
     assert!(vertex.contains("in the influence sphere of b") && !vertex.contains("pair"), "{vertex}");
     let pair = explain(&["two", "--step", "0", "--pair", "b~a"]).succeeded().out;
     assert!(pair.contains("pair a~b: apart since the start") && pair.contains("next: merge"), "{pair}");
+    let far = explain(&["two", "--step", "0"]).succeeded().out;
+    assert!(far.ends_with("no pair is within reach: name one, such as --pair a~b\n"), "{far}");
     for (options, part) in [
         (&["two", "--step", "301"][..], "--step 301 is beyond the last step of two, 300"),
         (&["two", "--step", "1", "--body", "c"], "--body: there is no body \"c\""),
