@@ -302,7 +302,7 @@ impl Recorder {
             durations: Some(parts.numbers.totals()),
             fastest: parts.numbers.fastest(),
             longest_wait: parts.numbers.longest_wait(),
-            distances: parts.pairs.axis(),
+            distances: parts.pairs.axis(&parts.series),
             lines: parts.series.outlines().collect(),
             pairs,
             stages: self.opening_stages,
@@ -598,7 +598,7 @@ impl Recorder {
             parts.series.extend_all(&mut self.chunks);
             parts.numbers.log_ranking(&mut self.chunks);
             if self.flight.is_none() {
-                let level = parts.pairs.axis().map(|axis| axis.ends[0]);
+                let level = parts.pairs.axis(&parts.series).map(|axis| axis.ends[0]);
                 marks::log_ends([first, self.at], level, &mut self.chunks);
                 let told = parts.told(&self.schema);
                 parts.pairs.log_events_of_told(&self.schema, &told, &mut self.chunks);
@@ -639,7 +639,7 @@ impl Recorder {
 impl FrameParts {
     /// The pairs that have plots worth a look in the layout.
     fn told(&self, schema: &Schema) -> Told {
-        self.pairs.told(schema, self.focus.focus().map_or(0.0, |focus| focus.time))
+        self.pairs.told(schema, &self.series, self.focus.focus().map_or(0.0, |focus| focus.time))
     }
 
     /// Logs static data.

@@ -254,8 +254,9 @@ impl Layout {
         }
         parts.push(self.events());
         let mut shares = vec![1.0; parts.len()];
-        // rows have the height of their labels
-        shares[0] = if is_ranked(schema) { 1.7 } else { 1.0 };
+        if is_ranked(schema) {
+            shares[0] = 1.7; // rows have the height of their labels
+        }
         let right = self.container(ContainerKind::Vertical, "Measures", parts, &shares);
         self.container(ContainerKind::Horizontal, "Surface", vec![view, right], &[1.6, 1.0])
     }
@@ -473,7 +474,7 @@ impl Layout {
             true,
             &[],
         );
-        let title = format!("{TIMINGS}; a line: wait");
+        let title = format!("{TIMINGS}; line: wait");
         let stages = vec![self.stacked(&title, schema, false, &[including(&TIMING.of(&[numbers::WAIT]))]), recording];
         for plot in &stages {
             // the ranking names the colours

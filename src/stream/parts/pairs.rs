@@ -65,8 +65,6 @@ pub struct PairPlots {
     /// Scratch storage, reused.
     next_in_reach: BTreeSet<(usize, usize)>,
     new: Vec<PairFrame>,
-    /// Smallest and largest q in any plot.
-    plotted: Option<[f64; 2]>,
     /// The pairs of the current frame that have their own entities.
     shown: Vec<[usize; 2]>,
     /// The error over the tolerance that was logged last, while the error exceeds the tolerance.
@@ -82,22 +80,14 @@ pub struct Axis {
     pub beyond: Vec<(usize, usize)>,
 }
 
-fn extended(range: Option<[f64; 2]>, number: f64) -> [f64; 2] {
-    range.map_or([number; 2], |[low, high]| [low.min(number), high.max(number)])
-}
-
 struct PairPlot {
     phase: String,
     /// The first changes of its phase, up to [`MOST_CHANGES`].
     changes: Vec<PairEvent>,
     /// Whether its surfaces touched or its phase joined them.
     has_met: bool,
-    /// Smallest and largest q.
-    range: Option<[f64; 2]>,
     distance: LineId,
     thresholds: Vec<(LineId, usize)>,
-    /// Smallest and largest level of each of these.
-    levels: Vec<Option<[f64; 2]>>,
     /// Lines of gap, overlap and neck.
     measures: [LineId; 3],
     /// Lines of the scalars of the schema.
@@ -135,8 +125,8 @@ pub struct Told {
 
 impl PairPlot {
     /// Whether q stays the same, but for what resting bodies tremble.
-    fn is_still(&self) -> bool {
-        self.range.is_none_or(|[low, high]| high - low < STILL)
+    fn is_still(&self, series: &Series) -> bool {
+        series.outline(self.distance).range.is_none_or(|[low, high]| high - low < STILL)
     }
 }
 
@@ -184,30 +174,29 @@ impl PairPlots {
             in_reach: BTreeSet::new(),
             next_in_reach: BTreeSet::new(),
             new: Vec::new(),
-            plotted: None,
             shown: Vec::new(),
             shortfall: None,
         }
     }
 
     /// The pairs that have plots worth a look, those that change phase at about `opening` [s] among them.
-    pub fn told(&self, schema: &Schema, opening: f64) -> Told {
-        let of = |is_told: fn(&PairPlot) -> bool, first: &[(usize, usize)], most: usize| {
+    pub fn told(&self, schema: &Schema, series: &Series, opening: f64) -> Told {
+        let of = |is_told: &dyn Fn(&PairPlot) -> bool, first: &[(usize, usize)], most: usize| {
             // where nothing happens, the plots say so
             let is_any = self.known.values().any(is_told);
             let told = self.known.iter().filter(|(_, plot)| is_told(plot) || !is_any);
             let (mut told, others): (Vec<_>, Vec<_>) = told.partition(|(pair, _)| first.contains(pair));
             let count = told.len() + others.len();
-            told.extend(spread(others, opening, most.saturating_sub(told.len())));
+            told.extend(spread(others, series, opening, most.saturating_sub(told.len())));
             (told.into_iter().map(|(pair, _)| *pair).collect::<Vec<_>>(), count)
         };
-        let (moving, count) = of(|plot| !plot.changes.is_empty() || !plot.is_still(), &[], MOST_LINES);
+        let (moving, count) = of(&|plot| !plot.changes.is_empty() || !plot.is_still(series), &[], MOST_LINES);
         // lanes of the same pairs, and of others
-        let (mut changed, _) = of(|plot| !plot.changes.is_empty(), &moving, MOST_LANES);
+        let (mut changed, _) = of(&|plot| !plot.changes.is_empty(), &moving, MOST_LANES);
         let others = self.known.iter().filter(|(pair, _)| !changed.contains(pair)).collect();
-        let others = spread(others, opening, FEW_LANES.saturating_sub(changed.len()));
+        let others = spread(others, series, opening, FEW_LANES.saturating_sub(changed.len()));
         changed.extend(others.into_iter().map(|(pair, _)| *pair));
-        let (met, _) = of(|plot| plot.has_met, &moving, MOST_LANES);
+        let (met, _) = of(&|plot| plot.has_met, &moving, MOST_LANES);
         let left_out = count - moving.len();
         let [moving, changed, met] = [moving, changed, met]
             .map(|pairs| pairs.into_iter().map(|(a, b)| schema.pair_name(a, b)).collect::<Vec<_>>());
@@ -243,20 +232,22 @@ impl PairPlots {
     }
 
     /// The axis of plots of q; `None` without a plot.
-    pub fn axis(&self) -> Option<Axis> {
+    pub fn axis(&self, series: &Series) -> Option<Axis> {
         /// How far from q, as a ratio to its range.
         const FAR: f64 = 1.5;
         /// A range of q that leaves thresholds room [–].
         const LEAST: f64 = 0.2;
 
-        let [low, high] = self.plotted?;
+        let extended = |[low, high]: [f64; 2], by: [f64; 2]| [low.min(by[0]), high.max(by[1])];
+        let of_q = self.known.values().filter_map(|plot| series.outline(plot.distance).range);
+        let [low, high] = of_q.reduce(extended)?;
         let margin = FAR * (high - low).max(LEAST);
         let is_near = |level: &[f64; 2]| level[1] >= low - margin && level[0] <= high + margin;
-        let levels = |plot: &PairPlot| plot.levels.iter().flatten().copied().collect::<Vec<_>>();
-        let near = self.known.values().flat_map(levels).filter(is_near).flatten();
-        let near = near.map(|level| level.max(low - margin).min(high + margin));
-        let ends = near.fold([low, high], |[low, high], level| [low.min(level), high.max(level)]);
-        let is_beyond = |plot: &PairPlot| levels(plot).iter().any(|level| !is_near(level));
+        let level = |&(line, _): &(LineId, usize)| series.outline(line).range;
+        let near = self.known.values().flat_map(|plot| plot.thresholds.iter().filter_map(level)).filter(is_near);
+        let near = near.map(|level| level.map(|end| end.max(low - margin).min(high + margin)));
+        let ends = near.fold([low, high], extended);
+        let is_beyond = |plot: &PairPlot| plot.thresholds.iter().filter_map(level).any(|level| !is_near(&level));
         let beyond = self.known.iter().filter(|(_, plot)| is_beyond(plot)).map(|(pair, _)| *pair);
         Some(Axis { ends, beyond: beyond.collect() })
     }
@@ -349,12 +340,9 @@ impl PairPlots {
                 series.log_or_interrupt(chunks, line, value, at);
             }
             series.log(chunks, known.distance, pair.q, at);
-            known.range = Some(extended(known.range, pair.q));
-            self.plotted = Some(extended(self.plotted, pair.q));
-            for (&(line, threshold), range) in known.thresholds.iter().zip(&mut known.levels) {
+            for &(line, threshold) in &known.thresholds {
                 let Some(level) = view.schema.level(threshold, [pair.a, pair.b], at.time) else { continue };
                 series.log(chunks, line, level, at);
-                *range = Some(extended(*range, level));
                 // A constant line has no new values, but should keep up with a live plot.
                 if frame.is_multiple_of(THRESHOLD_FRAMES) {
                     series.extend(chunks, line);
@@ -396,19 +384,17 @@ impl PairPlots {
             if self.known.len() >= max || !self.is_shown(schema, &pair) {
                 return None;
             }
-            let mut pair = PairPlot::new(schema, a, b, palette::distance(self.known.len()), series, chunks);
+            let pair = PairPlot::new(schema, a, b, palette::distance(self.known.len()), series, chunks);
             let before = self.kept.remove(&(a, b)).unwrap_or_default();
             let since = before.front().map_or(at, |&(since, _)| since);
             chunks.log(&pair.phase, since, &StateChange::single(schema.phases[phase].name));
             for (at, q) in before {
                 series.log(chunks, pair.distance, q, at);
-                pair.range = Some(extended(pair.range, q));
                 for &(line, threshold) in &pair.thresholds {
                     if let Some(level) = schema.level(threshold, [a, b], at.time) {
                         series.log(chunks, line, level, at);
                     }
                 }
-                self.plotted = Some(extended(self.plotted, q));
                 self.in_reach.insert((a, b));
             }
             self.known.insert((a, b), pair);
@@ -452,7 +438,7 @@ type Known<'p> = (&'p (usize, usize), &'p PairPlot);
 
 /// Of many pairs, the one that changes phase nearest to `opening` [s], and others that do so at times spread over the run;
 /// then those that come closest.
-fn spread<'p>(mut pairs: Vec<Known<'p>>, opening: f64, most: usize) -> Vec<Known<'p>> {
+fn spread<'p>(mut pairs: Vec<Known<'p>>, series: &Series, opening: f64, most: usize) -> Vec<Known<'p>> {
     if pairs.len() <= most {
         return pairs;
     }
@@ -465,7 +451,7 @@ fn spread<'p>(mut pairs: Vec<Known<'p>>, opening: f64, most: usize) -> Vec<Known
     for time in times {
         let away =
             |plot: &PairPlot| plot.changes.iter().map(|event| (event.time - time).abs()).fold(f64::INFINITY, f64::min);
-        let closest = |plot: &PairPlot| plot.range.map_or(f64::INFINITY, |[low, _]| low);
+        let closest = |plot: &PairPlot| series.outline(plot.distance).range.map_or(f64::INFINITY, |[low, _]| low);
         let nearest = (0..pairs.len()).min_by(|&x, &y| {
             let [x, y] = [x, y].map(|index| pairs[index].1);
             away(x).total_cmp(&away(y)).then(closest(x).total_cmp(&closest(y)))
@@ -512,7 +498,7 @@ impl PairPlot {
             Series::style(chunks, &entity, &name, threshold.color, 1.0, Interpolation::Step);
             Some((series.line(chunks, &entity, Interpolation::Step), index))
         });
-        let thresholds: Vec<(LineId, usize)> = thresholds.collect();
+        let thresholds = thresholds.collect();
         let names = || schema.phases.iter().map(|phase| phase.name);
         let lane = StateConfiguration::new()
             .with_values(names())
@@ -543,10 +529,8 @@ impl PairPlot {
         PairPlot {
             changes: Vec::new(),
             has_met: false,
-            range: None,
             phase,
             distance,
-            levels: vec![None; thresholds.len()],
             thresholds,
             measures,
             scalars,
