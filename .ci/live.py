@@ -94,6 +94,13 @@ def check(page, folder):
     page.evaluate(SET, [split, "1.18"])
     until(page, "document.querySelector('#toml').textContent.includes('[[edit]]') && run.levels.length > 0", 30)
     page.locator("#branch").click()
+    # a branch before another leaves it as it is
+    page.evaluate("seek(cursor - 30)")
+    page.locator("#branch").click()
+    page.evaluate(SET, [split, "1.17"])
+    edits = "[...document.querySelector('#toml').textContent.matchAll(/split_at\" = 1.1[0-9]*/g)].map(String).join()"
+    until(page, f"{edits} === 'split_at\" = 1.17,split_at\" = 1.18'", 30)
+    page.locator("#branch").click()
     page.locator('details[data-group="poke"] summary').click()
     page.locator("#poke").click()
     until(page, "document.querySelector('#toml').textContent.includes('[[point]]')", 30)

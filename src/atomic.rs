@@ -6,7 +6,7 @@
 //! of this process.
 
 use std::{
-    ffi::OsString,
+    ffi::{OsStr, OsString},
     fs::{self, File, OpenOptions},
     io::{self, Write},
     path::{Path, PathBuf},
@@ -76,6 +76,11 @@ fn sync_folder(path: &Path) {
     File::open(folder).and_then(|folder| folder.sync_all()).ok();
 }
 
+/// The start of the temporary name of a file: hidden, and short enough for the rest wherever the file's own name is.
+pub fn temporary_start(name: &OsStr) -> String {
+    format!(".{}.", name.to_string_lossy().chars().take(50).collect::<String>())
+}
+
 /// A name that no other process has: `start`, random digits, `end`.
 ///
 /// # Errors
@@ -86,6 +91,28 @@ pub fn unique_name(start: impl Into<OsString>, end: &str) -> io::Result<OsString
     let mut name = start.into();
     name.push(format!("{:016x}{end}", u64::from_le_bytes(bytes)));
     Ok(name)
+}
+
+/// What to do about a file that cannot be written, for the end of a message.
+pub fn remedy(path: &Path, error: &io::Error) -> String {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty() && !folder.is_dir());
+    if let (io::ErrorKind::NotFound, Some(folder)) = (error.kind(), folder) {
+        return format!("there is no directory {}: create it first", folder.display());
+    }
+    let remedy = match error.kind() {
+        io::ErrorKind::StorageFull => "the disk is full: make room or save elsewhere",
+        io::ErrorKind::QuotaExceeded => "your disk quota is used up: make room or save elsewhere",
+        io::ErrorKind::FileTooLarge => "the file system or a limit (`ulimit -f`) allows no larger file: save elsewhere",
+        io::ErrorKind::PermissionDenied => "you have no write permission there: save elsewhere",
+        io::ErrorKind::ReadOnlyFilesystem => "the file system is read-only: save elsewhere",
+        io::ErrorKind::BrokenPipe => "the program that was reading it has gone",
+        io::ErrorKind::InvalidFilename => {
+            "the system does not allow that name, or its temporary one: choose another, shorter one"
+        }
+        io::ErrorKind::IsADirectory => "that is a directory: give the name of a file",
+        _ => "save elsewhere",
+    };
+    remedy.to_owned()
 }
 
 /// The destination that a path leads to, with the links in it resolved; the file need not exist.
@@ -130,10 +157,7 @@ impl AtomicFile {
     pub fn create(path: &Path) -> io::Result<AtomicFile> {
         let destination = destination(path);
         let name = destination.file_name().ok_or(io::ErrorKind::IsADirectory)?;
-        let mut start = OsString::from(".");
-        start.push(name);
-        start.push(".");
-        let temporary = destination.with_file_name(unique_name(start, PARTIAL)?);
+        let temporary = destination.with_file_name(unique_name(temporary_start(name), PARTIAL)?);
         let file = Some(create_new(&temporary)?);
         Ok(AtomicFile { destination, temporary, file })
     }

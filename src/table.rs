@@ -16,7 +16,7 @@ use std::{
 use parquet::{arrow::ArrowWriter, basic::Compression, errors::ParquetError, file::properties::WriterProperties};
 
 use crate::{
-    atomic::AtomicFile,
+    atomic::{self, AtomicFile},
     sdk::arrow::{
         array::{ArrayRef, Float64Builder, Int64Builder, ListBuilder, RecordBatch, StringBuilder, UInt64Builder},
         datatypes::{DataType, Field, Schema},
@@ -173,7 +173,7 @@ impl Table {
             )));
         };
         may_replace(path, &columns)?;
-        let failed = |error: io::Error| TableError::Refused(format!("cannot write {}: {error}", path.display()));
+        let failed = |error: io::Error| TableError::Refused(unwritable(path, &error));
         let file = AtomicFile::create(path).map_err(failed)?;
         let to = BufWriter::new(file.handle().map_err(failed)?);
         let writer = Writer::new(format, &columns, to).map_err(failed)?;
@@ -199,7 +199,11 @@ impl Table {
 }
 
 fn write_failed(path: &Path, error: &io::Error) -> TableError {
-    TableError::Failed(format!("cannot write {}: {error}", path.display()))
+    TableError::Failed(unwritable(path, error))
+}
+
+fn unwritable(path: &Path, error: &io::Error) -> String {
+    format!("cannot write {}: {error}; {}", path.display(), atomic::remedy(path, error))
 }
 
 /// Checks that a table with these columns may be put at `path`.

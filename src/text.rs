@@ -2,6 +2,7 @@
 
 use std::{borrow::Cow, sync::OnceLock};
 
+use glam::DVec3;
 use unit_prefix::NumberPrefix;
 
 /// The name under which the program was started, for texts that say what to type.
@@ -110,6 +111,15 @@ pub fn short(x: f64) -> String {
 #[cfg(feature = "cli")]
 pub fn number(x: f64) -> String {
     if x >= 100.0 { thousands(x.round() as u64) } else { significant(x) }
+}
+
+/// A vector in full precision, which is single for recorded positions.
+pub fn vector(v: &DVec3) -> String {
+    let [x, y, z] = v.to_array().map(|x| match x as f32 {
+        single if f64::from(single) == x => format!("{single:?}"),
+        _ => format!("{x:?}"),
+    });
+    format!("({x}, {y}, {z})")
 }
 
 /// `; did you mean "…"?` with the closest of the `known` words, or nothing if none is close.

@@ -342,5 +342,5 @@ fn begin_diagram(path: &Path) -> Result<AtomicFile, Failure> {
 }
 
 fn unwritable(path: &Path, error: &std::io::Error) -> Failure {
-    Failure::Run(format!("cannot write {}: {error}; write it elsewhere", path.display()))
+    Failure::Run(format!("cannot write {}: {error}; {}", path.display(), atomic::remedy(path, error)))
 }

@@ -17,7 +17,7 @@ use super::{
     print,
     program::{Program, Subject},
     progress::{Progress, Work},
-    say, vector,
+    say,
 };
 use crate::{
     atomic::{self, AtomicFile},
@@ -28,7 +28,7 @@ use crate::{
         golden::{self, Blessed, GoldenDifference, GoldenOutcome, Moved},
     },
     stream::{settings::application, sinks::Complete},
-    text::{self, bytes, counted, thousands},
+    text::{self, bytes, counted, thousands, vector},
 };
 
 /// The folder to check if no path is given.
@@ -191,7 +191,7 @@ fn report(name: &str, difference: &GoldenDifference, is_accepted: bool) {
                     }
                 ));
                 let vertex = vertices.first().copied().unwrap_or_default();
-                print(&format!("    displacement of vertex {vertex} there now: {}", vector(first.displacement)));
+                print(&format!("    displacement of vertex {vertex} there now: {}", vector(&first.displacement)));
             }
         }
     }
@@ -203,8 +203,8 @@ fn report(name: &str, difference: &GoldenDifference, is_accepted: bool) {
             worst.time,
             worst.body,
             worst.vertex,
-            vector(worst.recorded),
-            vector(worst.found),
+            vector(&worst.recorded),
+            vector(&worst.found),
             worst.difference,
             if difference.is_within_tolerance { "within" } else { "BEYOND" },
             thousands(worst.vertices as u64),
@@ -215,7 +215,7 @@ fn report(name: &str, difference: &GoldenDifference, is_accepted: bool) {
         None => {}
     }
     if let Some(Moved { step, body, places: [then, now] }) = &difference.moved {
-        let place = |(radius, centre): &(f64, DVec3)| format!("radius {radius}, centre {}", vector(*centre));
+        let place = |(radius, centre): &(f64, DVec3)| format!("radius {radius}, centre {}", vector(centre));
         print(&format!(
             "  at step {step}: body \"{body}\" has {}, in the golden recording {}; no displacement differs",
             place(now),

@@ -242,7 +242,9 @@ impl Folder<'_> {
     /// Writes a file atomically; returns its size [bytes].
     fn write(&self, step: u64, parts: &[parts::Part]) -> Result<u64, Failure> {
         let path = self.file(step);
-        let failed = |error| Failure::Run(format!("cannot write {}: {error}", path.display()));
+        let failed = |error| {
+            Failure::Run(format!("cannot write {}: {error}; {}", path.display(), atomic::remedy(&path, &error)))
+        };
         if path.symlink_metadata().is_ok() && !is_ours(&path) {
             let path = path.display();
             return Err(Failure::Run(format!("{path} was not written by meldscope and is not replaced")));

@@ -405,8 +405,3 @@ fn is_same_file(a: &Path, b: &Path) -> bool {
     let are_files = [a, b].into_iter().all(|path| path.is_file());
     are_files && same_file::is_same_file(a, b).unwrap_or(false)
 }
-
-/// A vector in full precision.
-fn vector(v: glam::DVec3) -> String {
-    format!("({:?}, {:?}, {:?})", v.x, v.y, v.z)
-}

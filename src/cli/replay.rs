@@ -6,7 +6,7 @@ use super::{
     Failure, may_print, may_save, print,
     program::Program,
     progress::{Progress, Work},
-    say, say_note, sink_failure, vector,
+    say, say_note, sink_failure,
 };
 use crate::{
     observe::{Frame, Run, Schema, Simulation, Want},
@@ -25,7 +25,7 @@ use crate::{
         settings::{DETAILS, Detail, Frames, Settings, application},
         sinks::{Destinations, Sinks},
     },
-    text::{bytes, counted, thousands},
+    text::{bytes, counted, thousands, vector},
 };
 
 #[derive(clap::Args)]
@@ -159,8 +159,8 @@ fn verify(arguments: &Arguments, recorded: &Recorded, name: &str) -> Result<(), 
                         "  worst {at}: body \"{}\", vertex {}: {} recorded, {} now, from the centre: {:.3e} radii apart; {} differ",
                         worst.body,
                         worst.vertex,
-                        vector(worst.recorded),
-                        vector(worst.found),
+                        vector(&worst.recorded),
+                        vector(&worst.found),
                         worst.difference,
                         counted(worst.vertices as u64, "vertex")
                     ));

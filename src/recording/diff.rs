@@ -26,7 +26,7 @@ use crate::{
         settings::Frames,
         sinks::{Saved, SinkError},
     },
-    text::{counted, step_size, thousands},
+    text::{counted, step_size, thousands, vector},
 };
 
 /// Instants at most this far apart are equal [s]; recordings have a resolution of one nanosecond.
@@ -91,7 +91,7 @@ impl fmt::Display for Difference {
             _ => {}
         }
         if let Some(Worst { body, difference, vertex, time, step, recorded, found, .. }) = &self.first_beyond {
-            let [recorded, found] = [recorded, found].map(|at| format!("({:?}, {:?}, {:?})", at.x, at.y, at.z));
+            let [recorded, found] = [recorded, found].map(vector);
             write!(
                 f,
                 "\nfirst beyond tolerance: step {step} (t = {time:.6} s), body \"{body}\", vertex {vertex}: {recorded} and \

@@ -15,7 +15,7 @@ let cursor = 0; // step
 let playing = false;
 let values = new Map(); // changed values by key
 let branches = []; // [{ time, values: Map }] in order of time: values from an instant on, each an [[edit]] of the scene
-let isBranching = false; // whether changes go to the last branch
+let branch = null; // the one of them that changes go to
 let poke = null; // { body, at, radius, strength }: a force point
 let asked = 0; // number of the run that answers the newest change
 
@@ -98,7 +98,7 @@ const handlers = {
     if (message.page === page) return;
     values = new Map(Object.entries(message.values));
     branches = message.branches.map(({ time, values }) => ({ time, values: new Map(Object.entries(values)) }));
-    isBranching = false;
+    branch = null;
     poke = message.poke;
     showSliders();
     showChanges();
@@ -122,7 +122,7 @@ const handlers = {
     const which = message.every > 1 ? `, of late every ${message.every} steps` : "";
     say(`run ${message.number}: ${run.outcome}; simulated in ${run.simulated_ms.toFixed(1)} ms, ${message.frames} frames in ${message.ms.toFixed(0)} ms${which}${warned()}`);
   },
-  marks: ({ number, key, marks }) => number >= asked && !isSending && !isBranching && showMarks(key, marks),
+  marks: ({ number, key, marks }) => number >= asked && !isSending && !branch && showMarks(key, marks),
   problem: (problem) => showProblem(problem),
   saved: ({ text }) => ($("saved").textContent = text),
 };
@@ -149,21 +149,22 @@ const rows = new Map(); // the elements of each parameter by key
 const parameterOf = (key) => rows.get(key);
 const shown = (value) => String(Number(value.toPrecision(6)));
 
-// The value that a slider shows: at the end of the run, if changes go to a branch; else at its start.
+// The value that a slider shows: from the branch's instant on, if changes go to one; else at the start.
 function valueOf(parameter) {
-  const later = isBranching ? branches.findLast((branch) => branch.values.has(parameter.key)) : undefined;
-  return later?.values.get(parameter.key) ?? values.get(parameter.key) ?? parameter.value;
+  const until = branch?.time ?? -Infinity;
+  const last = branches.findLast(({ time, values }) => time <= until && values.has(parameter.key));
+  return last?.values.get(parameter.key) ?? values.get(parameter.key) ?? parameter.value;
 }
 
 function change(parameter, value) {
   if (mistyped?.key === parameter.key) mistyped = null;
-  if (isBranching && parameter.can_branch) {
-    branches.at(-1).values.delete(parameter.key);
-    if (value !== valueOf(parameter)) branches.at(-1).values.set(parameter.key, value);
+  if (branch && parameter.can_branch) {
+    branch.values.delete(parameter.key);
+    if (value !== valueOf(parameter)) branch.values.set(parameter.key, value);
   } else if (value === parameter.value) values.delete(parameter.key);
   else values.set(parameter.key, value);
   rows.get(parameter.key).show();
-  send(isBranching ? undefined : parameter.key);
+  send(branch ? undefined : parameter.key);
 }
 
 function clearMarks(except) {
@@ -257,7 +258,7 @@ function slider(parameter) {
     row.classList.toggle("changed", value !== parameter.value);
   };
   track.addEventListener("input", () => change(parameter, Number(track.value)));
-  track.addEventListener("change", () => isBranching || post("thresholds", { key: parameter.key }));
+  track.addEventListener("change", () => branch || post("thresholds", { key: parameter.key }));
   exact.addEventListener("change", () => {
     const value = Number(exact.value.trim());
     if (exact.value.trim() === "" || !Number.isFinite(value)) {
@@ -333,19 +334,19 @@ function showChanges() {
   $("unflagged").hidden = poke === null && branches.every(({ values }) => values.size === 0);
   $("reset").disabled = values.size === 0 && branches.length === 0 && poke === null;
   $("branches").replaceChildren(
-    ...branches.map((branch) => {
+    ...branches.map((one) => {
       const remove = element("button", { title: "take this branch away", ariaLabel: "take this branch away" }, "✕");
       remove.addEventListener("click", () => {
-        branches = branches.filter((other) => other !== branch);
-        isBranching &&= branches.length > 0;
+        branches = branches.filter((other) => other !== one);
+        if (branch === one) branch = null;
         showAll();
         send();
       });
-      return element("li", {}, `from ${branch.time.toFixed(4)} s: ${branch.values.size} changed `, remove);
+      return element("li", {}, `from ${one.time.toFixed(4)} s: ${one.values.size} changed `, remove);
     }),
   );
-  $("branch").setAttribute("aria-pressed", String(isBranching));
-  $("branch").textContent = isBranching ? `Changing from ${branches.at(-1).time.toFixed(4)} s on` : "Branch here";
+  $("branch").setAttribute("aria-pressed", String(branch !== null));
+  $("branch").textContent = branch ? `Changing from ${branch.time.toFixed(4)} s on` : "Branch here";
 }
 
 function showAll() {
@@ -354,15 +355,13 @@ function showAll() {
 }
 
 $("branch").addEventListener("click", () => {
-  isBranching = !isBranching;
   branches = branches.filter(({ values }) => values.size > 0);
-  if (isBranching) {
-    // what came later would be changed by what is now before it
+  if (branch) branch = null;
+  else {
     const time = cursor * scene.dt;
-    const later = branches.filter((branch) => branch.time > time);
-    branches = branches.filter((branch) => branch.time <= time);
-    if (branches.at(-1)?.time !== time) branches.push({ time, values: new Map() });
-    if (later.length > 0) send();
+    branch = branches.find((one) => one.time === time) ?? { time, values: new Map() };
+    if (!branches.includes(branch)) branches.push(branch);
+    branches.sort((one, other) => one.time - other.time);
   }
   clearMarks();
   showAll();
@@ -371,7 +370,7 @@ $("branch").addEventListener("click", () => {
 $("reset").addEventListener("click", () => {
   values = new Map();
   branches = [];
-  isBranching = false;
+  branch = null;
   poke = null;
   showSliders();
   send();

@@ -5,6 +5,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use crate::atomic;
 use crate::sdk;
 use crate::text::counted;
 
@@ -126,19 +127,10 @@ impl SinkError {
 }
 
 /// Advice for an error of a file that is being written.
-pub(super) fn file_help(source: &io::Error, kept: Option<&Path>) -> String {
-    let remedy = match source.kind() {
-        io::ErrorKind::StorageFull => "the disk is full: make room or save elsewhere",
-        io::ErrorKind::QuotaExceeded => "your disk quota is used up: make room or save elsewhere",
-        io::ErrorKind::FileTooLarge => "the file system or a limit (`ulimit -f`) allows no larger file: save elsewhere",
-        io::ErrorKind::PermissionDenied => "you have no write permission there: save elsewhere",
-        io::ErrorKind::ReadOnlyFilesystem => "the file system is read-only: save elsewhere",
-        io::ErrorKind::BrokenPipe => "the program that was reading it has gone",
-        io::ErrorKind::IsADirectory => "that is a directory: give the name of a file",
-        _ => "save elsewhere",
-    };
+pub(super) fn file_help(path: &Path, source: &io::Error, kept: Option<&Path>) -> String {
+    let remedy = atomic::remedy(path, source);
     match kept {
         Some(kept) => format!("{remedy}; the data written so far is in {}", kept.display()),
-        None => remedy.to_owned(),
+        None => remedy,
     }
 }

@@ -69,12 +69,7 @@ impl Claim {
         let resolved = if is_link { std::fs::canonicalize(path).ok() } else { None };
         let path = &resolved.unwrap_or_else(|| path.to_owned());
         let file_error = |doing, source: io::Error| {
-            let help = match (source.kind(), path.parent().filter(|parent| !parent.as_os_str().is_empty())) {
-                (io::ErrorKind::NotFound, Some(parent)) if !parent.is_dir() => {
-                    format!("there is no directory {}: create it first", parent.display())
-                }
-                _ => file_help(&source, None),
-            };
+            let help = file_help(path, &source, None);
             SinkError::File { doing, path: path.clone(), source: Arc::new(source), help }
         };
         let taken = |what: &str| SinkError::taken(path, what);
@@ -252,14 +247,11 @@ impl Target {
     fn error(&self, doing: &'static str, source: io::Error) -> SinkError {
         match self {
             Target::File { path, partial } => {
-                let help = file_help(&source, partial.as_deref());
+                let help = file_help(path, &source, partial.as_deref());
                 SinkError::File { doing, path: path.clone(), source: Arc::new(source), help }
             }
             Target::Stdout => {
-                let help = match source.kind() {
-                    io::ErrorKind::BrokenPipe => "the program that was reading it has gone".to_owned(),
-                    _ => file_help(&source, None),
-                };
+                let help = file_help(Path::new(""), &source, None);
                 SinkError::Stdout { source: Arc::new(source), help }
             }
         }
