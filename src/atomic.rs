@@ -141,7 +141,7 @@ pub fn write_new(path: &Path, text: &str) -> io::Result<()> {
     file.commit_new()
 }
 
-/// A file in the making, under a temporary name; removed when dropped.
+/// A file being written, under a temporary name; removed when dropped.
 pub struct AtomicFile {
     destination: PathBuf,
     temporary: PathBuf,

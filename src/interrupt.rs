@@ -1,4 +1,4 @@
-//! Flags that end what takes long.
+//! Flags that interrupt long-running work.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 

@@ -24,7 +24,7 @@
 //! not unions ([`surfaces`](observe::Schema::surfaces)). Vectors are those of [`glam`], which this crate re-exports in the version
 //! that it takes, and so is [`toml`].
 //!
-//! [`observe::verify()`] says in sentences what such an implementation gets wrong. Then it is recorded, replayed, compared
+//! [`observe::verify()`] reports mistakes of an implementation in plain sentences. Then it is recorded, replayed, compared
 //! and checked, which restarts it with `Octahedra::read`:
 //!
 //! ```ignore
@@ -66,7 +66,7 @@
 //! | [`hash`] | hashes of exact states | | |
 //! | `random` | random numbers, the same on every machine | `hash` | |
 //! | `disjoint_sets` | sets of what is connected | | |
-//! | `interrupt` | flags that end what takes long | | |
+//! | `interrupt` | flags that interrupt long-running work | | |
 //! | `parallel` | work on several threads | | |
 //! | [`geometry`] | rest shapes (positions, normals, triangles, masses) and the union of overlapping surfaces | `random`, `disjoint_sets`, `interrupt`, `parallel` | |
 //! | [`colors`] | a palette | | |

@@ -48,7 +48,7 @@ impl Random {
 mod tests {
     use super::*;
 
-    /// Scenes and benchmarks name seeds: their numbers stay what they are.
+    /// Scenes and benchmarks name seeds: their sequences must not change.
     #[test]
     fn the_sequence_is_that_of_splitmix64() {
         let mut random = Random::new(0);

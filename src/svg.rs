@@ -25,13 +25,13 @@ pub enum Anchor {
     End,
 }
 
-/// A diagram in the making. Positions are in pixels, from the upper left corner.
+/// A diagram being drawn. Positions are in pixels, from the upper left corner.
 pub struct Svg {
     text: String,
 }
 
 impl Svg {
-    /// An empty diagram on white ground.
+    /// An empty diagram on a white background.
     pub fn new([width, height]: [f64; 2]) -> Svg {
         let text = format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} {height}\" \

@@ -1,4 +1,4 @@
-//! The progress of work that takes long, on standard error: on a terminal, a line that is rewritten from the first
+//! The progress of long-running work, on standard error: on a terminal, a line that is rewritten from the first
 //! second on; elsewhere, a line every ten seconds.
 
 use std::{

@@ -175,7 +175,7 @@ fn events() -> String {
     );
     let outcomes = Outcome::ALL.map(|outcome| (outcome.name(), outcome.about()));
     list(
-        "Outcomes of a sweep's runs; of several pairs, merged goes before passed, split, bounced and apart",
+        "Outcomes of a sweep's runs; of several pairs, merged takes precedence over passed, split, bounced and apart",
         &outcomes,
     );
     text.truncate(text.trim_end().len());

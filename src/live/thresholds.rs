@@ -23,7 +23,7 @@ pub struct Mark {
 
 /// Finds the values of a parameter, in its range, at which the outcome of a run changes: by bisection, wherever it
 /// differs between two of `SAMPLES` values. There are none of a parameter that does not exist. `None` if `is_current` says that
-/// nobody waits for them any more.
+/// the result is no longer needed.
 pub fn find(
     experiment: &dyn Experiment,
     variation: &Variation,
@@ -80,7 +80,7 @@ enum Outcome {
     None,
 }
 
-/// `None` if nobody waits for it any more.
+/// `None` if the result is no longer needed.
 fn outcome(experiment: &dyn Experiment, variation: &Variation, is_current: &dyn Fn() -> bool) -> Option<Outcome> {
     let Ok(varied) = experiment.varied(variation) else { return Some(Outcome::None) };
     let Ok(mut simulation) = varied.start() else { return Some(Outcome::None) };

@@ -18,11 +18,11 @@ pub struct PairLaw {
     pub thresholds: Thresholds,
     /// Width in q of the change of strength at the rim of the core [–]; 0 for a jump.
     pub core_width: f64,
-    /// What of the core holds only for pairs with a free body.
+    /// Which settings of the core apply only to pairs with a free body.
     pub for_free: ForFree,
 }
 
-/// What of a [`PairLaw`] holds only for pairs with a free body; pairs of bodies on paths then have none.
+/// Which settings of a [`PairLaw`] apply only to pairs with a free body; pairs of bodies on paths then have none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ForFree {
     /// Nothing: all pairs have the same core.

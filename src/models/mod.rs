@@ -19,7 +19,7 @@
 //!
 //! [`side_by_side`] runs several of them as one simulation, and `meldscope bench models` measures them.
 //!
-//! Models import `sim`, `observe`, `scene`, `geometry` and `model`; none of these imports models.
+//! Models import `sim`, `observe`, `view`, `analysis`, `scene`, `geometry` and `model`; none of these imports models.
 //!
 //! # Claims of the thesis, and measurements
 //! `meldscope bench thesis` measures most of these claims again, and those of the other chapters.

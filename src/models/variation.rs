@@ -63,7 +63,7 @@ pub fn varied(run: &SceneRun, variation: &Variation) -> Result<Arc<dyn Experimen
     Ok(Arc::new(SceneRun { scene: Scene { integrator, model, ..scene }, options: run.options }))
 }
 
-/// An error in a text that nobody has seen: without its place.
+/// An error in generated text: without its place.
 struct SceneText<'a> {
     error: &'a crate::scene::SceneError,
     is_edit: bool,

@@ -10,7 +10,7 @@ use crate::model::{PairLaw, influence::Influence, phase::Thresholds, shape_match
 /// An edit this close to the end of a step is at its end but for rounding [Δt].
 pub(crate) const ROUNDING: f64 = 1e-9;
 
-/// An edit: from an instant on, and for good, some numbers of the scene have other values. Every force may jump at that
+/// An edit: from an instant on, some numbers of the scene have other values. Every force may jump at that
 /// instant, and a pair whose thresholds have passed its q changes phase.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Edit {

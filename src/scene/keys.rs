@@ -52,7 +52,7 @@ pub struct Key {
     pub kind: Kind,
     /// The unit of its number; empty without one.
     pub unit: &'static str,
-    /// What holds if it is missing.
+    /// Its value if it is missing.
     pub default: Fallback,
     /// The range in which its number usually is, for a slider.
     pub usual: Option<[f64; 2]>,
@@ -104,7 +104,7 @@ pub struct Text {
     pub accepts: fn(&str) -> bool,
 }
 
-/// What holds if a key is missing.
+/// The value of a key that is missing.
 #[derive(Clone, Copy, Debug)]
 pub enum Fallback {
     /// Nothing: the key is required.
@@ -260,7 +260,7 @@ pub(super) static TOP: [Key; 7] = [
         "radii/s",
         [1e-9, 1e-2],
         Written(Scene::DEFAULT_TOLERANCE, "1e-6"),
-        "Acceptable error of the integrator exponential, per unit of scene time; it sets the integrator's steps, which may be longer than dt. Above 1e-2: steps of dt.",
+        "Acceptable error of the integrator exponential, per unit of scene time; it sets the integrator's steps.",
     ),
     vector(
         "gravity",
@@ -737,7 +737,7 @@ duration = 0.1"
 );
 pub(super) static EDIT: Section = tables!(
     "edit",
-    "An edit: from an instant on, and for good, other values.",
+    "An edit: other values from an instant on.",
     &[&EDITS],
     &[],
     "[[edit]]

@@ -12,8 +12,7 @@
 //! dt = 0.0166666666             # step, s [1/60]
 //! duration = 4.0                # s
 //! integrator = "exponential"    # thesis | mps | euler | verlet | rk4 | exponential [exponential]
-//! tolerance = 1e-6              # acceptable error of exponential, radii/s: it sets the integrator's steps, which may be
-//!                               # longer than dt; above 1e-2: steps of dt [1e-6]
+//! tolerance = 1e-6              # acceptable error of exponential, radii/s: it sets the integrator's steps [1e-6]
 //! gravity = [0, 0, 0]           # acceleration of free bodies, scene unit/s² [0]
 //! model = "oscillators"         # of a soft body: oscillators | metaballs | lattice | fem [oscillators]
 //!
@@ -211,7 +210,7 @@ pub struct Scene {
     pub thresholds: Thresholds,
     /// Width in q over which the strength changes at the rim of the core [–]; 0 for a jump.
     pub core_width: f64,
-    /// What of the core holds only for pairs with a free body.
+    /// Which settings of the core apply only to pairs with a free body.
     pub for_free: ForFree,
     /// The laws of pairs that have their own; see [`Scene::law`].
     pub pairs: PairLaws,

@@ -386,7 +386,7 @@ fn read_direction(table: &Table<'_>, key: &keys::Key) -> Result<DVec3, SceneErro
     }
 }
 
-/// What holds for the bodies that do not have their own.
+/// The values of bodies that have none of their own.
 #[derive(Clone, Copy)]
 struct Inherited {
     material: Material,

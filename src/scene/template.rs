@@ -133,7 +133,7 @@ impl KeyPath {
 }
 
 impl Override {
-    /// Parses `KEY=VALUE`. The value is TOML; what is not TOML is a string without its quotes.
+    /// Parses `KEY=VALUE`. The value is TOML, or else a string without its quotes.
     ///
     /// # Errors
     /// The text is not a key and a value; the error says what was expected.

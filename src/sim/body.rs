@@ -1,4 +1,4 @@
-//! A body and a pair of the world at its current time, for whoever looks at them.
+//! Read access to a body and a pair of the world at its current time.
 
 use glam::{DQuat, DVec3};
 

@@ -4,8 +4,8 @@
 //! lead to bit-identical states.
 //!
 //! A change costs what the body in question costs, and, of a body that is added or removed, a look at the list of all
-//! others. [`World::add`] and [`World::remove`] build the world anew, in time proportional to its size, where bodies on paths
-//! and force points meet, and so does a change that brings the first free body or takes the last one: then all bodies wake.
+//! others. [`World::add`] and [`World::remove`] rebuild the world, in time proportional to its size, where bodies on paths and
+//! force points meet. A change that would bring the first free body or take the last one is refused after the first step.
 
 use super::{
     handle::{BodyHandle, BodyId},

@@ -78,11 +78,10 @@ impl PairPaths<'_> {
         (self.a.position(t) - self.b.position(t)).length() / self.radii
     }
 
-    /// Rate of change of q at time `t` [1/s].
+    /// Rate of change of q at time `t` [1/s]; 0 where the centres coincide.
     pub fn rate(&self, t: f64) -> f64 {
         let (a, b) = (self.a.at(t), self.b.at(t));
-        let apart = a.position - b.position;
-        apart.dot(a.velocity - b.velocity) / (apart.length() * self.radii)
+        (a.position - b.position).normalize_or_zero().dot(a.velocity - b.velocity) / self.radii
     }
 
     /// The phase changes in `(start, end]` of a pair that is in `phase` at `start`, in order: `(time, new phase)`.

@@ -3,7 +3,7 @@
 //! | contents | module |
 //! | --- | --- |
 //! | the world and its step; a body and a pair at its current time | `world`, `body` |
-//! | the two solvers, and what both read | `solver` |
+//! | the two solvers, and what both read; an interval of time; the state of vertices | `solver`, `span`, `state` |
 //! | the solver of bodies on paths | `prescribed` |
 //! | the solver of coupled scenes: free bodies, planes, cores with a width | `coupled` |
 //! | free bodies as plain data, which `coupled` steps | [`free`] |
@@ -12,21 +12,21 @@
 //! | when pairs merge, split, enter and leave their core | [`events`] |
 //! | which bodies are near each other, by a grid | `neighbours`, [`reach`] |
 //! | nodes, polynomials, responses of oscillators, roots, SIMD lanes | `numerics` |
-//! | changes between steps | `edit` |
+//! | changes between steps; handles of bodies | `edit`, `handle` |
 //! | observation: forces by cause, energy | `observe` |
 //! | what a step reports | `report` |
 //! | how much work a step may do | `work` |
 //! | hash of the exact state | `checksum` |
 //! | memory that a scene needs, estimated before it is built | `memory` |
 //!
-//! This module does not depend on Rerun or files, nor on clocks other than the step's own timers.
+//! This module does not depend on Rerun or files. Clocks serve the step's timers and the estimate of free memory alone.
 //!
 //! # Glossary
 //! | term | meaning |
 //! | --- | --- |
 //! | rest shape | positions l of a body's vertices about its centre while nothing acts on it |
 //! | displacement | x, from the rest shape to a vertex |
-//! | carry | the acceleration that a body's own motion takes from its vertices |
+//! | carry | the inertial acceleration of vertices by their own body's motion |
 //! | influence sphere | the ball in which a body or a force point attracts or repels vertices; its surface is the rim |
 //! | source | what has an influence sphere: the bodies, then the force points |
 //! | pair | two bodies near each other |
@@ -47,26 +47,27 @@
 //! # A step of bodies on paths
 //! Names in front are those of the stages in `/timings`.
 //!
-//! 1. [`World::step`] → `World::advance`, which divides a step at edits → `Prescribed::step` (`prescribed`): its stages
+//! 1. [`World::step`] → `World::advance`, which divides a step at edits → `Solver::step` → `Prescribed::step` (`prescribed`)
 //! 2. reach: `Tracks::evaluate` (`tracks`) evaluates the paths; `Pairs::update` searches for `neighbours`
 //! 3. events: `Pairs::find_events` → `Search::first_change` ([`events`]) → `roots`
 //! 4. reach: `wake_acted_on`, `wake_moved`, `wake_near_points`; `find_bounds` → `Context::find_reachable` (`advance`)
 //! 5. integrate: `Context::advance` for every awake body
 //! 6. ‥ of an explicit scheme: `explicit::advance` ([`integrator`]); otherwise:
-//! 7. ‥ `choose_active_set` (`deformation`), then `find_breaks` divides the step where something jumps
+//! 7. ‥ `choose_active_set` (`advance`), then `find_breaks` divides the step where something jumps
 //! 8. ‥ for every part: `over` (`terms`) collects what acts, `exponential::advance` steps the active set
-//! 9. ‥ ‥ all of its vertices in SIMD lanes (`together`), then those that cross a rim one by one (`single`)
+//! 9. ‥ ‥ all of its vertices in SIMD lanes (`together`), then one by one those that cross a rim or need
+//!    shorter steps (`single`); vertices that left the set are released to the exact flow
 //! 10. integrate: `Pairs::enter_phases`; `sleep` puts bodies to sleep
 //!
 //! # A step of a coupled scene
-//! 1. [`World::step`] → `World::advance`, which divides a step at edits → `Coupled::step` (`coupled`): its stages
+//! 1. [`World::step`] → `World::advance`, which divides a step at edits → `Solver::step` → `Coupled::step` (`coupled`)
 //! 2. reach: `wake_pushed`, `wake_near_points`; `find_neighbours` → `Near::update` searches for `neighbours`
 //! 3. integrate, of an explicit scheme: `explicit::step` (`coupled`); otherwise:
-//! 4. reach: `find_islands` groups the bodies that can act on each other (`islands`)
+//! 4. reach: `find_islands` groups the bodies that can act on each other, and wakes those in reach
 //! 5. integrate: `islands::advance` → `Island::advance_with` ([`free`]) for every island
 //! 6. ‥ `Island::substep` tries steps until the error is within the tolerance: `solve` → `converge`
-//! 7. ‥ ‥ `evaluate` (`force`, `kernels`) computes forces, `Course::correct` (`step`) moves bodies, `estimate_error` estimates
-//! 8. ‥ ‥ the step is shortened to end at the `first_crossing` of a threshold; `commit` makes it the state
+//! 7. ‥ ‥ `evaluate` (`force`, `kernels`) computes forces, `Course::correct` (`step`) moves bodies
+//! 8. ‥ ‥ the step is shortened to end at the `first_crossing` of a threshold; `estimate_error`; `commit` makes it the state
 //! 9. ‥ an island for which that is too much work is advanced by `Island::advance_in_fixed_steps` (`verlet`) instead
 //! 10. again from 4 with wider bounds for bodies that moved farther than expected (`has_left_bounds`)
 //! 11. reach: `end` takes the results over, moves bodies on which nothing acts (`advance_unforced`), and lets slow ones `sleep`
@@ -76,7 +77,7 @@
 //!
 //! - **Broad phase**: a multi-level grid, one level per size class, finds pairs. Its result holds until a body leaves
 //!   its fat bounds. A step checks only bodies that move.
-//! - **Bodies at rest cost nothing**: no memory for their vertices, no time in a step. They wake when a push begins,
+//! - **Bodies at rest cost nothing**: no time in a step, and undeformed no memory for their vertices. They wake when a push begins,
 //!   when their own motion acts on them, or when a sphere can reach them.
 //! - **Motion shared by all vertices of a body**, caused by the body's own motion, is one state per body.
 //! - **Only the active set is stepped**: the vertices near a sphere, selected again after spheres have moved by a tenth

@@ -23,8 +23,7 @@ pub(super) const SKIN: f64 = 0.25;
 /// Up to this many pairs are listed without counting them first.
 const FEW_PAIRS: u64 = 1 << 16;
 
-/// The nearby bodies of one, ascending. A few are stored beside what is known of the body: in large scenes a step waits for
-/// memory, and each list of its own is another place.
+/// The nearby bodies of one, ascending. Up to three are stored inline: a separate allocation costs large scenes a cache miss.
 pub(super) type Neighbours = SmallVec<[Neighbour; 3]>;
 
 /// A pair in the list of near pairs; force points have none.
@@ -167,7 +166,7 @@ impl<P: Listed> NearPairs<P> {
         self.grid.place(body, Ball { centre, radius: reach + rounding });
     }
 
-    /// Strikes a body off all lists: it has no neighbours, and is nobody's.
+    /// Removes a body from all lists of neighbours, and empties its own.
     pub fn isolate<B: Bodies<Pair = P>>(&mut self, bodies: &mut B, body: u32) {
         for Neighbour { other, pair, .. } in std::mem::take(bodies.neighbours(body)) {
             let others = bodies.neighbours(other);
@@ -181,7 +180,7 @@ impl<P: Listed> NearPairs<P> {
         self.grid.take(body);
     }
 
-    /// Strikes a body off all lists. The indices of later ones decrease by one, also in lists of neighbours.
+    /// Removes a body from all lists. The indices of later ones decrease by one, also in lists of neighbours.
     pub fn remove<B: Bodies<Pair = P>>(&mut self, bodies: &mut B, body: u32) {
         self.isolate(bodies, body);
         self.grid.forget(body);
@@ -260,7 +259,7 @@ impl<P: Listed> NearPairs<P> {
         }
     }
 
-    /// Strikes a neighbour of a body off the lists, unless their phase keeps it there.
+    /// Removes a neighbour of a body from the lists, unless their phase keeps it there.
     fn leave<B: Bodies<Pair = P>>(&mut self, bodies: &mut B, body: u32, neighbour: Neighbour) {
         if self.get(neighbour.pair).bodies_and_phase().1 != Phase::Apart {
             bodies.neighbours(body).push(neighbour);
@@ -314,7 +313,7 @@ impl<P: Listed> NearPairs<P> {
         &mut self.pairs[id.0 as usize]
     }
 
-    /// All pairs, and such as are no longer listed, to be changed.
+    /// All slots, unused ones included.
     pub fn all_mut(&mut self) -> &mut [P] {
         &mut self.pairs
     }

@@ -40,7 +40,7 @@ impl Stopwatch {
     }
 }
 
-/// A state that the equation of motion cannot lead to: the integrator is unstable at this step.
+/// A state that cannot follow from the equation of motion: the integrator is unstable at this step.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
     "diverged at step {step} (t = {time:.6} s): body \"{body}\", vertex {vertex}: displacement {:e} scene units, speed {:e} \
@@ -174,7 +174,7 @@ pub enum Toil {
 
 /// A warning that a run will end as [`Overworked`], or that bodies will take steps of fixed length, see [`Fallback`].
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error("step {step} (t = {time:.6} s) takes more work than most steps may: after some more like it, {}; {toil}", toil.outcome())]
+#[error("step {step} (t = {time:.6} s) exceeds its work allowance: if this continues, {}; {toil}", toil.outcome())]
 pub struct Strain {
     /// The step.
     pub step: u64,
@@ -188,8 +188,8 @@ pub struct Strain {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
     "step {step} (t = {time:.6} s): {bodies} bodies that act on each other, among them \"{body}\", cannot be followed at tolerance \
-     {tolerance:e} with reasonable work; they take steps of {substep:.1e} s until they are calmer, and their estimated errors \
-     are recorded"
+     {tolerance:e} with reasonable work; they take steps of {substep:.1e} s until adaptive steps are affordable again, and \
+     their estimated errors are recorded"
 )]
 pub struct Fallback {
     /// The step.
@@ -286,24 +286,23 @@ pub struct StepReport {
     pub time: f64,
     /// Phase changes within the step, in order of time.
     pub events: Vec<Event>,
-    /// Energy brought to free bodies in this step, by cause; zero in scenes that are not coupled, and for integrators
+    /// Energy added to free bodies in this step, by cause; zero in scenes that are not coupled, and for integrators
     /// without an error estimate.
     pub ledger: Ledger,
-    /// Number of integrator steps: one per body and interval without a jump, plus the substeps of single vertices. If the
-    /// integrator's steps span several frames, its last steps are spread over the frame in which they end and the next.
+    /// Number of integrator steps: one per body and interval without a jump, plus the substeps of single vertices.
     pub substeps: u64,
     /// The largest error of any vertex in the integrator's last step, as estimated by it [radii of its body, or of the
     /// smallest body near it if that is smaller]; 0 for integrators without an error estimate.
     pub error: f64,
     /// Where the error exceeds the tolerance.
     pub shortfall: Option<Shortfall>,
-    /// What takes so much work that the run will end early if it goes on like this; set once.
+    /// What takes so much work that the run will end early if this continues; set once.
     pub strain: Option<Strain>,
     /// Which bodies take steps of fixed length from here on; set once.
     pub fallback: Option<Fallback>,
     /// Why the run should end here, if it should.
     pub failure: Option<Failure>,
-    /// Number of bodies that were at rest for the whole of the integrator's last step, and skipped.
+    /// Number of bodies that were not integrated: at rest, or in free motion out of reach of all others.
     pub sleeping_bodies: u64,
     /// Time spent in each stage, in the order of [`Stage::ALL`].
     pub timings: [Duration; Stage::ALL.len()],

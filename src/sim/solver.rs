@@ -1,4 +1,4 @@
-//! The two solvers: of scenes whose bodies are all on paths, and of scenes with free bodies or planes.
+//! The two solvers: of scenes whose bodies are all on paths, and of coupled scenes.
 
 use pulp::Arch;
 
@@ -11,8 +11,8 @@ use super::{
 };
 use crate::scene::{Push, Scene};
 
-/// The state of all bodies and pairs, by what solves for it. One solver for all scenes would cost bodies on paths ten
-/// times their speed.
+/// The state of all bodies and pairs, by what solves for it. One solver for all scenes would make bodies on
+/// paths ten times slower.
 #[derive(Clone)]
 pub(super) enum Solver {
     /// All bodies are on paths: none depends on how another one moves.
@@ -29,7 +29,7 @@ pub(super) struct Setting<'a> {
     pub step: u64,
     /// The instruction set of the kernels.
     pub arch: Arch,
-    /// Whether the step in progress leads over a part of Δt only, because an edit divides it.
+    /// Whether the step in progress covers a part of Δt only, because an edit divides it.
     pub is_partial: bool,
 }
 
@@ -43,7 +43,7 @@ impl Setting<'_> {
 /// A step that is being taken.
 pub(super) struct Step<'a> {
     pub setting: Setting<'a>,
-    /// The interval of time that it leads over.
+    /// The interval of time that it covers.
     pub span: Span,
     pub work: &'a mut Work,
     pub report: &'a mut StepReport,

@@ -66,7 +66,7 @@ pub(crate) struct Work {
 }
 
 impl Clone for Work {
-    /// Between two steps: what a step counts begins anew.
+    /// Between two steps: the counters of a step start from zero.
     fn clone(&self) -> Work {
         let Work { debt, base, vertices, limit, is_announced, interrupt, .. } = *self;
         Work { debt, base, vertices, limit, is_announced, interrupt, ..Work::default() }

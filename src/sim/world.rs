@@ -186,9 +186,9 @@ impl World {
         self.work.begin();
         let World { scene, options, step, report, work, solver, .. } = self;
         let setting = Setting { scene, step: *step, arch: options.arch, is_partial };
-        let diverged = solver.step(&mut Step { setting, span, work, report })?;
+        let diverged = solver.step(&mut Step { setting, span, work, report });
         self.report.add_sums(earlier);
-        Ok(diverged)
+        diverged
     }
 
     /// Describes a body in an invalid state, and its worst vertex.

@@ -45,7 +45,7 @@ const LIVE_INTERVAL: Duration = Duration::from_millis(30);
 /// those for its values.
 const FILE_INTERVAL: Duration = Duration::from_millis(400);
 
-/// Viewers of a shorter run get the layout of its end, too: nobody has rearranged theirs.
+/// Viewers of a shorter run get the layout of its end, too: users cannot have rearranged it yet.
 const UNTOUCHED: Duration = Duration::from_secs(3);
 
 /// The simulation's side of the pipeline.

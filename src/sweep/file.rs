@@ -102,7 +102,7 @@ static TOP: [Key; 10] = [
         "sample",
         Kind::Word(|| words(&SAMPLES)),
         Fallback::Word("grid"),
-        "How points are chosen: on a grid, or as so many samples of the axes.",
+        "How points are chosen: on a grid, or as a fixed number of samples.",
     ),
     key("count", COUNT, Fallback::Else("each [[axis]] of a grid has its own"), "Number of samples."),
     key("seed", Kind::Integer([0, u32::MAX]), Fallback::Number(0.0), "Seed of the samples."),

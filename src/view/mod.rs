@@ -237,7 +237,7 @@ pub fn apart_on_paths(scene: &Scene, a: usize, b: usize, time: f64) -> Option<DV
     Some(scene.bodies[b].path()?.position(time) - scene.bodies[a].path()?.position(time))
 }
 
-/// What holds at a time: a value from the start, and those from the instants of edits on.
+/// A value by time: from the start, and from the instants of edits on.
 struct Versions<T> {
     first: T,
     later: Vec<(Edit, T)>,

@@ -128,7 +128,7 @@ const TOTAL_ON_PATHS: &[OfWorld] = &[
 ];
 const ON_PATHS: &str = "Total with influence [unit²/s²]";
 
-const DEFORMED: &str = "Energy of deformation [unit²/s²]; no balance: paths bring and take energy uncounted";
+const DEFORMED: &str = "Energy of deformation [unit²/s²]; no balance: energy exchanged with paths is not recorded";
 /// The plots of what free bodies conserve.
 const MOMENTUM: &str = "Momentum";
 const ANGULAR_MOMENTUM: &str = "Angular momentum";
@@ -153,7 +153,7 @@ const MOMENTA: [OfWorld; 6] = momenta([
     |state| state.conserved.angular_momentum.z,
 ]);
 
-/// Energy brought to free bodies since t = 0 by cause, and the remainder when all causes are subtracted: the
+/// Energy added to free bodies since t = 0 by cause, and the remainder when all causes are subtracted: the
 /// integrator's error.
 const LEDGER: &[OfWorld] = &[
     smooth("brought_by_events", "by events", BROUGHT, |state| state.ledger.events),

@@ -251,3 +251,12 @@ fn random_edits_keep_every_world_sound() {
         }
     }
 }
+
+/// Where centres coincide, q does not change in any direction.
+#[test]
+fn an_event_of_coinciding_centres_has_a_rate_of_zero() {
+    let fixed = |name: &str| format!("[[body]]\nname = \"{name}\"\nradius = 1.0\nmotion = {{ fixed = [0, 0, 0] }}\n");
+    let text = format!("duration = 1.0\n{}{}{}", fixed("a"), fixed("b"), edit(0.5, "\"influence.core_at\" = 0.5"));
+    let (_, events) = run(&scene(&text));
+    assert!(!events.is_empty() && events.iter().all(|event| event.rate == 0.0), "{events:?}");
+}

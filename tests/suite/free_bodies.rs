@@ -456,3 +456,13 @@ fn bodies_far_from_the_origin_move_as_at_it() {
         assert!(apart < 2e-8, "{far}: {apart:e}");
     }
 }
+
+/// Explicit schemes step all bodies.
+#[test]
+fn no_body_sleeps_in_explicit_steps() {
+    let mut world = world(
+        "integrator = \"verlet\"\ngravity = [0, 0, -1]\n[[body]]\nname = \"a\"\nradius = 1.0\nmotion = { free = { from = [0, 0, 0] } }",
+    );
+    run(&mut world, 2);
+    assert_eq!((world.report().sleeping_bodies, world.resting_count()), (0, 0));
+}

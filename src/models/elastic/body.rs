@@ -492,7 +492,7 @@ impl Body {
         });
     }
 
-    /// Updates what is known of the nodes, and checks for divergence.
+    /// Updates what follows from the nodes, and checks for divergence.
     pub fn update_state(&mut self, around: &StepContext<'_>) {
         let mut is_finite = self.free.as_ref().is_none_or(|free| free.centre.is_finite() && free.velocity.is_finite());
         if !self.is_at_rest {

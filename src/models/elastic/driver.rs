@@ -56,9 +56,9 @@ use crate::{
 };
 
 /// Upper limit on the springs evaluated in a step, of a body or of all that are stepped together; more would take
-/// forever.
+/// too long.
 const MAX_SPRINGS: f64 = 2e8;
-/// Upper limit on phase changes in a step, if there are free bodies: each divides it, and more would take forever.
+/// Upper limit on phase changes in a step, if there are free bodies: each divides it, and more would take too long.
 const MAX_CHANGES: usize = 1000;
 /// Work for finding the phase changes of a step [units of a step's work]: a second or two.
 const MAX_SEARCH: u64 = 1_000_000_000;
@@ -69,14 +69,14 @@ const PARALLEL_ENDS: usize = 2048;
 
 impl Elastic {
     pub(super) fn take_step(&mut self) {
+        self.events.clear();
+        self.tears.clear();
         if self.failure.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
             return;
         }
         let ends = [self.time_of(self.step), self.time_of(self.step + 1)];
         let begun = Clock::now();
         self.failure = None;
-        self.events.clear();
-        self.tears.clear();
         self.timings = [Duration::ZERO; 3];
         for body in &mut self.bodies {
             (body.statistics.substeps, body.statistics.strain, body.statistics.tension) = (0, 0.0, 0.0);
@@ -468,7 +468,7 @@ impl Body {
         }
     }
 
-    /// Has the forces on its nodes evaluated anew.
+    /// Marks the forces on its nodes as out of date.
     pub fn forget(&mut self) {
         if let Matter::Lattice(springs) = &mut self.matter {
             springs.motion.accelerations.clear();

@@ -31,7 +31,7 @@ use crate::{
 /// Springs are drawn in scenes of at most this many cells: more would hide each other.
 const DRAWN_CELLS: usize = 64;
 
-const ENERGY: &str = "Energy [mass·unit²/s²] by kind; what forces and damping bring is not counted";
+const ENERGY: &str = "Energy [mass·unit²/s²] by kind; work of forces and damping is not counted";
 
 /// A scalar of bodies made of cells; the values of the state also depend on the frames of the bodies.
 type Scalar = scalars::Scalar<fn(&Elastic, &[BodyFrame]) -> f64, fn(&Elastic) -> f64>;

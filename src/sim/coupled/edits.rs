@@ -21,7 +21,7 @@ use crate::{
 };
 
 impl Coupled {
-    /// Takes over the state of another scene, and adds the phase changes and the energy that this brings to the report.
+    /// Takes over the state of another scene, and adds the phase changes and the energy that this causes to the report.
     /// False if there are too many pairs.
     pub fn resume(
         &mut self,
@@ -92,7 +92,7 @@ impl Coupled {
         true
     }
 
-    /// Adds the last body of the scene at `time` [s], with the phase changes and the energy that this brings. False, and
+    /// Adds the last body of the scene at `time` [s], with the phase changes and the energy that this causes. False, and
     /// nothing has changed, if there would be more than `max_pairs` pairs.
     pub fn add_last(&mut self, scene: &Scene, time: f64, max_pairs: u64, report: &mut StepReport) -> bool {
         let last = self.members.len();
@@ -159,7 +159,7 @@ impl Coupled {
         self.jobs.clear();
     }
 
-    /// Adds the phase changes and the energy that a body brings which starts at `time` [s], instead of `energy`.
+    /// Adds the phase changes and the energy caused by a body that starts at `time` [s]; its energy before was `energy`.
     fn begin(&mut self, scene: &Scene, body: usize, energy: f64, time: f64, report: &mut StepReport) {
         let brought = self.energy_of(scene, time, body) - energy;
         self.bring(brought, time, report);
@@ -169,7 +169,7 @@ impl Coupled {
         }
     }
 
-    /// Adds the energy that an edit brings at `time` [s].
+    /// Adds the energy that an edit causes at `time` [s].
     fn bring(&mut self, energy: f64, time: f64, report: &mut StepReport) {
         if time > 0.0 {
             self.ledger.edits += energy;

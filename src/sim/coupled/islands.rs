@@ -68,11 +68,11 @@ pub(super) struct Job {
     pub budget: u64,
     /// Whether it takes steps of fixed length.
     pub is_fixed: bool,
-    /// The states within the step, once they are asked for; `Some(None)` if they cannot be found.
+    /// The states within the step, computed on first use; `Some(None)` if they cannot be found.
     dense: OnRequest,
 }
 
-/// States that are found when they are asked for. A copy finds them anew.
+/// States that are computed on first use; a clone computes them again.
 #[derive(Default)]
 struct OnRequest(Mutex<Option<Option<DenseOutput>>>);
 

@@ -24,11 +24,11 @@ use crate::{
 
 /// How much farther than in free flight a body may move in a step before the step is repeated [radii].
 const SLACK: f64 = 0.05;
-/// Least and largest number of calm steps of fixed length before adaptive ones are tried again.
+/// Least and largest number of steps of fixed length within the tolerance before adaptive ones are tried again.
 const MIN_WAIT: u16 = 30;
 const MAX_WAIT: u16 = 1920;
 
-/// A body, and the engine's bookkeeping for it.
+/// A body, and the solver's bookkeeping for it.
 #[derive(Clone)]
 pub(in crate::sim) struct Member {
     /// Its rest shape.
@@ -73,7 +73,7 @@ pub(in crate::sim) struct Drift {
 /// Whether the island of a body takes steps of fixed length, because adaptive ones were too much work.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(in crate::sim) struct FixedSteps {
-    /// Number of calm steps until adaptive ones are tried again; 0 if it takes these.
+    /// Number of steps within the tolerance until adaptive ones are tried again; 0 if it takes these.
     pub left: u16,
     /// That number when they were last given up; 0 if they never were.
     pub wait: u16,

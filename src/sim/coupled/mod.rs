@@ -10,6 +10,7 @@
 //! | a body, bounds of its motion in a step, when it rests | [`member`] |
 //! | near pairs and their phases | [`near`] |
 //! | islands of bodies that act on each other in a step, and advancing them | [`islands`] |
+//! | the state within a step | [`dense`] |
 //! | the schemes with fixed steps | [`explicit`] |
 //!
 //! Free bodies act on each other, so unlike in other scenes, bodies cannot be stepped one by one and events cannot be
@@ -18,7 +19,8 @@
 //!
 //! In a heap, contacts make all bodies one island, and its adaptive steps become very short. Where they are too much work,
 //! the island takes steps of fixed length ([`free`]'s velocity Verlet) and reports their estimated error. Work is counted,
-//! not timed, so it is the same step in every run. Adaptive steps are tried again after calm steps, each time later.
+//! not timed, so it is the same step in every run. Adaptive steps are tried again after some steps within the
+//! tolerance, twice as many each time.
 //!
 //! How far a free body moves is known only after the step. Islands are built for the expected motion; those with a body
 //! that moved farther are rebuilt and advanced again from the start of the step.
@@ -85,6 +87,7 @@ const MOST_UNLIMITED: usize = 64;
 /// Largest work of the adaptive steps of an island in a step, in large islands and those for which they were too much work
 /// before [units]: about 0.1 s on two cores.
 const MAX_ADAPTIVE: u64 = 4_000_000;
+
 /// The bodies of a coupled scene.
 #[derive(Clone)]
 pub(super) struct Coupled {
@@ -215,6 +218,7 @@ impl Coupled {
         let Coupled { members, near, .. } = self;
         let diverged = explicit::step(scheme, step.setting.scene, members, near, step.span, step.report);
         self.move_points(step.setting.scene, step.span.end);
+        step.report.sleeping_bodies = 0;
         stopwatch.stop(Stage::Integrate, step.report);
         Ok(diverged)
     }

@@ -18,7 +18,7 @@ use crate::{
 };
 use glam::DVec3;
 
-/// Number of steps between tests whether a body that turns alone does so like a rigid one.
+/// Number of steps between checks of whether an isolated body turns like a rigid one.
 const RIGID_SPIN_EVERY: u64 = 16;
 
 impl Coupled {
@@ -137,6 +137,9 @@ impl Coupled {
                     }
                 } else if member.is_nearly_undeformed(scene.tolerance) {
                     member.clear_deformation();
+                    if !member.is_awake {
+                        self.put_to_sleep(body); // with the hash of this state
+                    }
                 }
             }
         }
@@ -145,8 +148,9 @@ impl Coupled {
     /// Puts a body to rest.
     pub(super) fn put_to_sleep(&mut self, body: u32) {
         let member = &mut self.members[body as usize];
+        let before = if member.is_awake { 0 } else { member.sleeping_hash };
         (member.is_awake, member.fixed) = (false, FixedSteps::default());
         member.sleeping_hash = member.hash(body);
-        self.sleeping_hash = self.sleeping_hash.wrapping_add(member.sleeping_hash);
+        self.sleeping_hash = self.sleeping_hash.wrapping_add(member.sleeping_hash).wrapping_sub(before);
     }
 }

@@ -255,7 +255,7 @@ impl Body {
         self.motion == Motion::Prescribed
     }
 
-    /// Whether forces move the body, and it is advanced in this island.
+    /// Whether forces move the body.
     pub fn is_free(&self) -> bool {
         matches!(self.motion, Motion::Free(_))
     }

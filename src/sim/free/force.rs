@@ -193,7 +193,7 @@ impl Acting {
     }
 
     /// Finds the vertices on which a contact begins or ceases to act within the step, and those on which a plane or a
-    /// push acts throughout. Returns whether other vertices are advanced alone than before.
+    /// push acts throughout. Returns whether the set of individually advanced vertices changed.
     pub fn find_splits(&self, view: &View<'_>, course: &mut Course) -> bool {
         let View { field, span, places, arch, .. } = *view;
         let mut crossing = std::mem::take(&mut course.crossing);

@@ -743,7 +743,7 @@ impl Kernel for Pull<'_> {
         for block in &mut active.blocks {
             let together = Reals::load(simd, &block.split, 0).below(one);
             let start = Vector::splat(simd, apart[0]) - load(simd, &block.s[0]);
-            // whoever does not cross the rim is inside throughout
+            // a vertex that starts inside and does not cross the rim stays inside
             let mut inside = together.and(start.length_squared().below(rim));
             if weight == Weight::Linear && !inside.any() {
                 if fresh {

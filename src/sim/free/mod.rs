@@ -14,7 +14,7 @@
 //! | energy ledger | [`ledger`] |
 //! | forces in the current state, by cause | [`observed`] |
 //!
-//! It takes plain data and does not depend on a world or a scene file.
+//! It does not depend on a world.
 
 /// Implements `Default` by the zero of each field: the default of a matrix is the identity.
 macro_rules! zero_by_default {

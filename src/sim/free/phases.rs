@@ -162,7 +162,7 @@ impl Island {
             }
             end -= off;
         }
-        // the last correction is below what can be distinguished, or the motion is too wild for Newton's method
+        // the last correction is below what can be distinguished, or Newton's method does not converge
         left = if end > self.time { self.solve(scratch, &self.span(end), paths, work, report)? } else { left };
         Some((end.max(self.time), left))
     }

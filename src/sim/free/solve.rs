@@ -116,7 +116,7 @@ impl Island {
             }
         }
         let wanted = |course: &Course| small_correction(self.tolerance, course.smallest_radius, span.h);
-        // Vertices follow the rotation of their frame a sweep late, through damping and inertia: what is left of a correction
+        // Vertices lag the rotation of their frame by a sweep, through damping and inertia: what is left of a correction
         // is no less than that, whatever the last two sweeps look like.
         let turning = self.bodies.iter().zip(&scratch.courses).filter(|(body, _)| body.turns());
         let slowest = turning.map(|(body, course)| body.oscillator.damping + course.frames[3].spin.length());

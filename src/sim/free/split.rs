@@ -30,7 +30,7 @@ use crate::{
     },
 };
 
-/// Room for legs, so that a warm step allocates none: a vertex hardly ever has more.
+/// Initial capacity for legs: a vertex hardly ever has more, so later steps do not allocate.
 const MOST_LEGS: usize = 8;
 
 /// A contact that acts on a split vertex, over a leg.
@@ -579,7 +579,7 @@ impl Leg {
         let gain = length / omega.max(2.0 * damping).max(1.0);
         let responses: [[(f64, f64); 3]; 3] =
             std::array::from_fn(|i| std::array::from_fn(|j| (self.weights[i].x[j + 1], self.weights[i].u[j + 1])));
-        let is_rough = undisturbed.rough.is_some(); // the contacts are in it
+        let is_rough = undisturbed.rough.is_some(); // it includes the contacts
         let [x0, u0] = self.start.own();
         let mut all = states.map(|state| state.seen(Default::default()));
         for correction in 0..MAX_CORRECTIONS {

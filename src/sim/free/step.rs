@@ -122,8 +122,8 @@ pub struct Held {
 /// The motion of a body during a step.
 #[derive(Clone, Debug, Default)]
 pub struct Course {
-    /// Smallest radius of the body and of those near it, to which its errors are relative [scene unit]: what is small for
-    /// the body may throw a smaller and lighter one off.
+    /// Smallest radius of the body and of those near it, to which its errors are relative [scene unit]: an error
+    /// that is small for the body may be large for a smaller neighbour.
     pub smallest_radius: f64,
     pub frames: [Frame; 5],
     /// The vertices that something may reach in the step.
@@ -152,7 +152,7 @@ pub struct Course {
     pub splits_before: Vec<Split>,
     /// Those of earlier steps, for their allocations.
     pub spare_splits: Vec<Split>,
-    /// What acts on the body by its own and other bodies' such vertices.
+    /// Forces on the body by individually advanced vertices, its own and those of others.
     pub pieces: Vec<Piece>,
     pub reactions: Vec<Reaction>,
     weights: [Dense; 4],
@@ -452,7 +452,7 @@ impl Course {
         samples: std::ops::Range<usize>,
         places: &mut [Place; 5],
     ) -> f64 {
-        // time that a velocity lasts: an oscillator turns it into a displacement; a centre keeps it, so count one
+        // time over which an error in velocity acts: an oscillator turns it into a displacement; a centre keeps it, so count one
         // second
         let swing = 1.0 / body.oscillator.omega.max(2.0 * body.oscillator.damping).max(1.0);
         let mut change: f64 = 0.0;

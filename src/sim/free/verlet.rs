@@ -125,7 +125,7 @@ impl Particles {
         let v: Vec<DVec3> = rest.map(|(i, &l)| velocity + spin.cross(axes * l) + of(&body.u, i)).collect();
         by_coordinate(&r, &mut self.r);
         by_coordinate(&v, &mut self.v);
-        // nothing is left of the body that used these buffers before
+        // discards the data of the body that used these buffers before
         for array in [&mut self.a, &mut self.a_before] {
             array.clear();
             array.resize(self.r.len(), Lanes::default());

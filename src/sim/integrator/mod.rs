@@ -1,6 +1,6 @@
 //! Schemes that advance a vertex over a time interval.
 //!
-//! Vertices do not act on each other, so a scheme is a function of one vertex: its state at the end follows from its
+//! The vertices of a body on a path do not act on each other, so a scheme is a function of one vertex: its state at the end follows from its
 //! state at the start and the forces in between. The state is the displacement in body coordinates, `x = r − c − l`,
 //! and its velocity.
 //!

@@ -18,7 +18,7 @@ pub const RESIDUAL: f64 = 0.1;
 /// The same for a force that acts at once, on a centre: the mean of the largest quartic that vanishes at the nodes, over its
 /// value in the middle.
 pub const RESIDUAL_AT_ONCE: f64 = 0.45;
-/// Share of the tolerance that each thing left out on purpose may take: corrections, how spheres move between the samples,
+/// Share of the tolerance that each deliberate approximation may take: corrections, how spheres move between the samples,
 /// the deformation of a body that counts as undeformed, and the motion of one that comes to rest.
 pub const NEGLIGIBLE: f64 = 0.1;
 
@@ -37,7 +37,7 @@ pub const OF_BOUND: f64 = 0.45;
 /// The mean force that the cubic through the nodes leaves out of |x| x where x passes 0, at most, over the square of the
 /// step in x: by quadrature.
 pub const TURN: f64 = 0.0037;
-/// The distance b from a centre, over the way, at which √(x² + b²) x leaves out a quarter of that: by quadrature, within a
+/// The distance b from a centre, over the distance travelled, at which √(x² + b²) x leaves out a quarter of that: by quadrature, within a
 /// fourth for b up to 0.7.
 pub const TURN_WIDTH: f64 = 0.3;
 
@@ -52,12 +52,12 @@ pub const MAX_GROWTH: f64 = 4.0;
 /// by half in each.
 pub const MAX_SWEEPS: u32 = 24;
 /// Largest angle by which a body's frame turns in a step, and the stiffest oscillation in a substep of fixed length [rad];
-/// there it is also the largest way of a vertex [radii of the smallest body]; also the largest angle by which a sine path
+/// there it is also the largest distance that a vertex travels [radii of the smallest body]; also the largest angle by which a sine path
 /// turns in a step: the squared distance of two bodies is then off by 2e-9 of the square of the amplitude (the remainder of
 /// Hermite interpolation at the four nodes), so that a threshold is passed in time. The rate of a rotation vector is singular
 /// at a full turn; velocity Verlet is stable up to 2, and its frequency is off by 1 % here (1/24 of the square).
 pub const MAX_ANGLE: f64 = 0.5;
-/// Larger tolerances than this make steps longer, but do not allow to leave out more [radii/s]. Otherwise what corrections
+/// Larger tolerances than this make steps longer, but do not permit coarser approximations [radii/s]. Otherwise what corrections
 /// leave, which is of low order, would dominate the error of steps much shorter than the tolerance requires.
 pub const NEGLIGIBLE_TOLERANCE: f64 = 1e-6;
 /// The reported sum of estimates is meant to bound the error: it allows for errors that grow after their step, and for

@@ -39,6 +39,7 @@ use super::{
     neighbours::later_neighbours,
     report::{Failure, Shortfall, Stage, StepReport, Stopwatch, Strain, Toil},
     solver::{Setting, Starts, Step, Takeover},
+    span::Span,
     terms::{Moment, On, Surroundings, spheres},
     work::{Stop, Tally, Work},
 };
@@ -265,7 +266,7 @@ impl Prescribed {
     /// those whose vertices can move into a sphere.
     fn wake_moved(&mut self, step: &Step<'_>) {
         if self.actives.awake().len() == self.bodies.len() {
-            return; // spares large scenes a look at every mover
+            return; // large scenes need not visit every mover
         }
         let Prescribed { tracks, bodies, actives, woken, .. } = self;
         let is_awake = |body: u32| actives.is_awake(&bodies[body as usize]);
@@ -385,7 +386,7 @@ impl Prescribed {
         let (is_worth_threads, span) = (is_worth_threads(actives), step.span);
         let advance = |(turn, active): (usize, &mut Active)| {
             context.advance(active, turn, span);
-            Sum::of(active, context.setting.scene)
+            Sum::of(active, context.setting.scene, span)
         };
         let sum = if is_worth_threads {
             actives.par_iter_mut().with_min_len(4).enumerate().map(advance).reduce(Sum::default, Sum::and)
@@ -455,7 +456,7 @@ struct Sum {
     stepped: u64,
     substeps: u64,
     error: f64,
-    /// The one with the largest ratio to the tolerance; of equal ones the first body's.
+    /// The one with the largest error; of equal ones that of the first body.
     shortfall: Option<Shortfall>,
     work: u64,
     base: u64,
@@ -468,14 +469,14 @@ struct Sum {
 }
 
 impl Sum {
-    fn of(active: &Active, scene: &Scene) -> Sum {
+    fn of(active: &Active, scene: &Scene, span: Span) -> Sum {
         let statistics = active.statistics;
         let is_idle = statistics.substeps == 0;
         Sum {
             stepped: u64::from(!is_idle),
             substeps: statistics.substeps,
             error: f64::max(0.0, statistics.error / scene.bodies[active.body as usize].radius),
-            shortfall: shortfall(active, scene),
+            shortfall: shortfall(active, scene, span),
             work: statistics.work,
             base: statistics.base,
             vertices: active.state.deformation.active_set.vertices.len() as u64,
@@ -500,13 +501,13 @@ impl Sum {
 }
 
 /// The error of a body's step, if it exceeds the tolerance because steps cannot be made shorter.
-fn shortfall(active: &Active, scene: &Scene) -> Option<Shortfall> {
+fn shortfall(active: &Active, scene: &Scene, span: Span) -> Option<Shortfall> {
     let body = active.body as usize;
-    let (allowed, excess) = (scene.tolerance * scene.dt, active.statistics.excess / scene.bodies[body].radius);
+    let (allowed, excess) = (scene.tolerance * span.length(), active.statistics.excess / scene.bodies[body].radius);
     (excess > 0.0).then_some(Shortfall { body, error: allowed + excess, allowed })
 }
 
-/// The shortfall with the larger error; of equal ones the first body's.
+/// The shortfall with the larger error; of equal ones that of the first body.
 fn worse(a: Option<Shortfall>, b: Option<Shortfall>) -> Option<Shortfall> {
     let (Some(one), Some(other)) = (a, b) else { return a.or(b) };
     let is_other = other.error > one.error || other.error == one.error && other.body < one.body;

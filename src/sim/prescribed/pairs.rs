@@ -142,12 +142,12 @@ impl Pairs {
         true
     }
 
-    /// Strikes a body off the pairs.
+    /// Removes a body from the pairs.
     pub fn isolate(&mut self, mut of: Surrounded<'_>, body: usize) {
         self.near.isolate(&mut of, body as u32);
     }
 
-    /// Strikes a body off the pairs; the indices of later ones decrease by one, also in lists of neighbours.
+    /// Removes a body from the pairs; the indices of later ones decrease by one, also in lists of neighbours.
     pub fn remove(&mut self, mut of: Surrounded<'_>, body: usize) {
         self.near.remove(&mut of, body as u32);
     }

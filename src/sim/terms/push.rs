@@ -1,4 +1,4 @@
-//! Pushes (Fig. 4.1): for a time, vertices that face a push are accelerated along it, the more so the more squarely they
+//! Pushes (Fig. 4.1): for a time, vertices that face a push are accelerated along it, in proportion to how squarely they
 //! face it. The acceleration of a vertex is constant while the same pushes act.
 
 use glam::DVec3;

@@ -207,7 +207,7 @@ pub(crate) fn page(
     Ok((SocketAddr::new(reachable(address.ip()), address.port()), stop, thread))
 }
 
-/// A word that nobody can guess.
+/// An unguessable token.
 ///
 /// # Errors
 /// The system gives no random numbers.

@@ -4,7 +4,7 @@
 //! | --- | --- |
 //! | forces on a body over an interval, and the motion that all its vertices share | [`course`] |
 //! | the weights of a step, from the oscillator's φ-functions | [`weights`] |
-//! | one step of several vertices side by side, and its error | [`step`], [`lanes`] |
+//! | one step of several vertices side by side, and its error | [`step`], [`lanes`](crate::sim::numerics::lanes) |
 //! | a step of all vertices near a sphere | [`together`] |
 //! | a vertex that needs shorter steps, or crosses a rim | [`single`], [`rim`] |
 //!
@@ -35,7 +35,7 @@ const MAX_HALVINGS: u32 = 10;
 /// Number of steps that a vertex may always take, however short the step of all vertices is.
 const MIN_STEPS: u32 = 128;
 /// All vertices of a body take steps of half the length if longer ones fail for more than one in this many, and of twice the
-/// length if these would fail for fewer than half of that: a vertex alone costs about this much more.
+/// length if these would fail for fewer than half of that: a vertex that is stepped alone costs about this many times as much.
 const MANY: u64 = 32;
 
 /// Buffers, reused from step to step.

@@ -342,7 +342,7 @@ pub fn is_stiff(course: &Course<'_>, h: f64) -> bool {
     (material.omega + 2.0 * material.damping) * h > RESOLVED
 }
 
-/// The end of a step under the constant force at its start, for a vertex on which no more work can be spent. That force
+/// The end of a step under the constant force at its start, for a vertex that has used up its steps. That force
 /// is possible, so the end is within all bounds on motion under such forces. If no sphere moves relative to the
 /// shared motion, the energy of the vertex does not grow either; where that is impossible, its state stays as it is.
 fn hold(course: &Course<'_>, step: &Step, vertex: &Vertex, state: State) -> State {

@@ -95,7 +95,7 @@ pub struct Outcome {
     pub bend: DVec3,
     /// Estimated error of the displacement caused by the step [scene unit].
     pub error: f64,
-    /// The part of it that a shorter step would reduce: the rest is what corrections left, as much as was allowed.
+    /// The part of it that a shorter step would reduce: the rest is that of the iteration, which the tolerance bounds.
     pub bent: f64,
 }
 
