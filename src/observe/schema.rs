@@ -51,6 +51,8 @@ pub struct Schema {
     pub points: Vec<PointSchema>,
     /// Later influence spheres and planes, in order of time; none if they do not change.
     pub changes: Vec<SchemaChange>,
+    /// What the scene says about instants of a run, in order of time; none at the start.
+    pub scheduled: Vec<Scheduled>,
     /// Force terms that accelerate vertices, in any order.
     pub terms: Vec<TermSchema>,
     /// Texts of [`BodyFrame::labels`](super::BodyFrame::labels). The first one is for vertices on which no force acts.
@@ -87,6 +89,15 @@ pub struct VariantSchema {
     pub name: &'static str,
     /// Where its name stands [scene unit].
     pub heading: DVec3,
+}
+
+/// What a scene changes at an instant, such as the start of a push.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scheduled {
+    /// The instant [s].
+    pub time: f64,
+    /// What it is, in a few words.
+    pub text: String,
 }
 
 /// Influence spheres and planes from an instant on.
@@ -336,6 +347,7 @@ impl Default for Schema {
             planes: Vec::new(),
             points: Vec::new(),
             changes: Vec::new(),
+            scheduled: Vec::new(),
             net_force_scale: 0.01,
             terms: Vec::new(),
             labels: Vec::new(),

@@ -180,6 +180,8 @@ entities! {
         "One line per change of a phase; a thin recording has all events here.";
     ACCURACY = "/events/accuracy" ["TextLog"]
         "One line when the error of a body begins to exceed the tolerance, and when it has doubled since: which body, and by how much.";
+    SCHEDULED = "/events/scheduled" ["TextLog"]
+        "One line per edit of the scene, and when a push or a force point begins or ceases to act.";
     FAILED = "/events/failure" ["TextLog"]
         "Why the run ended before its last step.";
     SURFACE_EVENTS = "/events/surfaces" ["TextLog, bodies, phases, time, q"]

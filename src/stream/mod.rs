@@ -76,6 +76,7 @@
 //! | `/groups/A/QUANTITY` | Scalars | Volume, area, genus, components, Euler characteristic and number of bodies of the group, of its sharp union. |
 //! | `/events` | TextLog, bodies, phases, time, q, rate, energy | One line per change of a phase; a thin recording has all events here. |
 //! | `/events/accuracy` | TextLog | One line when the error of a body begins to exceed the tolerance, and when it has doubled since: which body, and by how much. |
+//! | `/events/scheduled` | TextLog | One line per edit of the scene, and when a push or a force point begins or ceases to act. |
 //! | `/events/failure` | TextLog | Why the run ended before its last step. |
 //! | `/events/surfaces` | TextLog, bodies, phases, time, q | One line when surfaces touch or part; phases are empty. |
 //! | `/events/bodies` | TextLog | One line per event of a single body, with its position. |

@@ -68,7 +68,9 @@ pub fn body(index: usize) -> Rgb {
         [0xA4, 0x94, 0x86],
         [0xD6, 0xDA, 0xE0],
     ];
-    BODIES[index % BODIES.len()]
+    // the next eight are darker
+    let rgb = BODIES[index % BODIES.len()];
+    if index / BODIES.len() % 2 == 0 { rgb } else { rgb.map(|channel| channel / 8 * 5) }
 }
 
 /// Colour of a vertex of a merged surface: its body's colour, blended with that of the adjacent body.

@@ -384,9 +384,7 @@ fn show(recorder: &mut Recorder, sinks: &mut Sinks, is_recorded: bool) -> Option
     if !is_recorded {
         return send(sinks, recorder.take());
     }
-    let messages = recorder.show();
-    let failed = messages.into_iter().find_map(|(audience, message)| sinks.send_to(audience, message).err());
-    failed.map(|error| error.to_string())
+    all_sent(recorder.show().into_iter().map(|(audience, message)| sinks.send_to(audience, message)))
 }
 
 /// Sends messages; returns the reason if a required destination fails.
@@ -395,6 +393,10 @@ pub fn send(sinks: &mut Sinks, messages: impl IntoIterator<Item = LogMsg>) -> Op
 }
 
 fn send_to(audience: Audience, sinks: &mut Sinks, messages: impl IntoIterator<Item = LogMsg>) -> Option<String> {
-    let failed = messages.into_iter().find_map(|message| sinks.send_to(audience, message).err());
-    failed.map(|error| error.to_string())
+    all_sent(messages.into_iter().map(|message| sinks.send_to(audience, message)))
+}
+
+/// The reason why the first message that could not be sent failed; the others are sent, for other destinations.
+fn all_sent(sent: impl Iterator<Item = Result<(), SinkError>>) -> Option<String> {
+    sent.fold(Ok(()), Result::and).err().map(|error| error.to_string())
 }

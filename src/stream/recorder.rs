@@ -302,7 +302,7 @@ impl Recorder {
             durations: Some(parts.numbers.totals()),
             fastest: parts.numbers.fastest(),
             longest_wait: parts.numbers.longest_wait(),
-            distances: parts.pairs.axis(&parts.series),
+            distances: parts.pairs.axis(&parts.series, &self.schema, &pairs),
             lines: parts.series.outlines().collect(),
             pairs,
             stages: self.opening_stages,
@@ -381,9 +381,12 @@ impl Recorder {
     /// Records a step, and its frame if one is due.
     pub fn record(&mut self, step: &StepRecord, frame: Option<&Frame>) {
         let start = Clock::now();
-        let at = step.summary.at;
+        let (at, before) = (step.summary.at, self.at.time);
         self.at = at;
         self.checksums.push(at, step.checksum);
+        let first = self.schema.scheduled.partition_point(|of| of.time <= before);
+        let now = self.schema.scheduled[first..].iter().take_while(|of| of.time <= at.time);
+        marks::log_scheduled(at.step, now, self.parts.is_some(), &mut self.chunks);
         for row in rows(&step.summary.events, &step.surfaces, &step.summary.body_events) {
             pairs::log_row(&self.schema, &row, self.settings.frames == Frames::Thin, &mut self.chunks);
         }
@@ -598,9 +601,9 @@ impl Recorder {
             parts.series.extend_all(&mut self.chunks);
             parts.numbers.log_ranking(&mut self.chunks);
             if self.flight.is_none() {
-                let level = parts.pairs.axis(&parts.series).map(|axis| axis.ends[0]);
-                marks::log_ends([first, self.at], level, &mut self.chunks);
                 let told = parts.told(&self.schema);
+                let level = parts.pairs.axis(&parts.series, &self.schema, &told).map(|axis| axis.ends[0]);
+                marks::log_ends([first, self.at], level, &mut self.chunks);
                 parts.pairs.log_events_of_told(&self.schema, &told, &mut self.chunks);
                 let approaches = self.watch.approaches();
                 let nearest = &approaches[..approaches.len().min(MOST_APPROACHES)];

@@ -28,8 +28,8 @@ use crate::{
         BodyFrame, Frame, Instant, MotionFrame, NearPair, PairEvent, Schema, Shortfall, Simulation, StageFrame,
         StepFailure, StepSummary, Want,
         schema::{
-            BodySchema, OwnLevels, OwnSurfaces, PhaseSchema, PlaneSchema, PointSchema, SchemaChange, SphereAt,
-            Threshold,
+            BodySchema, OwnLevels, OwnSurfaces, PhaseSchema, PlaneSchema, PointSchema, Scheduled, SchemaChange,
+            SphereAt, Threshold,
         },
     },
     scene::{Body, Edit, Integrator, Model, Numbers, PairLaws, Plane, Point, ROUNDING, Scene},
@@ -204,8 +204,8 @@ impl Simulation for World {
         }));
     }
 
-    fn apart(&self, a: usize, b: usize, time: f64) -> Option<DVec3> {
-        apart_on_paths(self.scene(), a, b, time)
+    fn on_path(&self, body: usize, time: f64) -> Option<[DVec3; 2]> {
+        on_path(self.scene(), body, time)
     }
 
     fn stages(&self, before: &Frame) -> Vec<StageFrame> {
@@ -232,9 +232,27 @@ impl Simulation for World {
     }
 }
 
-/// Centre of body `b` as seen from that of body `a` [scene unit], if both are on paths.
-pub fn apart_on_paths(scene: &Scene, a: usize, b: usize, time: f64) -> Option<DVec3> {
-    Some(scene.bodies[b].path()?.position(time) - scene.bodies[a].path()?.position(time))
+/// Position and velocity of the centre of a body [scene unit], if it is on a path.
+pub fn on_path(scene: &Scene, body: usize, time: f64) -> Option<[DVec3; 2]> {
+    let now = scene.bodies[body].path()?.at(time);
+    Some([now.position, now.velocity])
+}
+
+/// The edits of a scene, and the starts and ends of pushes and force points.
+fn scheduled(scene: &Scene) -> Vec<Scheduled> {
+    let edits = scene.edits.iter().map(|edit| (edit.time, format!("edit: {}", edit.set.join(", "))));
+    let pushes = scene.pushes.iter().flat_map(|push| {
+        let what = format!("push on {}", scene.bodies[push.body].name);
+        [(push.start, format!("{what} begins")), (push.end(), format!("{what} ends"))]
+    });
+    let points = scene.points.iter().flat_map(|point| {
+        let what = format!("force point {}", point.name);
+        [(point.start, format!("{what} begins to act")), (point.end(), format!("{what} no longer acts"))]
+    });
+    let all = edits.chain(pushes).chain(points).map(|(time, text)| Scheduled { time, text });
+    let mut all: Vec<Scheduled> = all.filter(|of| of.time > 0.0 && of.time.is_finite()).collect();
+    all.sort_by(|one, other| one.time.total_cmp(&other.time));
+    all
 }
 
 /// A value by time: from the start, and from the instants of edits on.
@@ -360,6 +378,7 @@ pub fn schema(scene: &Scene) -> Schema {
         planes: planes(&scene.planes),
         points: points(scene),
         changes: changes(scene),
+        scheduled: scheduled(scene),
         net_force_scale: net_force_scale(scene),
         phases: Phase::ALL
             .map(|phase| PhaseSchema {

@@ -485,13 +485,15 @@ impl Run {
         if self.scene.bodies.len() > 1 {
             entities.extend(["/world/merged", "/world/merged/surface", "/world/merged/seams"].map(str::to_owned));
         }
-        // these depend on groups, on touching surfaces, on the forces that act, on how close pairs come, and on the pairs drawn
+        // these depend on groups, on touching surfaces, on the forces that act, on pushes, on how close pairs come, and on the
+        // pairs drawn
         let depends = |path: &String| {
             path.starts_with("/groups/")
                 || path.starts_with("/forces/")
                 || path.starts_with("/strongest/")
                 || path.starts_with("/marks/drawn/")
-                || ["/events/surfaces", "/marks/q/near_miss"].contains(&path.as_str())
+                || ["/events/surfaces", "/events/scheduled", "/marks/axis/scheduled", "/marks/q/near_miss"]
+                    .contains(&path.as_str())
         };
         entities.extend(self.recording.entities().iter().map(ToString::to_string).filter(depends));
         if (2..=64).contains(&self.scene.bodies.len()) {
@@ -916,8 +918,17 @@ impl Run {
             };
             let scale = if longest > 0.0 { expected.iter().map(limit).fold(f64::INFINITY, f64::min) } else { 0.0 };
             let held = &track.held[frame];
-            let origins: Vec<Vec3> = expected.iter().map(|(_, _, centre, _)| centre.as_vec3()).collect();
-            assert_same(&held.vectors("Arrows3D:origins"), &origins, &at);
+            // a net force starts beside the centre
+            let beside = |(index, cause, centre, mean): &(usize, &str, DVec3, DVec3)| {
+                let radius = self.scene.bodies[*index].radius;
+                let aside = mean.cross(DVec3::new(-0.2, -1.0, 0.4)).normalize_or_zero();
+                *centre + if *cause == "net" { 0.12 * radius * aside } else { DVec3::ZERO }
+            };
+            let origins = held.vectors("Arrows3D:origins");
+            assert_eq!(origins.len(), expected.len(), "{at}");
+            for (found, expected) in origins.iter().zip(expected.iter().map(beside)) {
+                assert!(found.as_dvec3().distance(expected) < 1e-6 * largest_diagonal, "{at}: {found}, {expected}");
+            }
             for (found, (.., mean)) in held.vectors("Arrows3D:vectors").iter().zip(&expected) {
                 let error = found.as_dvec3().distance(scale * mean);
                 assert!(error <= 3e-7 * largest, "{at}: {found} is not {mean} over {longest}");
@@ -961,30 +972,23 @@ impl Run {
                 format!("{name}: net {}, {cause} {}", significant(net_on(index)), significant(mean.length()))
             };
             let held = &labels.held[frame];
-            let (mut labelled, mut named) = (Vec::new(), Vec::new());
+            let (mut labelled, mut all) = (Vec::new(), Vec::new());
             for (label, place) in held.texts("Points3D:labels").iter().zip(held.vectors("Points3D:positions")) {
                 let of = bodies.iter().find(|(_, body)| body.scene().name == label.split(':').next().unwrap_or(label));
                 let index = of.expect("its body").0;
-                assert!(place.as_dvec3().distance(name_place(world, index)) < 1e-6 * largest_diagonal, "{at}: {label}");
+                all.push((index, place.as_dvec3(), label.len()));
                 if label.contains(':') {
                     assert_eq!(*label, text_of(index), "{at}");
                     labelled.push(index);
-                } else {
-                    named.push(index);
                 }
             }
-            let label_of = |index: usize| (name_place(world, index), text_of(index).len());
-            assert_labelled(widest, &labelled, &acting, net_on, label_of, &at);
+            let look = Look::new(world, widest);
+            look.assert_readable(&all, &at);
+            let has_room = |index: usize| look.has_room(index, text_of(index).len(), &all);
+            assert_labelled(&labelled, &acting, net_on, has_room, &at);
             // the names of others, as far as there is room
-            let taken = || {
-                let names = named.iter().map(|&index| (index, self.scene.bodies[index].name.len()));
-                let names = names.map(|(index, length)| (index, (name_place(world, index), length)));
-                labelled.iter().map(|&index| (index, label_of(index))).chain(names).collect::<Vec<_>>()
-            };
-            for index in (0..bodies.len()).filter(|index| bodies.len() <= 32 && !labelled.contains(index)) {
-                let label = (name_place(world, index), self.scene.bodies[index].name.len());
-                let is_covered = taken().into_iter().any(|(of, other)| of != index && covers(widest, [label, other]));
-                assert_ne!(is_covered, named.contains(&index), "{at}: {index}");
+            for index in (0..bodies.len()).filter(|&index| bodies.len() <= 32 && all.iter().all(|of| of.0 != index)) {
+                assert!(!look.has_room(index, self.scene.bodies[index].name.len(), &all), "{at}: {index}");
             }
         });
     }
@@ -1065,14 +1069,14 @@ impl Run {
                 }
             }
             let at = format!("step {}", world.steps_taken());
-            let label = |index: usize| match largest_of(&world.body(index)) {
+            let label_of = |index: usize| match largest_of(&world.body(index)) {
                 0.0 => self.scene.bodies[index].name.clone(),
                 largest => format!("{} {largest:.3} R", self.scene.bodies[index].name),
             };
             let mut all: Vec<usize> = (0..self.scene.bodies.len()).collect();
             all.sort_by(|&one, &other| largest_of(&world.body(other)).total_cmp(&largest_of(&world.body(one))));
             let labels = of_bodies.held[frame].texts("Points3D:labels");
-            let labelled: Vec<usize> = all.iter().copied().filter(|&index| labels.contains(&label(index))).collect();
+            let labelled: Vec<usize> = all.iter().copied().filter(|&index| labels.contains(&label_of(index))).collect();
             let is_name = |label: &&String| {
                 let of = all.iter().find(|index| self.scene.bodies[**index].name == **label);
                 of.is_some_and(|index| !labelled.contains(index))
@@ -1081,8 +1085,17 @@ impl Run {
             assert_eq!(labelled.len() + named, labels.len(), "{at}: {labels:?}");
             let labelled: Vec<usize> =
                 labelled.into_iter().filter(|body| all[..all.len().min(5)].contains(body)).collect();
-            let label_of = |index: usize| (name_place(world, index), label(index).len());
-            assert_labelled(widest, &labelled, &all, |index| largest_of(&world.body(index)), label_of, &at);
+            let places = of_bodies.held[frame].vectors("Points3D:positions");
+            let of = |label: &String| {
+                let is_of = |index: &usize| [&self.scene.bodies[*index].name, &label_of(*index)].contains(&label);
+                (0..self.scene.bodies.len()).find(is_of).expect("its body")
+            };
+            let shown: Vec<_> =
+                labels.iter().zip(&places).map(|(label, place)| (of(label), place.as_dvec3(), label.len())).collect();
+            let look = Look::new(world, widest);
+            look.assert_readable(&shown, &at);
+            let has_room = |index: usize| look.has_room(index, label_of(index).len(), &shown);
+            assert_labelled(&labelled, &all, |index| largest_of(&world.body(index)), has_room, &at);
             if let Some((displacement, position, label)) = largest {
                 let held = &track.held[frame];
                 let logged = held.texts("Points3D:labels").concat();
@@ -1276,10 +1289,21 @@ impl Run {
             let now = diagonal(world);
             largest_diagonal = largest_diagonal.max(now);
             let widest = largest_diagonal.min(1.6 * now);
-            let named =
-                names_track.as_ref().map(|track| track.held[frame].texts("Points3D:labels")).unwrap_or_default();
-            let named = self.scene.bodies.iter().enumerate().filter(|(_, body)| named.contains(&body.name));
-            let named: Vec<_> = named.map(|(index, body)| (name_place(world, index), body.name.len())).collect();
+            let at = format!("step {}", world.steps_taken());
+            let look = Look::new(world, widest);
+            let named = names_track.iter().map(|track| &track.held[frame]).flat_map(|held| {
+                let of =
+                    |name: &String| self.scene.bodies.iter().position(|body| body.name == *name).expect("its body");
+                let names = held.texts("Points3D:labels").into_iter().zip(held.vectors("Points3D:positions"));
+                names.map(|(name, place)| (of(&name), place.as_dvec3(), name.len())).collect::<Vec<_>>()
+            });
+            let named: Vec<(usize, DVec3, usize)> = named.collect();
+            look.assert_readable(&named, &at);
+            for index in (0..self.scene.bodies.len())
+                .filter(|&index| names_track.is_some() && named.iter().all(|of| of.0 != index))
+            {
+                assert!(!look.has_room(index, self.scene.bodies[index].name.len(), &named), "{at}: {index}");
+            }
             let mut pairs: Vec<_> = world.pairs().collect();
             pairs.sort_by(|x, y| x.q.total_cmp(&y.q));
             pairs.truncate(self.settings.pairs);
@@ -1305,8 +1329,8 @@ impl Run {
             let highlighted = all.filter(is_named).count();
             let (mut first, mut rest): (Vec<PairView>, Vec<PairView>) = (vec![], vec![]);
             for pair in pairs {
-                let taken = first.iter().map(place).chain(named.iter().copied());
-                let is_clear = !taken.into_iter().any(|other| covers(widest, [other, place(&pair)]));
+                let taken = first.iter().map(place).chain(named.iter().map(|&(_, place, length)| (place, length)));
+                let is_clear = !taken.into_iter().any(|other| look.covers([other, place(&pair)], 1.0));
                 let is_labelled = !is_highlighted(&pair) && is_clear && highlighted + first.len() < 3;
                 if is_labelled { first.push(pair) } else { rest.push(pair) }
             }
@@ -1716,17 +1740,6 @@ fn winding_number(positions: &[DVec3], triangles: &[[u32; 3]], at: DVec3) -> f64
     triangles.iter().map(angle).sum::<f64>() / (4.0 * std::f64::consts::PI)
 }
 
-/// Where the name of a body stands: away from the bodies within its reach, and above its centre.
-fn name_place(world: &World, index: usize) -> DVec3 {
-    let centre = |body: usize| world.body(body).centre();
-    let met = world.pairs().filter(|pair| pair.a == index || pair.b == index);
-    let others = met.map(|pair| if pair.a == index { pair.b } else { pair.a });
-    let away: DVec3 = others.map(|other| (centre(index) - centre(other)).normalize_or_zero()).sum();
-    let aside = if index.is_multiple_of(2) { DVec3::NEG_X } else { DVec3::X };
-    let direction = (away + 0.05 * aside).normalize_or(DVec3::Z);
-    centre(index) + world.body(index).scene().radius * (0.9 * direction + 0.35 * DVec3::Z)
-}
-
 /// A number with at least three digits.
 fn significant(x: f64) -> String {
     let digits = 2 - x.abs().log10().floor().clamp(-9.0, 2.0) as i32;
@@ -1740,29 +1753,99 @@ fn diagonal(world: &World) -> f64 {
     low.distance(high)
 }
 
-/// Whether one of two labels, of which the places of the middle and the numbers of characters are given, covers the other;
-/// seen from the front and above, in a view as wide as the bodies have been.
-fn covers(widest: f64, labels: [(DVec3, usize); 2]) -> bool {
-    let towards_eye = DVec3::new(-0.2, -1.0, 0.4).normalize();
-    let right = DVec3::new(1.0, -0.2, 0.0).normalize();
-    let up = towards_eye.cross(right);
-    let [(place, length), (other, other_length)] = labels;
-    let apart = (place - other) / widest;
-    let widths = 0.025 + 0.008 * (length + other_length) as f64;
-    apart.dot(right).abs() <= widths && apart.dot(up).abs() <= 0.06
+/// The usual look at the bodies of a frame, which are balls.
+struct Look<'a> {
+    world: &'a World,
+    /// To the right, upwards, and towards the eye.
+    axes: [DVec3; 3],
+    eye: DVec3,
+    /// The distance of the eye, and the width of the view.
+    distance: f64,
+    widest: f64,
 }
 
-/// Verifies which bodies are labelled: of the five strongest of `all`, those whose labels do not cover one of a stronger.
-/// `label` is the place of the middle of a body's label, and its number of characters.
+impl Look<'_> {
+    fn new(world: &World, widest: f64) -> Look<'_> {
+        let back = DVec3::new(-0.2, -1.0, 0.4).normalize();
+        let right = DVec3::new(1.0, -0.2, 0.0).normalize();
+        let corners =
+            world.bodies().flat_map(|body| [-1.0, 1.0].map(|side| body.centre() + side * body.scene().radius));
+        let corners: Vec<DVec3> = corners.collect();
+        let [low, high] = [corners.iter().copied().reduce(DVec3::min), corners.iter().copied().reduce(DVec3::max)];
+        let distance = 0.85 * widest;
+        let eye = 0.5 * (low.unwrap() + high.unwrap()) + distance * back;
+        Look { world, axes: [right, back.cross(right), back], eye, distance, widest }
+    }
+
+    /// Whether one of two labels, of which the places of the middle and the numbers of characters are given, covers the
+    /// other, if their sizes are multiplied by `size`.
+    fn covers(&self, labels: [(DVec3, usize); 2], size: f64) -> bool {
+        let [right, up, back] = self.axes;
+        let [one, other] = labels.map(|(place, _)| {
+            let from = place - self.eye;
+            self.distance / f64::max(-from.dot(back), 0.1 * self.distance)
+                * DVec3::new(from.dot(right), from.dot(up), 0.0)
+        });
+        let width = self.widest * (0.025 + 0.008 * (labels[0].1 + labels[1].1) as f64);
+        let apart = (one - other).abs();
+        apart.x <= size * width && apart.y <= size * 0.06 * self.widest
+    }
+
+    /// Whether another body is in front of a place on a body, by more than `depth` [its radii].
+    fn is_hidden(&self, index: usize, place: DVec3, depth: f64) -> bool {
+        let way = place - self.eye;
+        self.world.bodies().enumerate().filter(|(other, _)| *other != index).any(|(_, body)| {
+            let radius = body.scene().radius;
+            // the first point of the line of sight in the other body: of x² + 2 b x + c = 0 the smaller root
+            let from = self.eye - body.centre();
+            let (b, c) = (from.dot(way) / way.length(), from.length_squared() - radius * radius);
+            let root = b * b - c;
+            root > 0.0 && -b > 0.0 && -b - root.sqrt() < way.length() - depth * radius
+        })
+    }
+
+    /// Verifies that labels, each of which has the index of its body, the place of its middle and its number of characters,
+    /// stand on their bodies, where these are seen, and do not cover each other.
+    fn assert_readable(&self, labels: &[(usize, DVec3, usize)], at: &str) {
+        for (number, &(index, place, length)) in labels.iter().enumerate() {
+            let body = self.world.body(index);
+            let from = place.distance(body.centre());
+            let extent = body.scene().radius + body.max_displacement();
+            assert!(from <= (1.0 + 1e-6) * extent, "{at}: {index} is labelled {from} from its centre");
+            assert!(!self.is_hidden(index, place, 0.151), "{at}: the label of {index} is on another body");
+            for &(_, other, other_length) in &labels[..number] {
+                assert!(!self.covers([(place, length), (other, other_length)], 0.799), "{at}: {labels:?}");
+            }
+        }
+    }
+
+    /// Whether there is clearly room on a body for a label of this length beside other labels.
+    fn has_room(&self, index: usize, length: usize, labels: &[(usize, DVec3, usize)]) -> bool {
+        let [right, up, back] = self.axes;
+        let body = self.world.body(index);
+        let eighths = (0..8).map(|eighth| f64::from(eighth) * std::f64::consts::FRAC_PI_4);
+        let sides = eighths.map(|angle| 0.8 * (angle.cos() * up + angle.sin() * right));
+        sides.chain([DVec3::ZERO]).any(|side| {
+            let direction = (side + 0.6 * back).normalize();
+            let furthest = body.positions().map(|vertex| (vertex - body.centre()).dot(direction)).fold(0.0, f64::max);
+            let place = body.centre() + furthest * direction;
+            let others = labels.iter().filter(|of| of.0 != index);
+            let is_clear = |&(_, other, other_length): &(usize, DVec3, usize)| {
+                !self.covers([(place, length), (other, other_length)], 1.001)
+            };
+            !self.is_hidden(index, place, -0.001) && others.into_iter().all(is_clear)
+        })
+    }
+}
+
+/// Verifies which bodies are labelled: of the five strongest of `all`, those that have room.
 fn assert_labelled(
-    widest: f64,
     labelled: &[usize],
     all: &[usize],
     strength: impl Fn(usize) -> f64,
-    label: impl Fn(usize) -> (DVec3, usize),
+    has_room: impl Fn(usize) -> bool,
     at: &str,
 ) {
-    let covers = |one: usize, other: usize| covers(widest, [one, other].map(&label));
     // equal ones are in any order
     let stronger = |body: usize, by: f64| {
         let limit = strength(body) * by;
@@ -1770,12 +1853,10 @@ fn assert_labelled(
     };
     assert!(labelled.len() <= 5, "{at}: {labelled:?}");
     for &body in all {
-        let is_stronger = |of: usize| strength(of) >= (1.0 - 1e-12) * strength(body);
-        let is_covered = labelled.iter().any(|&of| of != body && is_stronger(of) && covers(of, body));
         match labelled.contains(&body) {
-            true => assert!(!is_covered && stronger(body, 1.0 + 1e-12) < 5, "{at}: {body} in {labelled:?}"),
+            true => assert!(stronger(body, 1.0 + 1e-12) < 5, "{at}: {body} in {labelled:?}"),
             false => assert!(
-                is_covered || stronger(body, 1.0 - 1e-12) >= 5 || strength(body) == 0.0,
+                stronger(body, 1.0 - 1e-12) >= 5 || strength(body) == 0.0 || !has_room(body),
                 "{at}: {body} beside {labelled:?}"
             ),
         }
@@ -1818,6 +1899,23 @@ fn verify_normals(body: &BodyView<'_>, normals: &[Vec3], at: &str) {
 #[test]
 fn push_is_recorded_exactly() {
     Run::new(&builtin("push")).verify();
+}
+
+#[test]
+fn what_a_scene_changes_is_listed() {
+    let text = "duration = 1.0\n[[body]]\nname = \"a\"\nradius = 1.0\nmotion = { fixed = [0, 0, 0] }\n\
+                [[push]]\nbody = \"a\"\ndirection = [1, 0, 0]\nstrength = 9.0\nstart = 0.0\nduration = 0.25\n\
+                [[point]]\nname = \"finger\"\nradius = 0.5\nact = \"attract\"\nstart = 0.5\nmotion = { fixed = [1, 0, 0] }\n\
+                [[edit]]\ntime = 0.76\nset = { \"material.omega\" = 9.0 }\n[[edit]]\ntime = 3.0\nset = { \"material.omega\" = 8.0 }\n";
+    let run = Run::new(&Scene::parse(text, "listed.toml").expect("a valid scene"));
+    let rows = run.recording.rows(&EntityPath::from("/events/scheduled"));
+    let rows: Vec<String> = rows.iter().map(|(_, row)| row.text("TextLog:text").to_owned()).collect();
+    let expected = [
+        "push on a ends at t = 0.250000 s, step 15",
+        "force point finger begins to act at t = 0.500000 s, step 30",
+        "edit: material.omega = 9.0 at t = 0.760000 s, step 46",
+    ];
+    assert_eq!(rows, expected);
 }
 
 #[test]

@@ -22,6 +22,7 @@ use crate::{
         parts::{
             numbers::{Spread, is_energy},
             pairs::{self, Told},
+            recent,
         },
         series::Outline,
     },
@@ -172,8 +173,10 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         }
         let spaces = std::mem::take(&mut layout.spaces);
         for aspect in [WIDE, NARROW] {
-            // of several variants, the arrangement is for the view from the front
-            let (pair, others) = match subject.schema.variants.is_empty() {
+            // the arrangement of several variants is for the view from the front; among many bodies, which show the pair
+            // alone, too, names stand where they are seen from there
+            let is_turned = subject.schema.variants.is_empty() && !recent::is_drawn_alone(subject.schema);
+            let (pair, others) = match is_turned {
                 true => (focus.pair.as_slice(), focus.others.as_slice()),
                 false => Default::default(),
             };

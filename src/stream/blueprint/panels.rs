@@ -58,10 +58,8 @@ pub fn arrows(schema: &Schema) -> String {
         return "No force can act in this scene.\n".to_owned();
     }
     format!(
-        "**By body**: the mean of each cause over a body, in the colours below; at most 1.5 R long, of small bodies less. \
-         Labels: the net force and its strongest cause [unit/s²], where there is room.\n\n\
-         **Others**: at vertices{}. An arrow of **1 R = {} unit** means: {}.\n\n\
-         **Plots and rows**: means over bodies, in the same colours.\n",
+        "**By body**: means over a body, at most 1.5 R long; labels: net force, strongest cause [unit/s²]. **Plots and rows**: \
+         the same. **Others**: at vertices{}. **1 R = {} unit** long: {}.\n",
         if is_uniform { "; uniform forces at the centre" } else { "" },
         rounded(radius),
         lengths(schema, |_| true),
@@ -73,7 +71,7 @@ pub fn stages() -> String {
     format!(
         "**How does a step come about?** The timeline `stage` counts the rows below: each is a state inside a step, with the vertex that \
          moved most since the stage before, and the body displaced most.\n\n\
-         - **{} arrows**, on this timeline alone: how vertices moved since the stage before; the longest of a step is half of the largest radius long\n\
+         - **{} arrows**, on this timeline alone: how vertices moved since the stage before, of bodies on paths relative to their centres; the longest of a step is half of the largest radius long\n\
          - **Other arrows**: the forces in that state, as in Scene\n",
         capitalized(colors::name(moves::MOVED)),
     )

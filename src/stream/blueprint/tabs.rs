@@ -104,8 +104,8 @@ impl Layout {
             }
             let shares = match schema.bodies.len() {
                 2 => [1.5, 0.5, 0.9, 1.0],
-                _ if recent::is_drawn_alone(schema) => [1.0, 1.5, 0.7, 1.2],
-                _ if is_ranked(schema) => [0.9, 1.4, 0.9, 0.7],
+                _ if recent::is_drawn_alone(schema) => [0.9, 1.3, 1.1, 1.2],
+                _ if is_ranked(schema) => [1.2, 1.1, 0.9, 0.7],
                 _ => [1.4, 1.1, 0.8, 0.9],
             };
             parts.push(match recent::is_drawn_alone(schema) {
@@ -201,7 +201,7 @@ impl Layout {
     fn recent_pair(&mut self) -> Part {
         let contents = [&RECENT_PAIR, &RECENT_SPHERES, &RECENT_NAMES].map(|of| including(of.path));
         let ground = self.ground.take();
-        let framing: Framing<'_> = (&[(DVec3::ZERO, 2.6)], WIDE);
+        let framing: Framing<'_> = (&[(DVec3::ZERO, 2.1)], WIDE);
         let view = self.space(framing, "The pair of the last event, alone", &contents);
         self.ground = ground;
         self.spaces.pop(); // its camera stays
@@ -230,7 +230,7 @@ impl Layout {
                 plot
             }));
         }
-        let title = "Contact (red-orange: joined only; yellow: touching only)";
+        let title = "Contact: red-orange joined only, yellow touching only, green both";
         let mut contents: Vec<String> = pairs::named(schema, &PAIR_PHASE).map(|lane| format!("- {lane}")).collect();
         contents.push(family(&PAIR_PHASE));
         let contacts = self.lanes(title, PAIR_PHASE.family(), &contents);
@@ -474,7 +474,8 @@ impl Layout {
             true,
             &[],
         );
-        let title = format!("{TIMINGS}; line: wait");
+        let title =
+            "Timings, ms per step: observe copies states, finds touches; line: wait for the recorder".to_owned();
         let stages = vec![self.stacked(&title, schema, false, &[including(&TIMING.of(&[numbers::WAIT]))]), recording];
         for plot in &stages {
             // the ranking names the colours

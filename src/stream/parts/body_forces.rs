@@ -5,7 +5,7 @@ use glam::DVec3;
 
 use super::{
     FrameView,
-    lines::BodyLabels,
+    labels::BodyLabels,
     ranking::{self, Mark, Ranking, Row, is_ranked},
 };
 use crate::{
@@ -232,14 +232,25 @@ fn rows_of_causes(schema: &Schema, mut resultants: Vec<Resultant>) -> Vec<Row> {
 }
 
 impl ResultantRows {
-    /// Arrows from the centres, all on the largest scale on which none is longer than [`LONGEST`].
-    fn of(FrameView { schema, frame, .. }: FrameView<'_>, resultants: &[Resultant]) -> ResultantRows {
+    /// Arrows from the centres, those of sums from beside them, all on the largest scale on which none is longer than
+    /// [`LONGEST`].
+    fn of(view: FrameView<'_>, resultants: &[Resultant]) -> ResultantRows {
+        /// How far the sum starts beside the centre, so that a parallel cause does not hide it [radii].
+        const BESIDE: f64 = 0.12;
+
+        let FrameView { schema, frame, .. } = view;
         let largest = schema.largest_radius();
         let limit = |of: &Resultant| LONGEST * (schema.bodies[of.body].radius * largest).sqrt() / of.strength();
         let scale = resultants.iter().map(limit).fold(f64::INFINITY, f64::min);
         let mut arrows = ResultantRows::default();
         for &Resultant { body, term, acceleration } in resultants {
-            arrows.origins.push(frame.bodies[body].centre.as_vec3().to_array());
+            let beside = match schema.sum_of_terms() == Some(term) {
+                true => {
+                    BESIDE * schema.bodies[body].radius * acceleration.cross(view.towards_eye()).normalize_or_zero()
+                }
+                false => DVec3::ZERO,
+            };
+            arrows.origins.push((frame.bodies[body].centre + beside).as_vec3().to_array());
             arrows.vectors.push((scale * acceleration).as_vec3().to_array());
             arrows.colors.push(color(schema.terms[term].color).to_u32());
         }

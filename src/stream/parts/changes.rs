@@ -54,7 +54,11 @@ impl Changes {
             let difference = || before.map_or(0.0, |[q, _]| (pair.q - q) / since);
             let rate = if pair.rate.is_nan() { difference() } else { pair.rate };
             let acceleration = before.map_or(0.0, |[_, before]| (rate - before) / since);
-            ranked.push((pair, next(schema, &pair, [rate, acceleration], at.time)));
+            let mut next = next(schema, &pair, [rate, acceleration], at.time);
+            if let Some(next) = next.as_mut().filter(|next| at.time + next.wait > schema.dt * schema.steps as f64) {
+                next.wait = f64::INFINITY; // the run ends before
+            }
+            ranked.push((pair, next));
             now.insert((pair.a, pair.b), [pair.q, rate]);
         }
         self.last = now;
@@ -79,7 +83,10 @@ impl Changes {
                 Some(Next { threshold, wait, .. }) => {
                     let label = schema.thresholds[threshold].name.trim_end_matches("_at");
                     let leaves = if label == phase.name { "leave " } else { "" };
-                    format!("{leaves}{label} in {wait:.2} s")
+                    match wait < 0.1 {
+                        true => format!("{leaves}{label} in {:.0} ms", 1e3 * wait),
+                        false => format!("{leaves}{label} in {wait:.2} s"),
+                    }
                 }
                 None => format!("stays {}", phase.name),
             };

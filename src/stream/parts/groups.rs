@@ -212,9 +212,7 @@ impl GroupPlots {
             label += &short(group.volume);
             if let Some(apart) = apart(group) {
                 marks.push((Mark::Dot(apart / largest), SILVER));
-                let change = format!("{:+.1}", 100.0 * (group.volume / apart - 1.0));
-                let change = if change == "-0.0" { "+0.0" } else { &change };
-                label += &format!(", {change} %");
+                label += &format!(", {} %", percent(group.volume / apart));
             }
             Row { label, color, marks }
         });
@@ -223,10 +221,25 @@ impl GroupPlots {
             let label = format!("{}: {}", view.schema.bodies[body].name, short(volume));
             Row { label, color, marks: vec![(Mark::Bar(volume / largest), color)] }
         }));
+        // what all of it encloses, and how much of that merging has added
+        let all = (ranked > 0).then(|| {
+            let alone: f64 = (0..ranked).filter(is_alone).map(|body| self.volumes[body]).sum();
+            let of_surfaces = groups.iter().map(|group| group.volume).sum::<f64>() + alone;
+            let of_bodies: f64 = self.volumes.iter().sum();
+            let label = format!("all: {}, {} %", short(of_surfaces), percent(of_surfaces / of_bodies));
+            Row { label, color: SILVER, marks: Vec::new() }
+        });
+        let rows = all.into_iter().chain(rows);
         let none =
             if merged.overlapping > 0 { "groups are drawn as overlapping meshes" } else { "no bodies are joined" };
         ranking.log(rows, none, view.at, chunks);
     }
+}
+
+/// How much a ratio is above 1 [%].
+fn percent(ratio: f64) -> String {
+    let change = format!("{:+.1}", 100.0 * (ratio - 1.0));
+    if change == "-0.0" { "+0.0".to_owned() } else { change }
 }
 
 /// What has room beside a bar, the names of a group and the number of its pieces [characters].

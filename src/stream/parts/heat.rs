@@ -11,7 +11,7 @@ use super::{
     FrameView,
     body_forces::MOST_BODIES,
     callout::Callout,
-    lines::BodyLabels,
+    labels::BodyLabels,
     ranking::{self, Mark, Ranking, Row, is_ranked},
     recent,
 };
@@ -156,10 +156,10 @@ impl Heat {
             series.log_or_interrupt(chunks, *line, value, view.at);
         }
         ranked.sort_by(|&one, &other| largest(other).total_cmp(&largest(one)));
-        if let Some(bodies) = &self.bodies {
+        if let Some(bodies) = &mut self.bodies {
             let label = |&body: &usize| match largest(body) {
                 0.0 => (body, view.schema.bodies[body].name.clone()),
-                largest => (body, format!("{} {largest:.3} R", view.schema.bodies[body].name)),
+                largest => (body, format!("{} {}", view.schema.bodies[body].name, radii(largest))),
             };
             let (first, others) = ranked.split_at(ranked.len().min(ranking::LABELLED));
             bodies.log(view, first.iter().map(label), others.iter().copied(), chunks);
@@ -168,7 +168,7 @@ impl Heat {
             let longest = ranked.first().map_or(0.0, |&body| largest(body));
             let rows = ranked.into_iter().filter(|&body| largest(body) > 0.0).map(|body| {
                 let vertex = view.frame.bodies[body].most_displaced().unwrap_or(0);
-                let label = format!("{}:{vertex} {:.3} R", view.schema.bodies[body].name, largest(body));
+                let label = format!("{}:{vertex} {}", view.schema.bodies[body].name, radii(largest(body)));
                 let color = if self.lines.is_empty() { palette::DOT } else { line_color(body) };
                 Row { label, color, marks: vec![(Mark::Bar(largest(body) / longest), color)] }
             });
@@ -181,6 +181,11 @@ impl Heat {
 const HEIGHT: usize = 10;
 /// Places of its numbers, as shares of the range.
 const TICKS: [f64; 3] = [0.0, 0.5, 1.0];
+
+/// A displacement [radii].
+fn radii(x: f64) -> String {
+    if x < 1e3 { format!("{x:.3} R") } else { format!("{x:.2e} R") }
+}
 
 /// The vertex with the largest displacement.
 #[derive(Clone, Copy)]
@@ -195,7 +200,7 @@ struct Largest {
 
 impl Largest {
     fn text(&self, view: FrameView<'_>) -> String {
-        format!("{}, {:.3} R", self.place(view), self.displacement)
+        format!("{}, {}", self.place(view), radii(self.displacement))
     }
 
     fn place(&self, view: FrameView<'_>) -> String {

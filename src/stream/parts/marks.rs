@@ -3,11 +3,11 @@
 use crate::{
     analysis::approach::Approach,
     colors::{GREY, SILVER},
-    observe::{PairEvent, Schema},
-    sdk::{Scalars, SeriesPoints, components::MarkerShape},
+    observe::{PairEvent, Schema, schema::Scheduled},
+    sdk::{Scalars, SeriesPoints, TextLog, components::MarkerShape},
     stream::{
         chunks::Chunks,
-        contract::{Entity, MARKS_AT_Q, MARKS_OF_DRAWN, MARKS_ON_AXIS},
+        contract::{Entity, MARKS_AT_Q, MARKS_OF_DRAWN, MARKS_ON_AXIS, SCHEDULED},
         instant::Instant,
         palette::{Rgb, color},
     },
@@ -81,6 +81,28 @@ pub fn log_near_misses(family: &Entity, schema: &Schema, approaches: &[&Approach
     for Approach { q, time, .. } in approaches {
         let at = Instant { step: (time / schema.dt).ceil() as u64, time: *time };
         chunks.log(&entity, at, &Scalars::new([*q]));
+    }
+}
+
+/// Lists what the scene changes within a step; `is_plotted`: whether to mark it in plots, too.
+pub fn log_scheduled<'a>(
+    step: u64,
+    scheduled: impl Iterator<Item = &'a Scheduled>,
+    is_plotted: bool,
+    chunks: &mut Chunks,
+) {
+    /// Upper limit on the number of lines of a step.
+    const MOST: usize = 64;
+
+    for (number, Scheduled { time, text }) in scheduled.take(MOST).enumerate() {
+        let at = Instant { step, time: *time };
+        let line = TextLog::new(format!("{text} at t = {time:.6} s, step {step}")).with_level("scene");
+        chunks.log(SCHEDULED.path, at, &line.with_color(color(SILVER)));
+        if is_plotted && number == 0 {
+            let entity = MARKS_ON_AXIS.of(&["scheduled"]);
+            chunks.log_static(&entity, &style(ON_AXIS, SILVER, MarkerShape::Square, 4.0));
+            chunks.log(&entity, at, &Scalars::new([0.0]));
+        }
     }
 }
 

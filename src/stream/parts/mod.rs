@@ -21,7 +21,8 @@
 //! | `/legend/…`, `/largest`, `/displacement` | [`heat`] |
 //! | `/touching/MODEL` | [`touching`] |
 //! | `/marks/…` | [`marks`] |
-//! | `/world/pairs`, `/world/names`, and labels of bodies | [`lines`] |
+//! | `/world/pairs` | [`lines`] |
+//! | `/world/names`, and labels of bodies | [`labels`] |
 //! | `/world/recent`, `/recent/pair` | [`recent`] |
 //! | `/largest`, `/stages/furthest`, and `/world/worst` of a comparison | [`callout`] |
 //! | values of single vertices, on the entities of their surfaces | [`vertices`] |
@@ -35,6 +36,7 @@ pub mod changes;
 pub mod forces;
 pub mod groups;
 pub mod heat;
+pub mod labels;
 pub mod lines;
 pub mod marks;
 pub mod merged;
@@ -51,7 +53,7 @@ pub mod touching;
 pub mod trails;
 pub mod vertices;
 
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 
 use super::instant::Instant;
 use crate::geometry::bounds;
@@ -63,45 +65,6 @@ const MAX_LABELS: usize = 8;
 /// From the bodies towards the eye in [upright](Schema::upright) axes, unless they are flat or one hides another; not
 /// normalized.
 pub const TOWARDS_EYE: DVec3 = DVec3::new(-0.2, -1.0, 0.4);
-
-/// Labels in space, none of which covers another from the usual direction of the camera.
-struct Labels {
-    right: DVec3,
-    up: DVec3,
-    /// The widest view [scene unit].
-    widest: f64,
-    /// Middles and half widths [scene unit].
-    taken: Vec<(DVec2, f64)>,
-}
-
-impl Labels {
-    /// The size of a label in a view in which the bodies are small: its height, and the widths of its margins and of a
-    /// character [widest view].
-    const HEIGHT: f64 = 0.06;
-    const MARGINS: f64 = 0.025;
-    const CHARACTER: f64 = 0.016;
-
-    fn new(view: FrameView<'_>) -> Labels {
-        let towards_eye = view.towards_eye();
-        let right = view.schema.up.cross(towards_eye).normalize();
-        let up = towards_eye.cross(right).normalize();
-        Labels { right, up, widest: view.widest, taken: Vec::new() }
-    }
-
-    /// Takes this place for a label if there is room.
-    fn take(&mut self, place: DVec3, label: &str) -> bool {
-        let middle = DVec2::new(place.dot(self.right), place.dot(self.up));
-        let half = 0.5 * self.widest * (Labels::MARGINS + Labels::CHARACTER * label.chars().count() as f64);
-        let is_clear = self.taken.iter().all(|&(other, other_half)| {
-            let apart = (other - middle).abs();
-            apart.x > half + other_half || apart.y > Labels::HEIGHT * self.widest
-        });
-        if is_clear {
-            self.taken.push((middle, half));
-        }
-        is_clear
-    }
-}
 
 /// The input of a part: the frame to be logged.
 #[derive(Clone, Copy)]

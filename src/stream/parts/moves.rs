@@ -97,7 +97,8 @@ pub fn longest(moved: &[Vectors]) -> f64 {
     moved.iter().flat_map(|moved| moved.iter().map(|vector| vector.length())).fold(0.0, f64::max)
 }
 
-/// How each vertex of each body moved between two frames [scene unit]; none of a body whose vertices are not the same.
+/// How each vertex of each body moved between two frames [scene unit], of a body on a path relative to its centre; none of a
+/// body whose vertices are not the same.
 pub fn between(schema: &Schema, frames: [&Frame; 2]) -> Vec<Vectors> {
     let mut positions = [Vectors::default(), Vectors::default()];
     let bodies = schema.bodies.iter().zip(frames[0].bodies.iter().zip(&frames[1].bodies));
@@ -106,7 +107,7 @@ pub fn between(schema: &Schema, frames: [&Frame; 2]) -> Vec<Vectors> {
             state.local_positions(state.rest_of(body), positions);
         }
         let [from, to] = &positions;
-        let shift = now.centre - before.centre;
+        let shift = if body.is_free { now.centre - before.centre } else { DVec3::ZERO };
         match from.len() == to.len() {
             true => from.iter().zip(to.iter()).map(|(from, to)| to - from + shift).collect(),
             false => Vectors::default(),

@@ -232,19 +232,21 @@ impl PairPlots {
     }
 
     /// The axis of plots of q; `None` without a plot.
-    pub fn axis(&self, series: &Series) -> Option<Axis> {
+    pub fn axis(&self, series: &Series, schema: &Schema, told: &Told) -> Option<Axis> {
         /// How far from q, as a ratio to its range.
         const FAR: f64 = 1.5;
         /// A range of q that leaves thresholds room [–].
         const LEAST: f64 = 0.2;
 
         let extended = |[low, high]: [f64; 2], by: [f64; 2]| [low.min(by[0]), high.max(by[1])];
-        let of_q = self.known.values().filter_map(|plot| series.outline(plot.distance).range);
+        let is_drawn = |&(a, b): &(usize, usize)| told.left_out == 0 || told.moving.contains(&schema.pair_name(a, b));
+        let drawn = || self.known.iter().filter(|(pair, _)| is_drawn(pair));
+        let of_q = drawn().filter_map(|(_, plot)| series.outline(plot.distance).range);
         let [low, high] = of_q.reduce(extended)?;
         let margin = FAR * (high - low).max(LEAST);
         let is_near = |level: &[f64; 2]| level[1] >= low - margin && level[0] <= high + margin;
         let level = |&(line, _): &(LineId, usize)| series.outline(line).range;
-        let near = self.known.values().flat_map(|plot| plot.thresholds.iter().filter_map(level)).filter(is_near);
+        let near = drawn().flat_map(|(_, plot)| plot.thresholds.iter().filter_map(level)).filter(is_near);
         let near = near.map(|level| level.map(|end| end.max(low - margin).min(high + margin)));
         let ends = near.fold([low, high], extended);
         let is_beyond = |plot: &PairPlot| plot.thresholds.iter().filter_map(level).any(|level| !is_near(&level));

@@ -171,6 +171,9 @@ impl Recent {
             let q = event.centres[0].distance(event.centres[1]) / (radii[0] + radii[1]);
             event.q = format!("; now q = {q:.3}");
         }
+        if let Some(alone) = self.alone.as_ref().filter(|alone| alone.pair.is_none() && self.age == 1) {
+            alone.log_none(at, chunks);
+        }
         match self.events.back().map(|last| last.pair) {
             Some(pair) => self.draw(schema, pair.map(|body| &frame.bodies[body]), at, chunks),
             None => self.push(&Rows::default(), at, chunks),
@@ -206,6 +209,12 @@ impl Recent {
 }
 
 impl Alone {
+    /// Says that there was no event so far.
+    fn log_none(&self, at: Instant, chunks: &mut Chunks) {
+        let text = Points3D::update_fields().with_positions([[0.0; 3]]).with_labels(["no event yet"]);
+        chunks.log(RECENT_NAMES.path, at, &text.with_colors([color(palette::SEAM)]));
+    }
+
     /// Logs the surfaces, and the spheres in this colour, about `middle`, in units of `radius`.
     fn log(
         &mut self,

@@ -73,6 +73,9 @@ impl Claim {
             SinkError::File { doing, path: path.clone(), source: Arc::new(source), help }
         };
         let taken = |what: &str| SinkError::taken(path, what);
+        if path.to_string_lossy().ends_with(std::path::is_separator) {
+            return Err(file_error("write", io::ErrorKind::IsADirectory.into()));
+        }
 
         let mut there = None;
         match std::fs::metadata(path) {
@@ -427,7 +430,7 @@ impl Drop for Writer {
             self.join().ok();
         }
         if let Some(Held { partial: Some(partial), .. }) = &mut self.held {
-            partial.is_kept = self.sent > 0;
+            partial.is_kept = std::fs::metadata(&partial.path).is_ok_and(|written| written.len() > 0);
         }
     }
 }

@@ -267,9 +267,9 @@ impl Sinks {
     pub fn send_to(&mut self, audience: Audience, msg: LogMsg) -> Result<(), SinkError> {
         let parcel = Parcel::new(msg);
         if audience != Audience::Viewers {
-            for writer in &mut self.writers {
-                writer.send(parcel.clone())?;
-            }
+            // one that has failed leaves the others complete
+            let sent = self.writers.iter_mut().map(|writer| writer.send(parcel.clone()));
+            sent.fold(Ok(()), Result::and)?;
         }
         if audience == Audience::Files {
             return Ok(());

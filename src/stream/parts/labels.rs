@@ -1,0 +1,275 @@
+//! Labels of bodies in space: seen from the usual direction of the camera, each stands on its own body, and none covers
+//! another.
+
+use std::f64::consts::TAU;
+
+use glam::{DVec2, DVec3};
+
+use super::FrameView;
+use crate::{
+    observe::Schema,
+    sdk::{self, Points3D},
+    stream::{
+        chunks::{Chunks, TrackId},
+        contract::NAMES,
+        extract::Float3,
+        palette::{self, color},
+    },
+};
+
+/// Upper limit on the number of bodies with names.
+pub const MAX_NAMED: usize = 32;
+
+/// Number of places around a body where its label may stand; one more is in the middle of its front.
+const SIDES: u8 = 8;
+/// How far a place is from the middle of the front, and towards the eye [radii].
+const ASIDE: f64 = 0.8;
+const TOWARDS: f64 = 0.6;
+/// A label that was there in the last frame may come this near to others [sizes], and this far behind other bodies [radii], so
+/// that labels do not come and go in every frame.
+const KEPT_SIZE: f64 = 0.8;
+const KEPT_DEPTH: f64 = 0.15;
+/// Number of vertices from which the surface at a place is found.
+const SAMPLES: usize = 512;
+
+/// The labels of a frame so far.
+pub struct Labels<'a> {
+    view: FrameView<'a>,
+    /// To the right, upwards, and towards the eye.
+    axes: [DVec3; 3],
+    eye: DVec3,
+    /// Middles and half sizes [scene unit, at the distance of the middle of all bodies].
+    taken: Vec<(DVec2, DVec2)>,
+}
+
+impl<'a> Labels<'a> {
+    /// The size of a label in a view in which the bodies are small: its height, and the widths of its margins and of a
+    /// character [widest view].
+    const HEIGHT: f64 = 0.06;
+    const MARGINS: f64 = 0.025;
+    const CHARACTER: f64 = 0.016;
+    /// The distance of the eye from the middle of all bodies, about [widest view].
+    const DISTANCE: f64 = 0.85;
+
+    /// Without labels.
+    pub fn new(view: FrameView<'a>) -> Labels<'a> {
+        let back = view.towards_eye().normalize();
+        let right = view.schema.up.cross(back).normalize();
+        let [low, high] = view.bounds();
+        let eye = 0.5 * (low + high) + Labels::DISTANCE * view.widest * back;
+        Labels { view, axes: [right, back.cross(right), back], eye, taken: Vec::new() }
+    }
+
+    /// Takes this place for a label if there is room.
+    pub fn take(&mut self, place: DVec3, label: &str) -> bool {
+        self.take_if(place, label, 1.0)
+    }
+
+    /// Takes this place unless the label, of a size times `size`, would cover another one.
+    fn take_if(&mut self, place: DVec3, label: &str, size: f64) -> bool {
+        let [right, up, back] = self.axes;
+        let from = place - self.eye;
+        let distance = Labels::DISTANCE * self.view.widest;
+        let scale = distance / f64::max(-from.dot(back), 0.1 * distance);
+        let middle = scale * DVec2::new(from.dot(right), from.dot(up));
+        let width = Labels::MARGINS + Labels::CHARACTER * label.chars().count() as f64;
+        let half = 0.5 * self.view.widest * DVec2::new(width, Labels::HEIGHT);
+        let is_clear = self.taken.iter().all(|&(other, other_half)| {
+            let (apart, sum) = ((other - middle).abs(), size * (half + other_half));
+            apart.x > sum.x || apart.y > sum.y
+        });
+        if is_clear {
+            self.taken.push((middle, half));
+        }
+        is_clear
+    }
+
+    /// Takes a place for the label of a body, on the visible part of its surface, if there is one with room: that of the last
+    /// frame, `side`, or else one on the side away from its neighbours. Returns it and its side.
+    fn take_on(&mut self, body: usize, label: &str, side: Option<u8>) -> Option<(DVec3, u8)> {
+        if let Some(side) = side {
+            let place = self.place(body, side);
+            if self.is_seen(body, place, KEPT_DEPTH) && self.take_if(place, label, KEPT_SIZE) {
+                return Some((place, side));
+            }
+        }
+        let away = self.away(body);
+        let mut sides: Vec<u8> = (0..SIDES).collect();
+        sides.sort_by(|&one, &other| self.towards(other).dot(away).total_cmp(&self.towards(one).dot(away)));
+        sides.push(SIDES);
+        sides.into_iter().find_map(|side| {
+            let place = self.place(body, side);
+            (self.is_seen(body, place, 0.0) && self.take_if(place, label, 1.0)).then_some((place, side))
+        })
+    }
+
+    /// The direction of a side in the plane of the view; 0 for the middle.
+    fn towards(&self, side: u8) -> DVec3 {
+        let [right, up, _] = self.axes;
+        let (sin, cos) = libm::sincos(TAU * f64::from(side) / f64::from(SIDES));
+        if side == SIDES { DVec3::ZERO } else { cos * up + sin * right }
+    }
+
+    /// A point on the front of a body's surface, on this side.
+    fn place(&self, body: usize, side: u8) -> DVec3 {
+        let [.., back] = self.axes;
+        let direction = (ASIDE * self.towards(side) + TOWARDS * back).normalize();
+        let (schema, now) = (&self.view.schema.bodies[body], &self.view.frame.bodies[body]);
+        let rest = now.rest_of(schema);
+        let vertices = (0..rest.len()).step_by(1 + rest.len() / SAMPLES).map(|vertex| match now.is_at_rest {
+            true => now.rotation * rest.position(vertex),
+            false => now.positions.get(vertex),
+        });
+        let furthest = vertices.max_by(|one, other| one.dot(direction).total_cmp(&other.dot(direction)));
+        let vertex = furthest.unwrap_or_default();
+        // of a ball, a place that does not jump from vertex to vertex
+        let is_round = now.mesh_of(schema).is_round();
+        now.centre + if is_round { vertex.dot(direction) * direction } else { vertex }
+    }
+
+    /// Whether no other body is in front of a place, or only by `depth` [its radii].
+    fn is_seen(&self, body: usize, place: DVec3, depth: f64) -> bool {
+        let distance = self.eye.distance(place);
+        let ray = (place - self.eye) / distance;
+        let mut others = self.view.bodies().enumerate().filter(|(other, (_, now))| *other != body && !now.is_absent);
+        !others.any(|(_, (of, now))| {
+            let to = now.centre - self.eye;
+            let along = to.dot(ray);
+            let half = of.radius * of.radius - (to - along * ray).length_squared();
+            half > 0.0 && along > 0.0 && along - half.sqrt() < distance - depth * of.radius
+        })
+    }
+
+    /// Away from the neighbours of a body, and upwards.
+    fn away(&self, body: usize) -> DVec3 {
+        let frame = self.view.frame;
+        let centre = frame.bodies[body].centre;
+        let met = frame.pairs.iter().filter_map(|pair| match (pair.a == body, pair.b == body) {
+            (true, _) => Some(pair.b),
+            (_, true) => Some(pair.a),
+            _ => None,
+        });
+        let away: DVec3 = met.map(|other| (centre - frame.bodies[other].centre).normalize_or_zero()).sum();
+        // for bodies at the same position, every other name is on the left
+        let [right, up, _] = self.axes;
+        away + 0.4 * up + if body.is_multiple_of(2) { -0.05 } else { 0.05 } * right
+    }
+}
+
+/// Labels of bodies from frame to frame: on which side each stood in the last one, if it had a label.
+#[derive(Default)]
+struct Sides(Vec<Option<u8>>);
+
+impl Sides {
+    /// Takes a place for the label of a body, if there is one.
+    fn take(&mut self, body: usize, label: &str, labels: &mut Labels<'_>) -> Option<DVec3> {
+        self.0.resize(self.0.len().max(body + 1), None);
+        let found = labels.take_on(body, label, self.0[body]);
+        self.0[body] = found.map(|(_, side)| side);
+        found.map(|(place, _)| place)
+    }
+
+    fn has(&self, body: usize) -> bool {
+        self.0.get(body).is_some_and(Option::is_some)
+    }
+}
+
+/// The names of bodies for which there is room. Of several variants, the first one's, and the names of all variants.
+pub struct Names {
+    places: TrackId,
+    texts: TrackId,
+    /// The bodies that were named last, ascending; `None` if nothing is logged yet.
+    named: Option<Vec<usize>>,
+    sides: Sides,
+}
+
+impl Names {
+    /// Without names; `None` if there are too many bodies.
+    pub fn new(schema: &Schema, chunks: &mut Chunks) -> Option<Names> {
+        if schema.variants.is_empty() && !(2..=MAX_NAMED).contains(&schema.bodies.len()) {
+            return None;
+        }
+        let style = Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.5)]).with_show_labels(true);
+        chunks.log_static(NAMES.path, &style);
+        Some(Names {
+            texts: chunks.track(NAMES.path, [Points3D::descriptor_labels(), Points3D::descriptor_colors()]),
+            places: chunks.track(NAMES.path, [Points3D::descriptor_positions()]),
+            named: None,
+            sides: Sides::default(),
+        })
+    }
+
+    /// Names the bodies in `first`, then those that had names, then the largest.
+    pub fn log(&mut self, view: FrameView<'_>, first: &[usize], labels: &mut Labels<'_>, chunks: &mut Chunks) {
+        let FrameView { schema, frame, at, .. } = view;
+        for variant in &schema.variants {
+            labels.take(variant.heading, variant.name);
+        }
+        let nameable = Some(schema.variant_size()).filter(|&bodies| bodies <= MAX_NAMED).unwrap_or(0);
+        let mut bodies: Vec<usize> = (0..nameable).filter(|&body| !frame.bodies[body].is_absent).collect();
+        let rank = |body: usize| (first.contains(&body), self.sides.has(body));
+        let radius = |body: usize| schema.bodies[body].radius;
+        bodies.sort_by(|&one, &other| rank(other).cmp(&rank(one)).then(radius(other).total_cmp(&radius(one))));
+        let place = |body: usize| Some((body, self.sides.take(body, schema.plain_name(body), labels)?));
+        let mut named: Vec<(usize, DVec3)> = bodies.into_iter().filter_map(place).collect();
+        named.sort_unstable_by_key(|(body, _)| *body);
+        let headings = schema.variants.iter().map(|variant| variant.heading);
+        let places = named.iter().map(|(_, place)| *place).chain(headings);
+        let places: Vec<Float3> = places.map(|place| place.as_vec3().to_array()).collect();
+        let bodies: Vec<usize> = named.into_iter().map(|(body, _)| body).collect();
+        if self.named.as_ref() != Some(&bodies) {
+            let names = bodies.iter().map(|&body| (schema.plain_name(body), palette::of_body(schema, body)));
+            let names = names.chain(schema.variants.iter().map(|variant| (variant.name, palette::SEAM)));
+            let (names, colors): (Vec<String>, Vec<u32>) =
+                names.map(|(name, rgb)| (name.to_owned(), color(rgb).to_u32())).unzip();
+            chunks.push(self.texts, at, &[&names, &colors]);
+            self.named = Some(bodies);
+        }
+        chunks.push_changed(self.places, at, &[&places]);
+    }
+}
+
+/// Labels of the bodies that matter most at an instant, and the names of others.
+pub struct BodyLabels {
+    track: TrackId,
+    sides: Sides,
+}
+
+impl BodyLabels {
+    /// Starts without labels.
+    pub fn new(entity: &str, chunks: &mut Chunks) -> BodyLabels {
+        let style = Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.5)]).with_show_labels(true);
+        chunks.log_static(entity, &style.with_colors([color(palette::SEAM)]));
+        let track = chunks.track(entity, [Points3D::descriptor_positions(), Points3D::descriptor_labels()]);
+        BodyLabels { track, sides: Sides::default() }
+    }
+
+    /// Logs the labels of `first` for which there is room, then as many names of the rest of them and of `others`.
+    pub fn log(
+        &mut self,
+        view: FrameView<'_>,
+        first: impl Iterator<Item = (usize, String)>,
+        others: impl Iterator<Item = usize>,
+        chunks: &mut Chunks,
+    ) {
+        let (mut taken, mut rest) = (Labels::new(view), Vec::new());
+        let (mut places, mut labels): (Vec<Float3>, Vec<String>) = (Vec::new(), Vec::new());
+        let mut take = |body: usize, label: String| {
+            let place = self.sides.take(body, &label, &mut taken);
+            if let Some(place) = place {
+                places.push(place.as_vec3().to_array());
+                labels.push(label);
+            }
+            place.is_some()
+        };
+        for (body, label) in first {
+            if !take(body, label) {
+                rest.push(body);
+            }
+        }
+        for body in rest.into_iter().chain(others).take(MAX_NAMED) {
+            take(body, view.schema.bodies[body].name.clone());
+        }
+        chunks.push_changed(self.track, view.at, &[&places, &labels]);
+    }
+}
