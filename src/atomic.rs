@@ -105,6 +105,7 @@ pub fn remedy(path: &Path, error: &io::Error) -> String {
         io::ErrorKind::FileTooLarge => "the file system or a limit (`ulimit -f`) allows no larger file: save elsewhere",
         io::ErrorKind::PermissionDenied => "you have no write permission there: save elsewhere",
         io::ErrorKind::ReadOnlyFilesystem => "the file system is read-only: save elsewhere",
+        io::ErrorKind::AlreadyExists | io::ErrorKind::NotADirectory => "a file is in the way: choose another folder",
         io::ErrorKind::BrokenPipe => "the program that was reading it has gone",
         io::ErrorKind::InvalidFilename => {
             "the system does not allow that name, or its temporary one: choose another, shorter one"

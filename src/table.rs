@@ -173,7 +173,7 @@ impl Table {
             )));
         };
         may_replace(path, &columns)?;
-        let failed = |error: io::Error| TableError::Refused(unwritable(path, &error));
+        let failed = |error: io::Error| write_failed(path, &error);
         let file = AtomicFile::create(path).map_err(failed)?;
         let to = BufWriter::new(file.handle().map_err(failed)?);
         let writer = Writer::new(format, &columns, to).map_err(failed)?;
@@ -199,11 +199,7 @@ impl Table {
 }
 
 fn write_failed(path: &Path, error: &io::Error) -> TableError {
-    TableError::Failed(unwritable(path, error))
-}
-
-fn unwritable(path: &Path, error: &io::Error) -> String {
-    format!("cannot write {}: {error}; {}", path.display(), atomic::remedy(path, error))
+    TableError::Failed(format!("cannot write {}: {error}; {}", path.display(), atomic::remedy(path, error)))
 }
 
 /// Checks that a table with these columns may be put at `path`.

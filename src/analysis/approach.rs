@@ -2,6 +2,8 @@
 
 use std::{collections::BTreeMap, mem::take};
 
+use glam::DVec3;
+
 use crate::observe::{NearPair, PairEvent, Schema, Simulation};
 
 /// Upper limit on the number of tracked pairs.
@@ -32,13 +34,29 @@ impl NearPair {
     pub fn extremum(&self, next: &NearPair, simulation: &dyn Simulation, ends: [f64; 2], is_maximum: bool) -> [f64; 2] {
         let h = ends[1] - ends[0];
         let sign = if is_maximum { -1.0 } else { 1.0 };
+        // through positions and velocities at both ends
+        let cubic = |z: f64, [[from, rate], [to, last_rate]]: [[DVec3; 2]; 2]| {
+            let (value, slope) = ((1.0 - z) * (1.0 - z) * (1.0 + 2.0 * z), z * (1.0 - z) * (1.0 - z) * h);
+            let last_slope = -z * z * (1.0 - z) * h;
+            from * value + to * (1.0 - value) + rate * slope + last_rate * last_slope
+        };
+        let on_path = |body: usize, time: f64| simulation.on_path(body, time);
+        let of_path = |body: usize| Some([on_path(body, ends[0])?, on_path(body, ends[1])?]);
+        let of_paths = [self.a, self.b].map(of_path);
+        // how far a path is from the cubic through its ends
+        let beside = |which: usize, z: f64, time: f64| {
+            let of_path = of_paths[which]?;
+            Some(on_path([self.a, self.b][which], time)?[0] - cubic(z, of_path))
+        };
         let distance = |z: f64| {
             let time = ends[0] + z * h;
-            let apart = simulation.apart(self.a, self.b, time).unwrap_or_else(|| {
-                let (value, slope) = ((1.0 - z) * (1.0 - z) * (1.0 + 2.0 * z), z * (1.0 - z) * (1.0 - z) * h);
-                let last_slope = -z * z * (1.0 - z) * h;
-                self.apart * value + next.apart * (1.0 - value) + self.rate * slope + next.rate * last_slope
-            });
+            let apart = match [self.a, self.b].map(|body| on_path(body, time)) {
+                [Some([a, _]), Some([b, _])] => b - a,
+                _ => {
+                    let relative = cubic(z, [[self.apart, self.rate], [next.apart, next.rate]]);
+                    relative + beside(1, z, time).unwrap_or_default() - beside(0, z, time).unwrap_or_default()
+                }
+            };
             sign * apart.length()
         };
         let at = |k: usize| k as f64 / LOOKS as f64;
@@ -61,7 +79,7 @@ impl NearPair {
         [ends[0] + best_at * h, sign * best]
     }
 
-    /// A lower bound of the distance [scene unit] of bodies that are not both on paths, in a step of `h` [s] to `next`: a
+    /// A lower bound of the distance [scene unit] of bodies that are not on paths, in a step of `h` [s] to `next`: a
     /// cubic does not leave the convex hull of its Bézier points.
     fn least_distance(&self, next: &NearPair, h: f64) -> f64 {
         let along = next.apart.normalize_or_zero();
@@ -138,7 +156,7 @@ impl Approaches {
             }
             let nearest = watched.closest.q * radii * (1.0 - 1e-12);
             if let Some(before) = before
-                && (simulation.apart(pair.a, pair.b, time).is_some()
+                && ([pair.a, pair.b].into_iter().any(|body| simulation.on_path(body, time).is_some())
                     || before.least_distance(pair, time - self.time) < nearest)
             {
                 let [time, distance] = before.extremum(pair, simulation, [self.time, time], false);
@@ -169,7 +187,12 @@ impl Approach {
     pub fn describe(&self, schema: &Schema) -> String {
         let first = schema.thresholds.first().zip(schema.level(0, [self.a, self.b], self.time));
         let missed = first.map_or(String::new(), |(threshold, level)| {
-            format!(", {:.4} short of {} = {}", self.q - level, threshold.name, (1e4 * level).round() / 1e4)
+            let (by, at) = (self.q - level, format!("{} = {}", threshold.name, (1e4 * level).round() / 1e4));
+            match by < 1e-9 {
+                true => format!(", right at {at}"),
+                false if by < 1e-4 => format!(", {by:.0e} short of {at}"),
+                false => format!(", {by:.4} short of {at}"),
+            }
         });
         let (pair, Approach { q, time, .. }) = (schema.pair_name(self.a, self.b), self);
         format!("{pair} came to q = {q:.4} at t = {time:.4} s{missed}")
@@ -193,6 +216,18 @@ mod tests {
             approaches.step(&world, &schema, &summary.events);
         }
         (approaches.closest(), schema)
+    }
+
+    /// b turns back at a keyframe between two steps, at a distance of 2.22 from a free body.
+    #[test]
+    fn a_near_miss_of_a_free_body_is_found_at_a_kink_of_a_path() {
+        let (found, _) = closest(
+            "duration = 1\ndt = 0.1\n[influence]\nalpha = 0\nbeta = 0\n[[body]]\nname = 'a'\nradius = 1.0\n\
+             motion = { free = { from = [0, 0, 0] } }\n[[body]]\nname = 'b'\nradius = 1.0\nmotion = { keyframes = { \
+             keys = [[0, 3, 0, 0], [0.25, 2.22, 0, 0], [0.5, 3.2, 0, 0]], interpolation = 'linear' } }\n",
+        );
+        let [found] = found[..] else { panic!("one pair") };
+        assert!((found.q - 1.11).abs() < 1e-9 && (found.time - 0.25).abs() < 1e-6, "{found:?}");
     }
 
     /// b passes a at a distance of 2.14 in a straight line: q = 1.07 at t = 2.8 s, between two steps.

@@ -318,8 +318,9 @@ impl Touches {
             } else {
                 between(&self.schema, ends, time, &pair.bodies, &mut inside);
                 let [a, b] = pair.bodies;
-                if let Some(apart) = simulation.apart(a, b, time) {
-                    inside.bodies[b].centre = inside.bodies[a].centre + apart; // paths need no interpolation
+                if let [Some([one, _]), Some([other, _])] = [a, b].map(|body| simulation.on_path(body, time)) {
+                    // paths need no interpolation
+                    inside.bodies[b].centre = inside.bodies[a].centre + (other - one);
                 }
             }
             known = pair.last;

@@ -78,7 +78,10 @@ pub fn check(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> 
 fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
     let folder = arguments.out.clone().unwrap_or_default();
     if !folder.as_os_str().is_empty() {
-        let failed = |error| Failure::Input(format!("cannot create the folder {}: {error}", folder.display()));
+        let failed = |error| {
+            let remedy = atomic::remedy(&folder, &error);
+            Failure::Run(format!("cannot create the folder {}: {error}; {remedy}", folder.display()))
+        };
         fs::create_dir_all(&folder).map_err(failed)?;
     }
     let progress = Progress::new("", Work::Units("scene", Some(scripts.len() as u64)));

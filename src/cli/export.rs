@@ -220,7 +220,8 @@ impl Folder<'_> {
     /// Creates the folder. Fails if it would have to replace files that this program did not write.
     fn prepare(&self, is_wanted: impl Fn(u64) -> bool) -> Result<(), Failure> {
         let failed = |what: &str, error: std::io::Error| {
-            Failure::Input(format!("cannot {what} the folder {}: {error}", self.path.display()))
+            let remedy = atomic::remedy(self.path, &error);
+            Failure::Run(format!("cannot {what} the folder {}: {error}; {remedy}", self.path.display()))
         };
         fs::create_dir_all(self.path).map_err(|error| failed("create", error))?;
         for entry in fs::read_dir(self.path).map_err(|error| failed("read", error))? {

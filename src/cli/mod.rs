@@ -65,7 +65,7 @@ struct Arguments<C: Subcommand> {
     #[arg(short, long, global = true)]
     quiet: bool,
     /// Number of threads [default: one per core].
-    #[arg(short = 'j', long, value_name = "N", global = true, value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(short = 'j', long, value_name = "N", global = true, value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
 }
 

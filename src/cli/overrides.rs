@@ -34,6 +34,11 @@ fn parse_integrator(text: &str) -> Result<Integrator, String> {
 impl Overrides {
     /// The scene with these changes; `file` is its name in errors.
     pub fn apply(&self, scene: Scene, file: &str) -> Result<Scene, Failure> {
+        for (option, is_given) in [("integrator", self.integrator.is_some()), ("model", self.model.is_some())] {
+            if is_given && self.set.iter().any(|set| set.key() == option) {
+                return Err(Failure::Input(format!("--{option} and --set {option}=… are both given: leave one out")));
+            }
+        }
         let mut scene = with(scene, &self.set, file)?;
         scene.integrator = self.integrator.unwrap_or(scene.integrator);
         scene.model = self.model.unwrap_or(scene.model);

@@ -193,6 +193,9 @@ fn check_end(recorded: &Recorded) -> Result<(), Failure> {
     Err(Failure::Input(format!("{what}; name it {path}.partial to accept what it has")))
 }
 
+/// Upper limit on the number of events that are listed.
+const MOST_LISTED: usize = 20;
+
 /// Runs the scene with changed settings, to answer "does it go away?". Lists its events beside the number of recorded
 /// ones.
 fn vary(program: Program<'_>, arguments: &Arguments, recorded: &Recorded) -> Result<(), Failure> {
@@ -200,7 +203,10 @@ fn vary(program: Program<'_>, arguments: &Arguments, recorded: &Recorded) -> Res
     let experiment = program.varied(recorded, &arguments.set)?;
     let simulation = experiment.start().map_err(Failure::Input)?;
     let schema = experiment.schema();
-    let steps = (recorded.last() as f64 * was.dt / schema.dt).round() as u64;
+    let steps = match arguments.set.iter().any(|set| set.key() == "duration") {
+        true => schema.steps,
+        false => (recorded.last() as f64 * was.dt / schema.dt).round() as u64,
+    };
     let (from, to) = range(arguments, steps)?;
     let mut saver = Saver::open(arguments, recorded, &schema, from..=to)?;
 
@@ -244,8 +250,11 @@ fn vary(program: Program<'_>, arguments: &Arguments, recorded: &Recorded) -> Res
     ));
     let changes = counted(events.len() as u64, "phase change");
     print(&format!("  {changes}, {} recorded:", thousands(recorded.events.len() as u64)));
-    for event in events.iter().take(20) {
+    for event in events.iter().take(MOST_LISTED) {
         print(&format!("    {event}"));
+    }
+    if events.len() > MOST_LISTED {
+        print(&format!("    … and {} more", thousands((events.len() - MOST_LISTED) as u64)));
     }
     let failure = saver.failure.take().or(run.failure.map(|failure| failure.to_string()));
     saver.finish()?;

@@ -99,7 +99,7 @@ pub struct Arguments {
     #[arg(long, value_name = "EVENT", conflicts_with_all = ["thin", "keep"], help_heading = "What to record")]
     around: Option<String>,
     /// Record only the scene and checksums, about ten bytes per step; `replay --save` restores the frames.
-    #[arg(long, conflicts_with_all = ["every", "detail", "entities", "keep"], help_heading = "What to record")]
+    #[arg(long, conflicts_with_all = ["every", "detail", "entities", "keep", "plots", "tab"], help_heading = "What to record")]
     thin: bool,
     /// Flight recorder: keep the last N frames in memory; write them at the end, or when an --on event occurs, then with the
     /// M frames that follow.

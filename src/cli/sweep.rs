@@ -63,7 +63,7 @@ pub struct Arguments {
     #[arg(long, value_name = "L", requires = "shard")]
     level: Option<u32>,
     /// Record the run of a row to DIR/row-ROW.rrd, and compare its checksum.
-    #[arg(long, value_name = "ROW", conflicts_with = "shard")]
+    #[arg(long, value_name = "ROW", conflicts_with_all = ["shard", "refine"])]
     open: Option<u64>,
 }
 
@@ -174,10 +174,10 @@ pub fn sweep(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> 
 
     let mut known = Known::new(&sweep, arguments.refine);
     let mut plan = level::plan(&store, &sweep, &mut known, 0)?;
-    let mut total = 0;
+    let (mut total, mut levels) = (0, 0);
     for level in 0.. {
         running.level(level, &plan, Shard::ALL)?;
-        total += plan.len();
+        (total, levels) = (total + plan.len(), level + 1);
         if arguments.refine == 0 {
             break;
         }
@@ -187,7 +187,7 @@ pub fn sweep(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> 
             break;
         }
     }
-    running.summarize(total, arguments.refine)?;
+    running.summarize(total, levels, arguments.refine)?;
     let mut drawn = running.draw(&[], &arguments.sweep)?;
     if let Some(axis) = axis {
         let thresholds = running.bisect(axis)?;
@@ -201,11 +201,12 @@ pub fn sweep(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> 
 fn axis_to_bisect(design: &Design, name: &str) -> Result<usize, Failure> {
     let axis = design.axes.iter().position(|axis| axis.key.to_string() == name || axis.name.as_deref() == Some(name));
     axis.filter(|&axis| design.axes[axis].is_number()).ok_or_else(|| {
-        let keys: Vec<String> = design.axes.iter().map(|axis| axis.key.to_string()).collect();
+        let axes = design.axes.iter().filter(|axis| axis.is_number());
+        let keys: Vec<String> = axes.map(|axis| axis.key.to_string()).collect();
         let hint = did_you_mean(name, keys.iter().map(String::as_str));
         Failure::Input(format!(
-            "--bisect {name}: no axis of numbers has this key or name{hint} (axes: {})",
-            keys.join(", ")
+            "--bisect {name}: no axis of numbers has this key or name{hint} (such axes: {})",
+            if keys.is_empty() { "none".to_owned() } else { keys.join(", ") }
         ))
     })
 }
@@ -268,13 +269,13 @@ impl RunningSweep<'_> {
         interrupt::exit()
     }
 
-    /// Prints a summary of the rows.
-    fn summarize(&self, rows: u64, refine: u32) -> Result<(), Failure> {
+    /// Prints a summary of the rows of the first levels.
+    fn summarize(&self, rows: u64, levels: u32, refine: u32) -> Result<(), Failure> {
         let (mut counts, mut steps, mut seconds) = ([0u64; FAILED as usize + 1], 0, 0.0);
         let classes = &self.sweep.classes;
         let mut failure = None;
         let columns = self.store.named(&["outcome", "steps", "run_time", "failure"]);
-        self.store.read(0..u32::MAX, None, &columns, |(row, cells)| {
+        self.store.read(0..levels, None, &columns, |(row, cells)| {
             counts[usize::from(classes.of(cells.first()))] += 1;
             if let [_, Cell::Integer(of_row), Cell::Float(time), why] = &cells[..] {
                 (steps, seconds) = (steps + of_row, seconds + time);

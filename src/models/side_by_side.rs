@@ -111,7 +111,7 @@ impl SideBySide {
         let variants = self.models.iter().zip(places);
         let variants = variants.map(|(model, place)| VariantSchema { name: model.name(), heading: place.heading });
         Schema {
-            name: format!("{}-models", self.scene.name),
+            name: format!("{}-models", self.scene.name.trim_end_matches("-models")),
             run: first.run.clone() + &format!("models = [{}]\n", names.join(", ")),
             model: self.models.iter().map(|model| model.name()).collect::<Vec<_>>().join("+"),
             law: laws(places),
@@ -393,9 +393,10 @@ impl Simulation for SideBySideRun {
         }
     }
 
-    fn apart(&self, a: usize, b: usize, time: f64) -> Option<DVec3> {
-        let Part { simulation, place, .. } = self.parts.iter().find(|part| part.place.has(a))?;
-        simulation.apart(a - place.first, b - place.first, time)
+    fn on_path(&self, body: usize, time: f64) -> Option<[DVec3; 2]> {
+        let Part { simulation, place, .. } = self.parts.iter().find(|part| part.place.has(body))?;
+        let [position, velocity] = simulation.on_path(body - place.first, time)?;
+        Some([position + place.offset, velocity])
     }
 
     fn contacts(&self) -> Option<&[SurfaceEvent]> {

@@ -73,10 +73,9 @@ pub trait Simulation {
         }));
     }
 
-    /// Centre of body `b` as seen from that of body `a` at a time within the last step [s, scene unit], if both are on
-    /// paths.
-    fn apart(&self, a: usize, b: usize, time: f64) -> Option<DVec3> {
-        let _ = (a, b, time);
+    /// Position and velocity of the centre of a body at a time within the last step [s, scene unit], if it is on a path.
+    fn on_path(&self, body: usize, time: f64) -> Option<[DVec3; 2]> {
+        let _ = (body, time);
         None
     }
 

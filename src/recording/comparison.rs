@@ -31,7 +31,7 @@ use crate::{
         instant::Instant,
         light::Light,
         palette::{self, Rgb, color},
-        parts::{callout::Callout, lines::MAX_NAMED, marks, planes},
+        parts::{callout::Callout, labels::MAX_NAMED, marks, planes},
         series::{Interpolation, Series},
         settings::file_stem,
         sinks::{Destinations, Saved, SinkError, Sinks},

@@ -434,8 +434,12 @@ impl Names {
         for (index, (body, table)) in (0..).zip(bodies.iter().zip(tables)) {
             let Some(first) = names.bodies.insert(body.name.clone(), index) else { continue };
             if let (Some(first), Some(again)) = (tables[first as usize].get("name"), table.get("name")) {
-                let expected =
-                    format!("a name that no other body has (the body at line {} has this one)", first.line());
+                let line = first.line();
+                let whose = match again.text() == Some(body.name.as_str()) {
+                    true => format!("the body at line {line} has this one"),
+                    false => format!("the body at line {line} has the name \"{}\" of one of them", body.name),
+                };
+                let expected = format!("a name that no other body has ({whose})");
                 return Err(again.unexpected(expected));
             }
         }

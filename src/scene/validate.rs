@@ -59,7 +59,6 @@ impl Scene {
         number(key!(TOP.dt), "dt", self.dt)?;
         number(key!(TOP.duration), "duration", self.duration)?;
         let steps = self.duration / self.dt;
-        ensure(steps >= 0.5, "duration", || format!("at least half a step of dt ({:?} s)", self.dt), &self.duration)?;
         ensure(
             steps <= MAX_STEPS,
             "duration",

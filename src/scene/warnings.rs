@@ -45,7 +45,13 @@ impl Scene {
         }
         let of_pairs = warnings.into_iter().filter_map(|all| summary(all, "pair"));
         let of_bodies = [self.not_enclosed(), self.hollow()].into_iter().filter_map(|all| summary(all, "body"));
-        of_pairs.chain(of_bodies).chain(self.placement_warning()).collect()
+        let no_step = (self.steps() == 0).then(|| {
+            format!(
+                "duration = {} is less than half of dt = {}: the scene has no step; raise it",
+                self.duration, self.dt
+            )
+        });
+        no_step.into_iter().chain(of_pairs).chain(of_bodies).chain(self.placement_warning()).collect()
     }
 
     /// A warning if bodies were moved out of planes, or will be thrown out by one.

@@ -53,6 +53,8 @@ use crate::{
 pub(super) const MAX_EVENTS: usize = 64;
 /// Maximum number of bodies of a run that may end before its scene.
 const MAX_BODIES: usize = 8;
+/// A change of phase this close to the end of a step is at it but for rounding [Δt].
+const ROUNDING: f64 = 1e-9;
 /// Safety factor on the displacement that the energy of a vertex allows.
 const MARGIN: f64 = 1.5;
 
@@ -347,7 +349,7 @@ impl<'a> Run<'a> {
             let now = NearPair::new([view.a, view.b], view.phase as usize, apart, rate);
             let before = pair.last.replace((time, now));
             let turns = before.filter(|(start, before)| {
-                time - start < 1.5 * dt && before.apart.dot(before.rate) < 0.0 && apart.dot(rate) > 0.0
+                time - start < 1.5 * dt && before.apart.dot(before.rate) < 0.0 && apart.dot(rate) >= 0.0
             });
             let nearest = turns.map(|(start, before)| before.extremum(&now, &self.world, [start, time], false));
             let [time, distance] = nearest.unwrap_or([time, apart.length()]);
@@ -372,7 +374,8 @@ impl<'a> Run<'a> {
             return false;
         }
         if let Some(last) = self.last_change {
-            return self.world.time() >= last;
+            // a change at the end of a step, but for rounding, may be that of the next one
+            return self.world.time() > last + ROUNDING * self.world.scene().dt;
         }
         let count = self.world.body_count();
         let scene = self.world.scene();

@@ -519,7 +519,7 @@ fn the_command_rejects_bad_input_first_and_writes_last() {
     for (arguments, status, what) in [
         (&["nowhere"][..], 2, "no scene"),
         (&["small.toml", "twoo"], 2, "did you mean"),
-        (&["small.toml", "--csv", "missing/o.csv"], 2, "cannot write missing/o.csv"),
+        (&["small.toml", "--csv", "missing/o.csv"], 1, "cannot write missing/o.csv"),
         (&["small.toml", "--csv", "o.txt"], 2, "use .csv, .json or .parquet"),
         (&["small.toml", "--svg", "."], 1, "cannot write ."),
         (&["small.toml", "--svg", "small.toml"], 2, "is not replaced"),

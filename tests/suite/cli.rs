@@ -1633,3 +1633,27 @@ fn a_scene_that_takes_long_is_announced_and_can_be_interrupted() {
         fs::remove_file(dir.file("x.rrd")).ok();
     }
 }
+
+/// A reader of standard output that goes away ends the run, and leaves a file with the steps up to there.
+#[cfg(unix)]
+#[test]
+fn a_lost_reader_leaves_the_file_complete() {
+    let dir = Dir::new();
+    let mut child = meldscope(&dir, ["run", "two", "--stdout", "--save", "two.rrd", "-q"]).spawn().unwrap();
+    let mut head = [0; 100];
+    child.stdout.take().unwrap().read_exact(&mut head).unwrap();
+    let ran = Ran::new(child.wait_with_output().unwrap());
+    assert!(ran.status == 1 && ran.err.contains("cannot write the recording to standard output"), "{ran:?}");
+    let replayed = run(&dir, &["replay", "two.rrd"]);
+    assert!(replayed.status == 0 && replayed.out.contains("identical"), "{replayed:?}");
+}
+
+#[test]
+fn a_replay_may_have_another_duration() {
+    let dir = Dir::new();
+    run(&dir, &["run", "two", "--thin", "--save", "two.rrd"]);
+    for (duration, steps) in [("1", "60 steps"), ("6", "360 steps")] {
+        let ran = run(&dir, &["replay", "two.rrd", "--set", &format!("duration={duration}")]);
+        assert!(ran.status == 0 && ran.out.contains(steps), "{ran:?}");
+    }
+}

@@ -455,3 +455,19 @@ fn a_damaged_table_is_an_error() {
     }
     assert!(errors > 100, "{errors}");
 }
+
+/// In floating point, the change is at the end of a step or just after it.
+#[test]
+fn a_change_at_the_end_of_a_step_counts_whenever_a_run_ends() {
+    let scene = "duration = 2.0\n[[body]]\nname = 'a'\nradius = 1.0\nmotion = { fixed = [0, 0, 0] }\n[[body]]\nname = 'b'\n\
+                 radius = 1.0\nmotion = { line = { from = [2.6, 0, 0], velocity = [-0.6, 0, 0] } }\n";
+    for until in ["certain", "end"] {
+        let dir = folder(&format!(
+            "scene = 'closing.toml'\nuntil = '{until}'\n[[set]]\nkey = 'influence.merge_at'\nvalue = 1.0\n\
+             [[axis]]\nkey = 'body.b.motion.line.velocity[0]'\nvalues = [-0.59, -0.6, -0.61]\n"
+        ));
+        fs::write(dir.file("closing.toml"), scene).unwrap();
+        let output = succeeds(&dir, "s.toml --out out");
+        assert!(output.contains("outcomes: merged 3\n"), "{until}: {output}");
+    }
+}

@@ -251,3 +251,18 @@ fn contacts_and_rims_within_a_step_are_part_of_the_estimated_error() {
         }
     }
 }
+
+/// A sphere with Wendland's weight passes soft bodies fast, with their first vertices at its rim.
+#[test]
+fn a_fast_pass_of_a_smooth_weight_is_within_the_tolerance() {
+    for (speed, omega, tolerance) in [(20, 12.0, 1e-6), (30, 12.0, 1e-6), (40, 12.0, 1e-6), (25, 4.0, 1e-5)] {
+        let text = format!(
+            "duration = 0.4\n[material]\nomega = {omega:?}\n[influence]\nweight = \"wendland\"\n[[body]]\nname = \"a\"\nradius = \
+             1.0\nshape = {{ sphere = {{ stacks = 6, slices = 8 }} }}\nmotion = {{ fixed = [0, 0, 0] }}\n[[body]]\nname = \
+             \"b\"\nradius = 1.0\nshape = {{ sphere = {{ stacks = 6, slices = 8 }} }}\nmotion = {{ line = {{ from = [-3.0, \
+             0.68, 0.34], velocity = [{speed}, 0, 0] }} }}\n"
+        );
+        let Run { error, allowed, .. } = run(&text, 1.0 / 60.0, tolerance);
+        assert!(error < allowed, "{speed} R/s, omega = {omega}: {error:e} of {allowed:e}");
+    }
+}

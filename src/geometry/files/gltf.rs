@@ -207,7 +207,11 @@ fn transform(node: &Value) -> Result<DMat4, String> {
         Some(numbers) => {
             let numbers = <[f64; 4]>::try_from(numbers).map_err(|_| wrong("rotation"))?;
             let rotation = DQuat::from_array(numbers);
-            if rotation.length_squared() > 0.0 { rotation.normalize() } else { return Err(wrong("rotation")) }
+            if rotation.length_squared() > 0.0 {
+                rotation.normalize()
+            } else {
+                return Err("the rotation of a node is 0: a quaternion has a length".to_owned());
+            }
         }
     };
     let (scale, translation) = (vector("scale", DVec3::ONE)?, vector("translation", DVec3::ZERO)?);

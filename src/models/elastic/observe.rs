@@ -469,8 +469,8 @@ impl Simulation for Elastic {
         }));
     }
 
-    fn apart(&self, a: usize, b: usize, time: f64) -> Option<DVec3> {
-        view::apart_on_paths(&self.scene, a, b, time)
+    fn on_path(&self, body: usize, time: f64) -> Option<[DVec3; 2]> {
+        view::on_path(&self.scene, body, time)
     }
 
     fn framing(&self, only_what_happens: bool) -> Vec<(DVec3, f64)> {

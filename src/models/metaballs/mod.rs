@@ -391,8 +391,8 @@ impl Simulation for Metaballs {
         self.world.near(pairs);
     }
 
-    fn apart(&self, a: usize, b: usize, time: f64) -> Option<DVec3> {
-        self.world.apart(a, b, time)
+    fn on_path(&self, body: usize, time: f64) -> Option<[DVec3; 2]> {
+        self.world.on_path(body, time)
     }
 
     fn contacts(&self) -> Option<&[SurfaceEvent]> {

@@ -109,11 +109,15 @@ fn editable(name: &str, value: &Value<'_>) -> Result<KeyPath, SceneError> {
         };
     }
     let numbers = numbers_beside(&path);
+    const TABLES: [&str; 8] = ["influence", "material", "gravity", "body", "grid", "pair", "plane", "point"];
+    if names.len() == 1 && TABLES.contains(&names[0]) && !value.is_number() {
+        let help = format!("quote the whole path of the number: \"{name}.KEY\" = VALUE");
+        return Err(value.error(format!("expected the path of a number, found {name}")).with_help(help));
+    }
     if !numbers.iter().flatten().any(|number| names.last() == Some(number)) {
-        let tables = ["influence", "material", "gravity", "body", "grid", "pair", "plane", "point"];
         let hint = match &numbers {
             Some(numbers) => did_you_mean(names.last().unwrap_or(&""), numbers.iter().copied()),
-            None => did_you_mean(names.first().unwrap_or(&""), tables.into_iter()),
+            None => did_you_mean(names.first().unwrap_or(&""), TABLES.into_iter()),
         };
         let of = match numbers {
             Some(numbers) => format!("{}: {}", names[0], numbers.join(", ")),

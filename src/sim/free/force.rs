@@ -1,5 +1,7 @@
 //! Forces on the vertices of a body at the samples of a step, and the instants of their kinks.
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use glam::DVec3;
 use pulp::Arch;
 
@@ -7,7 +9,7 @@ use super::{
     body::Body,
     field::{Field, Pair},
     kernels::{Detect, Kernel, Pull, PullAt},
-    split::{hold, passages},
+    split::{self, hold, passages},
     step::{Course, Held, Place, Reaction, Span},
 };
 use crate::{
@@ -193,8 +195,9 @@ impl Acting {
     }
 
     /// Finds the vertices on which a contact begins or ceases to act within the step, and those on which a plane or a
-    /// push acts throughout. Returns whether the set of individually advanced vertices changed.
-    pub fn find_splits(&self, view: &View<'_>, course: &mut Course) -> bool {
+    /// push acts throughout. Returns whether the set of individually advanced vertices changed. Adds their [load](split::load)
+    /// to `load`, and leaves vertices out once that is too much.
+    pub fn find_splits(&self, view: &View<'_>, course: &mut Course, load: &AtomicU64) -> bool {
         let View { field, span, places, arch, .. } = *view;
         let mut crossing = std::mem::take(&mut course.crossing);
         crossing.clear();
@@ -271,6 +274,10 @@ impl Acting {
         let (mut before, mut changed) = (old.drain(..).peekable(), false);
         for &vertex in &crossing {
             let Some(passages) = passages(vertex as usize, course, self, view) else { continue };
+            let own = split::load(&passages);
+            if load.fetch_add(own, Ordering::Relaxed).saturating_add(own) > split::MAX_LOAD {
+                break;
+            }
             while let Some(gone) = before.next_if(|split| split.vertex < vertex) {
                 course.active.set_split(gone.vertex as usize, false);
                 spare.push(gone);

@@ -1,5 +1,7 @@
 //! The equations of a step of an island, their solution, and its error.
 
+use std::sync::atomic::AtomicU64;
+
 use glam::DVec3;
 use rayon::prelude::*;
 use smallvec::SmallVec;
@@ -10,7 +12,7 @@ use super::{
     field::{Driven, Paths},
     force::{Acting, View},
     island::{Island, Outcome, Report, Scratch},
-    split::{Around, By, Piece},
+    split::{Around, By, MAX_LOAD, Piece},
     step::{Course, MIDDLE, Place, Span},
 };
 use crate::sim::numerics::{
@@ -126,7 +128,9 @@ impl Island {
             if !work.spend(sweep_work) {
                 return None;
             }
-            self.evaluate(scratch, span, sweep == 0, paths, parallel);
+            if !self.evaluate(scratch, span, sweep == 0, paths, parallel) {
+                return None;
+            }
             report.sweeps += 1;
             let held = scratch.courses.iter().map(|course| course.held.len() as u64).sum();
             report.held = report.held.max(held);
@@ -170,7 +174,8 @@ impl Island {
         None
     }
 
-    /// Evaluates the forces on all bodies at the nodes, for their currently estimated positions.
+    /// Evaluates the forces on all bodies at the nodes, for their currently estimated positions. False if too much begins and
+    /// ends within the step.
     pub(super) fn evaluate(
         &self,
         scratch: &mut Scratch,
@@ -178,15 +183,15 @@ impl Island {
         is_first: bool,
         paths: &dyn Paths,
         parallel: bool,
-    ) {
-        let arch = scratch.arch;
+    ) -> bool {
+        let (arch, load) = (scratch.arch, AtomicU64::new(0));
         let Scratch { courses, acting, places, pairs_of, .. } = &mut *scratch;
         let view =
             |i: usize, first| View { body: &self.bodies[i], field: &self.field, span, places: &places[i], first, arch };
         let find = |(i, (course, acting)): (usize, (&mut Course, &mut Acting))| {
             let pairs = pairs_of[i].iter().map(|&pair| &self.pairs[pair as usize]);
             acting.find(i, &self.bodies, pairs, &self.field, span, places);
-            acting.find_splits(&view(i, 0), course)
+            acting.find_splits(&view(i, 0), course, &load)
         };
         let any_changed = if parallel {
             let all = courses.par_iter_mut().zip(acting.par_iter_mut()).enumerate();
@@ -194,6 +199,9 @@ impl Island {
         } else {
             courses.iter_mut().zip(acting.iter_mut()).enumerate().map(find).fold(false, |a, b| a | b)
         };
+        if load.into_inner() > MAX_LOAD {
+            return false;
+        }
         // the forces at the start stay the same, unless other vertices are advanced alone
         let first = usize::from(!is_first && !any_changed);
         let evaluate = |(i, (course, acting)): (usize, (&mut Course, &mut Acting))| {
@@ -208,6 +216,7 @@ impl Island {
         for sample in first..4 {
             self.drive(scratch, span, sample);
         }
+        true
     }
 
     /// Advances the vertices on which contacts begin or cease to act.

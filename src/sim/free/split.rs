@@ -366,6 +366,19 @@ pub struct Passage {
 /// The contacts that act on a vertex at any time in a step.
 pub type Passages = SmallVec<[Passage; 4]>;
 
+/// Upper limit on the [load] of an island: where so much begins and ends in a step, it is too long.
+pub const MAX_LOAD: u64 = 2_000_000;
+
+/// What a vertex with these contacts takes [about the memory of a [`Touch`]]: a leg for each beginning and end, and in each the
+/// contacts.
+pub fn load(passages: &Passages) -> u64 {
+    /// Memory of a [`Leg`] without contacts.
+    const LEG: u64 = 7;
+
+    let ends: usize = passages.iter().map(|passage| passage.crossings.as_slice().len()).sum();
+    (1 + ends as u64) * (LEG + passages.len() as u64)
+}
+
 impl Passage {
     fn acts_at(&self, theta: f64) -> bool {
         let passed = self.crossings.as_slice().iter().filter(|&&at| at <= theta).count();

@@ -31,6 +31,15 @@ pub const SHORTER: f64 = (1 << ORDER) as f64;
 pub const ASIDE: f64 = 0.13;
 /// Number of time scales of an oscillation that pass in a step up to which its samples resolve it: about a sixth of a turn.
 pub const RESOLVED: f64 = 1.0;
+/// The part of the residual that is odd about the middle of a step, at `ASIDE`, over its coefficient.
+pub const SKEW_ASIDE: f64 = 0.29;
+/// Bounds on the mean force that a step leaves out where a sphere passes a vertex, over the residuals [per radius of the sphere
+/// passed in the step], for each weight; and where the vertex crosses the rim of Wendland's weight, whose fourth derivative
+/// jumps there. Largest over lines at all distances from the centre, of 0.05 to 1 radii per step, by quadrature: 0.046, 0.13
+/// and 0.26; over [`OF_BOUND`].
+pub const PASSING: f64 = 0.1;
+pub const PASSING_WENDLAND: f64 = 0.3;
+pub const CROSSING: f64 = 0.6;
 /// Share of the bound on an error that counts. The largest seen: 0.15 to 0.4 over the vertices of the scenes of `bench error`,
 /// 0.41 over those of random scenes.
 pub const OF_BOUND: f64 = 0.45;

@@ -12,7 +12,10 @@ use crate::{
     scene::{Material, path::Bounds},
     sim::{
         numerics::{
-            control::{ASIDE, MAX_CORRECTIONS, NEGLIGIBLE, OF_BOUND, RESIDUAL, RESOLVED, ROUNDING, TURN, TURN_WIDTH},
+            control::{
+                ASIDE, CROSSING, MAX_CORRECTIONS, NEGLIGIBLE, OF_BOUND, PASSING, PASSING_WENDLAND, RESIDUAL, RESOLVED,
+                ROUNDING, SKEW_ASIDE, TURN, TURN_WIDTH,
+            },
             dense::Dense,
             lagrange::{combine, quartic, quartic_through},
             lanes::{LANES, Mask, Reals, Vector},
@@ -171,24 +174,14 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
         force
     }
 
-    /// The fraction of the cubic's residual in the force that counts as error, per vertex [–], for a vertex that moves
-    /// from `start` to `end` in the step.
-    ///
-    /// Lobatto quadrature integrates the quartic part of the residual exactly, so it does not affect a slow oscillator.
-    /// The rest is of higher order in the ratio of the step to the time scales involved: of the oscillator, of the
-    /// influence's own oscillation, and of a sphere that the vertex passes through. So the residual counts in full only
-    /// where the force is not smooth.
-    ///
-    /// The force also turns where the vertex passes a centre, and the samples may all miss it: second, a bound on the
-    /// mean force that the cubic leaves out there [scene unit/s²].
+    /// How the spheres pass each vertex that moves from `start` to `end` in the step.
     #[inline(always)]
-    fn roughness(&self, start: Vector<S, W>, end: Vector<S, W>) -> (Reals<S, W>, Reals<S, W>) {
+    fn passage(&self, start: Vector<S, W>, end: Vector<S, W>) -> Passing<S, W> {
         let (simd, step) = (self.simd, self.step);
-        let material = self.course.material;
         let travelled = end - start;
         let (zero, one) = (Reals::splat(simd, 0.0), Reals::splat(simd, 1.0));
         let tiny = Reals::splat(simd, f64::MIN_POSITIVE);
-        let (mut stiffness, mut passed, mut turned) = (zero, zero, zero);
+        let (mut passed, mut turned, mut crosses) = (zero, zero, Mask::none(simd));
         for pull in self.pulls {
             let sphere = &self.course.spheres[pull.sphere];
             let moved = step.moments[3].centres[pull.sphere] - step.moments[0].centres[pull.sphere];
@@ -203,13 +196,17 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
             let sharpness = near / (near + (from + way * theta).length_squared()).larger(tiny);
             let slope = TURN * self.course.weight().slope_at_centre() * sphere.inverse_radius;
             turned = turned + strength * square * (sharpness * sharpness) * slope;
+            // at the rim of the linear weight a step ends
+            if pull.cut && self.course.weight() == Weight::Wendland {
+                let inside = Reals::splat(simd, sphere.radius * sphere.radius);
+                let outside = inside.below(from.length_squared()).or(inside.below((from + way).length_squared()));
+                crosses = crosses.or(outside);
+            }
 
             let way = (way.x.abs() + way.y.abs() + way.z.abs()) * sphere.inverse_radius;
             passed = passed.larger(zero.below(strength).select(way, zero)); // only the spheres that act on the vertex
-            stiffness = stiffness + strength;
         }
-        let rate = stiffness.sqrt() + Reals::splat(simd, material.omega + 2.0 * material.damping);
-        ((passed + rate * step.h).smaller(one), turned)
+        Passing { passed, turned, crosses }
     }
 
     /// Takes the step with all vertices of the group, such that the estimated errors are below `wanted` [scene unit] if
@@ -268,12 +265,15 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
         let none = Reals::splat(simd, 0.0);
         let left_out = none.larger_or_nan(bend.length_squared().sqrt() - noise);
         let end = respond(flow[2], &weights.nodes[3].force, &forces);
-        let (roughness, turned) = self.roughness(x, end);
-        let mut effect = left_out * roughness * RESIDUAL;
+        let Passing { passed, turned, crosses } = self.passage(x, end);
         // Depends only on what acts on each vertex, not on spheres that are near other vertices or near none.
         let Material { omega, damping, .. } = self.course.material;
         let scales = (stiffness.sqrt() + Reals::splat(simd, omega + 2.0 * damping)) * self.step.h;
-        let is_quick = Reals::splat(simd, RESOLVED).below(scales);
+        // Lobatto quadrature integrates the quartic part of the residual exactly, so it does not affect a slow oscillator.
+        // The rest is of higher order in the ratio of the step to the time scales involved: of the oscillator, of the
+        // influence's own oscillation, and of a sphere that the vertex passes through.
+        let mut effect = left_out * (passed + scales).smaller(Reals::splat(simd, 1.0)) * RESIDUAL;
+        let is_quick = Reals::splat(simd, RESOLVED).below(scales).or(crosses.and(none.below(left_out)));
         let is_near = Reals::splat(simd, wanted).below(effect * (4.0 * gain));
         // usually the force in the middle has already shown that the error is far below the tolerance
         if is_quick.or(is_near).any() {
@@ -283,7 +283,14 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
             let skew = none.larger_or_nan((found - quartic).length_squared().sqrt() - noise);
             let h = Reals::splat(simd, self.step.h);
             let material = self.course.material;
+            let most = Reals::splat(simd, CROSSING);
+            let share = match self.course.weight() {
+                Weight::Linear => PASSING,
+                Weight::Wendland => PASSING_WENDLAND,
+            };
+            let share = crosses.select(most, (passed * share).smaller(most));
             let all = self::left_out(simd, material, h, stiffness, [left_out, skew])
+                + (left_out + skew * (1.0 / SKEW_ASIDE)) * share
                 + self.ringing([x, u], &forces, stiffness);
             effect = is_quick.or(is_near).select(all, effect);
         }
@@ -314,6 +321,17 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
     }
 }
 
+/// How spheres pass vertices in a step.
+struct Passing<S: Simd, const W: usize> {
+    /// The largest distance that one that acts moves relative to the vertex [its radii].
+    passed: Reals<S, W>,
+    /// The force turns where the vertex passes a centre, and the samples may all miss it: a bound on the mean force that the
+    /// cubic leaves out there [scene unit/s²].
+    turned: Reals<S, W>,
+    /// Whether the vertex crosses a rim within the step, where a derivative of the force jumps.
+    crosses: Mask<S, W>,
+}
+
 /// The mean force that a step leaves out [scene unit/s²], given the residual of the cubic in the middle and that of the
 /// quartic at `ASIDE`.
 ///
@@ -338,8 +356,7 @@ pub fn left_out<S: Simd, const W: usize>(
     let even = (z_squared * 0.02).smaller(Reals::splat(simd, 0.45));
     let odd = influence * 0.02 + h * (0.04 * (omega + 2.0 * damping));
     let odd = odd.smaller(Reals::splat(simd, 0.14));
-    // q(0.13) (0.13 − ½) = 0.29
-    let both = bend * even + skew * odd * (1.0 / 0.29);
+    let both = bend * even + skew * odd * (1.0 / SKEW_ASIDE);
     both * (z_squared * 0.25 + Reals::splat(simd, 1.0)).smaller(Reals::splat(simd, 2.0))
 }
 
