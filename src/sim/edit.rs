@@ -115,12 +115,9 @@ impl World {
         push.body.index_in(self)?;
         self.scene.check_push(&push).map_err(|invalid| invalid.at("push"))?;
         self.scene.pushes.push(push);
-        let (time, step, arch) = (self.time(), self.steps_taken(), self.options().arch);
         match &mut self.solver {
-            Solver::Coupled(coupled) => coupled.push(&push, time),
-            Solver::Prescribed(prescribed) => {
-                prescribed.push(Setting { scene: &self.scene, step, arch, is_partial: false }, &push);
-            }
+            Solver::Coupled(coupled) => coupled.push(&push),
+            Solver::Prescribed(prescribed) => prescribed.push(&push),
         }
         Ok(())
     }

@@ -50,7 +50,7 @@
 //! 1. [`World::step`] → `World::advance`, which divides a step at edits → `Solver::step` → `Prescribed::step` (`prescribed`)
 //! 2. reach: `Tracks::evaluate` (`tracks`) evaluates the paths; `Pairs::update` searches for `neighbours`
 //! 3. events: `Pairs::find_events` → `Search::first_change` ([`events`]) → `roots`
-//! 4. reach: `wake_acted_on`, `wake_moved`, `wake_near_points`; `find_bounds` → `Context::find_reachable` (`advance`)
+//! 4. reach: `wake_pushed`, `wake_moved`, `wake_near_points`; `find_bounds` → `Context::find_reachable` (`advance`)
 //! 5. integrate: `Context::advance` for every awake body
 //! 6. ‥ of an explicit scheme: `explicit::advance` ([`integrator`]); otherwise:
 //! 7. ‥ `choose_active_set` (`advance`), then `find_breaks` divides the step where something jumps

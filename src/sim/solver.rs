@@ -49,59 +49,14 @@ pub(super) struct Step<'a> {
     pub report: &'a mut StepReport,
 }
 
-/// When pushes begin to act on bodies.
-#[derive(Clone, Default)]
-pub(super) struct Starts {
-    /// Times [s], ascending, with the bodies' indices.
-    list: Vec<(f64, u32)>,
-    /// Number of these that have been reached.
-    reached: usize,
-}
-
-impl Starts {
-    /// Those of a scene, at t = 0.
-    pub fn of(scene: &Scene) -> Starts {
-        let mut list: Vec<(f64, u32)> = scene.pushes.iter().map(|push| (push.start, push.body as u32)).collect();
-        list.sort_by(|a, b| a.0.total_cmp(&b.0));
-        Starts { list, reached: 0 }
-    }
-
-    /// The body of the next start before `end` [s], which counts as reached from now on.
-    pub fn next_before(&mut self, end: f64) -> Option<u32> {
-        let (_, body) = self.list.get(self.reached).copied().filter(|&(start, _)| start < end)?;
-        self.reached += 1;
-        Some(body)
-    }
-
-    /// Adds a push at `time` [s]. Returns whether it is reached already.
-    pub fn insert(&mut self, push: &Push, time: f64) -> bool {
-        let index = self.list.partition_point(|&(start, _)| start <= push.start);
-        self.list.insert(index, (push.start, push.body as u32));
-        let is_reached = push.start < time;
-        self.reached += usize::from(is_reached);
-        is_reached
-    }
-
-    /// Removes a body at `time` [s]; those after it have smaller indices from now on.
-    pub fn remove(&mut self, removed: usize, time: f64) {
-        let removed = removed as u32;
-        self.list.retain(|&(_, body)| body != removed);
-        self.list.iter_mut().for_each(|(_, body)| *body -= u32::from(*body > removed));
-        self.go_to(time);
-    }
-
-    /// Continues at `time` [s].
-    pub fn go_to(&mut self, time: f64) {
-        self.reached = self.list.partition_point(|&(start, _)| start < time);
-    }
-
-    /// The bodies of the starts that have been reached.
-    pub fn reached(&self) -> impl Iterator<Item = u32> + '_ {
-        self.list[..self.reached].iter().map(|&(_, body)| body)
-    }
-}
-
 impl Step<'_> {
+    /// The bodies on which a push acts in the step, or begins to before `end` [s].
+    pub fn pushed_before(&self, end: f64) -> impl Iterator<Item = u32> + use<'_> {
+        let start = self.span.start;
+        let acts = move |push: &&Push| push.start < end && (push.start >= start || push.acts_at(start));
+        self.setting.scene.pushes.iter().filter(acts).map(|push| push.body as u32)
+    }
+
     /// Why the step is not completed.
     pub fn failure(&self, stop: Stop, toil: Toil) -> Failure {
         let step = self.report.step;

@@ -76,14 +76,6 @@ impl Coupled {
             member.sleeping_hash = member.hash(body);
             self.sleeping_hash = self.sleeping_hash.wrapping_add(member.sleeping_hash);
         }
-        self.starts.go_to(time);
-        for body in self.starts.reached().collect::<Vec<_>>() {
-            let member = &self.members[body as usize];
-            if !member.is_awake && member.pushes.iter().any(|push| push.start < time && time < push.end()) {
-                self.wake(body);
-            }
-        }
-        self.awake.sort_unstable();
         let brought = self.energy(scene, time) - before.energy(takeover.scene, time);
         self.ledger.edits += brought;
         report.ledger.edits += brought;
@@ -121,7 +113,6 @@ impl Coupled {
         self.shapes.forget_unused();
         self.job_of.pop();
         self.forget_results();
-        self.starts.remove(body, time);
         for member in self.members.iter_mut().filter(|member| !member.is_awake) {
             (member.is_awake, member.slow_steps) = (true, 0);
         }
@@ -199,11 +190,8 @@ impl Coupled {
     }
 
     /// Adds a push, which the scene has already.
-    pub fn push(&mut self, push: &scene::Push, time: f64) {
+    pub fn push(&mut self, push: &scene::Push) {
         self.members[push.body].add_push(push);
-        if self.starts.insert(push, time) && time < push.end() {
-            self.wake_up(push.body);
-        }
     }
 
     /// The energy of the free bodies at `time` [s].

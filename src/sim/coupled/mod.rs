@@ -63,7 +63,7 @@ use super::{
     free::{self, Ledger, Parts, Scratch},
     neighbours::{Neighbour, PairId},
     report::{Failure, Stage, StepReport, Stopwatch, Strain},
-    solver::{Setting, Starts, Step},
+    solver::{Setting, Step},
     span::Span,
     terms::free_fall,
     work::{Stop, Tally, Work},
@@ -99,7 +99,6 @@ pub(super) struct Coupled {
     awake: Vec<u32>,
     /// Sum of the hashes of the bodies that are not awake.
     sleeping_hash: u64,
-    starts: Starts,
     /// The rest shapes of the bodies.
     shapes: Shapes,
     /// The bodies that act on each other in the step: each set of those that are awake is an island.
@@ -145,7 +144,6 @@ impl Coupled {
             near: Near::new(scene),
             awake: Vec::new(),
             sleeping_hash: 0,
-            starts: Starts::of(scene),
             shapes,
             islands: DisjointSets::default(),
             coupled: Vec::new(),
@@ -181,7 +179,7 @@ impl Coupled {
     pub fn step(&mut self, step: &mut Step<'_>) -> Result<Option<usize>, Failure> {
         let mut stopwatch = Stopwatch::start();
         step.report.error = 0.0; // it becomes the largest of this step
-        self.wake_pushed(step.span);
+        self.wake_pushed(step);
         self.wake_near_points(step);
         self.find_neighbours(step);
         self.jobs.iter_mut().for_each(|job| job.is_fixed = false);

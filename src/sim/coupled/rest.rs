@@ -22,9 +22,9 @@ use glam::DVec3;
 const RIGID_SPIN_EVERY: u64 = 16;
 
 impl Coupled {
-    /// Wakes the bodies on which a push begins before the end of `span`.
-    pub(super) fn wake_pushed(&mut self, span: Span) {
-        while let Some(body) = self.starts.next_before(span.end) {
+    /// Wakes the bodies on which pushes act during the step.
+    pub(super) fn wake_pushed(&mut self, step: &Step<'_>) {
+        for body in step.pushed_before(step.span.end) {
             if !self.members[body as usize].is_awake {
                 self.wake(body);
             }

@@ -38,7 +38,7 @@ use super::{
     integrator::{explicit::Scheme, exponential},
     neighbours::later_neighbours,
     report::{Failure, Shortfall, Stage, StepReport, Stopwatch, Strain, Toil},
-    solver::{Setting, Starts, Step, Takeover},
+    solver::{Setting, Step, Takeover},
     span::Span,
     terms::{Moment, On, Surroundings, spheres},
     work::{Stop, Tally, Work},
@@ -64,7 +64,6 @@ pub(super) struct Prescribed {
     pub actives: ActiveSet,
     tracks: Tracks,
     pub pairs: Pairs,
-    starts: Starts,
     /// Buffer, reused.
     woken: Vec<u32>,
     /// Computed when the energy is first requested.
@@ -95,7 +94,6 @@ impl Prescribed {
             actives: ActiveSet::default(),
             tracks: Tracks::new(scene),
             pairs: Pairs::new(scene),
-            starts: Starts::of(scene),
             woken: Vec::new(),
             energy_of_distant_pairs: OnceLock::new(),
         }
@@ -166,7 +164,6 @@ impl Prescribed {
         pairs.remove(Surrounded { scene, bodies, tracks, time }, body);
         bodies.remove(body);
         tracks.remove(body);
-        self.starts.remove(body, time);
         self.energy_of_distant_pairs = OnceLock::new();
     }
 
@@ -197,12 +194,9 @@ impl Prescribed {
     }
 
     /// Adds a push, which the scene has already.
-    pub fn push(&mut self, setting: Setting<'_>, push: &scene::Push) {
+    pub fn push(&mut self, push: &scene::Push) {
         let pushes = &mut self.bodies[push.body].pushes;
         *pushes = std::mem::take(pushes).into_vec().into_iter().chain([*push]).collect();
-        if self.starts.insert(push, setting.time()) && setting.time() < push.end() {
-            self.wake(setting, push.body as u32);
-        }
     }
 
     /// Takes a step, stage by stage. Returns the first body whose state is invalid afterwards.
@@ -218,7 +212,7 @@ impl Prescribed {
         stopwatch.stop(Stage::Reach, step.report);
         self.find_events(step)?;
         stopwatch.stop(Stage::Events, step.report);
-        self.wake_acted_on(step);
+        self.wake_pushed(step);
         self.wake_moved(step);
         self.wake_near_points(step);
         self.find_bounds(step)?;
@@ -250,16 +244,14 @@ impl Prescribed {
         })
     }
 
-    /// Wakes the bodies on which something begins to act before the end of the step, or for an explicit scheme, which evaluates
-    /// the forces there, at its end.
-    fn wake_acted_on(&mut self, step: &Step<'_>) {
+    /// Wakes the bodies on which pushes act before the end of the step, or for an explicit scheme, which evaluates the
+    /// forces there, at its end.
+    fn wake_pushed(&mut self, step: &Step<'_>) {
         let end = match Scheme::of(step.setting.scene.integrator) {
             Some(_) => step.span.end.next_up(),
             None => step.span.end,
         };
-        while let Some(body) = self.starts.next_before(end) {
-            self.wake(step.setting, body);
-        }
+        step.pushed_before(end).for_each(|body| self.wake(step.setting, body));
     }
 
     /// Wakes the bodies that respond to their own motion during the step, those that a moving sphere can reach, and
