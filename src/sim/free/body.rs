@@ -265,17 +265,6 @@ impl Body {
         self.shape.mass
     }
 
-    /// World position of a vertex [scene unit].
-    pub fn position(&self, vertex: usize) -> DVec3 {
-        self.centre + (self.rotation * self.shape.rest[vertex] + self.x[vertex])
-    }
-
-    /// World velocity of every vertex [scene unit/s].
-    pub fn velocities(&self) -> impl Iterator<Item = DVec3> + '_ {
-        let (spin, axes) = (self.frame_spin(), DMat3::from_quat(self.rotation));
-        self.shape.rest.iter().zip(&self.u).map(move |(&l, &u)| self.velocity + (spin.cross(axes * l) + u))
-    }
-
     /// Angular velocity Ω_Q of the frame [rad/s].
     pub fn frame_spin(&self) -> DVec3 {
         if self.turns() { self.inner(self.rotation).frame_spin(self.spin) } else { DVec3::ZERO }

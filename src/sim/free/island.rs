@@ -58,10 +58,6 @@ pub struct Report {
     pub body_steps: u64,
     /// The length of the shortest step [s], and the body with the largest error in it.
     pub shortest: Option<(f64, u32)>,
-    /// Number of rejected steps, retried with shorter ones.
-    pub rejected: u64,
-    /// Number of correction sweeps over all bodies.
-    pub sweeps: u64,
     /// Largest number of contacts of vertices with planes in a sweep; not counted where bodies take their own steps.
     pub held: u64,
     /// Sum over the steps of the largest estimated error [radii], times `GROWTH`.
@@ -366,7 +362,6 @@ impl Island {
                 }
                 None => (next - self.time, 1.0 / MAX_GROWTH),
             };
-            report.rejected += 1;
             if h < advance.shortest || advance.tried >= MAX_STEPS {
                 let body = attempt.map_or(0, |attempt| attempt.outcome.body);
                 return Err(Failure::Unresolved { body, time: self.time, step: h });

@@ -131,7 +131,6 @@ impl Island {
             if !self.evaluate(scratch, span, sweep == 0, paths, parallel) {
                 return None;
             }
-            report.sweeps += 1;
             let held = scratch.courses.iter().map(|course| course.held.len() as u64).sum();
             report.held = report.held.max(held);
             work.spend(HOLD * held);

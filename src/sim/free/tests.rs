@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use pulp::Arch;
 
 use super::*;
@@ -33,6 +33,19 @@ impl Island {
 
     fn conserved(&self) -> Conserved {
         self.snapshot().conserved()
+    }
+}
+
+impl Body {
+    /// World position of a vertex [scene unit].
+    fn position(&self, vertex: usize) -> DVec3 {
+        self.centre + (self.rotation * self.shape.rest[vertex] + self.x[vertex])
+    }
+
+    /// World velocity of every vertex [scene unit/s].
+    fn velocities(&self) -> impl Iterator<Item = DVec3> + '_ {
+        let (spin, axes) = (self.frame_spin(), DMat3::from_quat(self.rotation));
+        self.shape.rest.iter().zip(&self.u).map(move |(&l, &u)| self.velocity + (spin.cross(axes * l) + u))
     }
 }
 

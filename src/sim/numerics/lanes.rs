@@ -259,14 +259,6 @@ impl<S: Simd, const W: usize> Vector<S, W> {
         self.z.store(z, lane);
     }
 
-    /// Stores the vectors into an array, from `first` on.
-    #[inline(always)]
-    pub fn store(self, array: &mut Vectors, first: usize) {
-        self.x.store(&mut array.x, first);
-        self.y.store(&mut array.y, first);
-        self.z.store(&mut array.z, first);
-    }
-
     /// |v|² of each lane.
     #[inline(always)]
     pub fn length_squared(self) -> Reals<S, W> {

@@ -360,7 +360,6 @@ impl<'a> Context<'a> {
                 scene,
                 index,
                 material: body.material,
-                radius: body.radius,
                 vertices: body.mesh.vertex_count(),
                 start: part.start,
                 // All whole steps have bit-identical lengths, so that weights are computed once.

@@ -217,11 +217,6 @@ impl Tracks {
         &self.motion_bounds[body as usize]
     }
 
-    /// The movers, in ascending order of their bodies.
-    pub fn all(&self) -> &[Mover] {
-        &self.movers
-    }
-
     /// The mover of a body, if it moves.
     pub fn of(&self, body: usize) -> Option<&Mover> {
         self.movers.get(self.of_body[body] as usize)
@@ -285,7 +280,7 @@ mod tests {
             for step in 0..scene.steps() {
                 let span = Span { start: step as f64 * scene.dt, end: (step + 1) as f64 * scene.dt };
                 tracks.evaluate(&scene, span);
-                for track in tracks.all() {
+                for track in &tracks.movers {
                     let path = scene.bodies[track.body as usize].path().unwrap();
                     for (sample, theta) in SAMPLES.into_iter().enumerate() {
                         let (t, is_end) = (span.start + theta * scene.dt, theta == 1.0);

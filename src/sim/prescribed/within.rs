@@ -152,7 +152,6 @@ impl<'a> Recomputed<'a> {
             scene,
             index,
             material: body.material,
-            radius: body.radius,
             vertices: body.mesh.vertex_count(),
             start: from,
             length: to - from,

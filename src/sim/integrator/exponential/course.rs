@@ -23,8 +23,6 @@ pub struct Course<'a> {
     pub index: usize,
     /// The constants of its oscillators.
     pub material: Material,
-    /// Its radius [scene unit].
-    pub radius: f64,
     /// Number of its vertices.
     pub vertices: usize,
     /// Start of the interval [s].

@@ -233,7 +233,7 @@ fn every_operation_equals_the_scalar_one_in_each_lane() {
 }
 
 #[test]
-fn vectors_are_loaded_and_stored_in_place() {
+fn vectors_are_loaded_from_their_place() {
     struct Double<'a>(&'a mut Vectors);
     impl WithSimd for Double<'_> {
         type Output = ();
@@ -241,7 +241,10 @@ fn vectors_are_loaded_and_stored_in_place() {
         #[inline(always)]
         fn with_simd<S: Simd>(self, simd: S) {
             for first in (0..self.0.len()).step_by(Reals::<S, 2>::COUNT) {
-                (Vector::<S, 2>::load(simd, self.0, first) * 2.0).store(self.0, first);
+                let Vector { x, y, z } = Vector::<S, 2>::load(simd, self.0, first) * 2.0;
+                x.store(&mut self.0.x, first);
+                y.store(&mut self.0.y, first);
+                z.store(&mut self.0.z, first);
             }
         }
     }
