@@ -270,44 +270,22 @@ impl WithSimd for FreeVertex<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        let n = self.displacement.len();
-        for (block, first) in self.free_vertices.blocks.all().iter().zip((0..n).step_by(LANES)) {
-            let range = first..n.min(first + LANES);
-            let [x, u] = &block.0;
-            let displacement = [&mut self.displacement.x, &mut self.displacement.y, &mut self.displacement.z];
-            let velocity = [&mut self.velocity.x, &mut self.velocity.y, &mut self.velocity.z];
-            for (axis, (displacement, velocity)) in displacement.into_iter().zip(velocity).enumerate() {
-                free_into(
-                    self.flow,
-                    [&x[axis], &u[axis]],
-                    &mut displacement[range.clone()],
-                    &mut velocity[range.clone()],
-                );
+        let [xx, xu, ux, uu] = self.flow;
+        let displacement = [&mut self.displacement.x, &mut self.displacement.y, &mut self.displacement.z];
+        let velocity = [&mut self.velocity.x, &mut self.velocity.y, &mut self.velocity.z];
+        for (axis, (displacement, velocity)) in displacement.into_iter().zip(velocity).enumerate() {
+            let all = displacement.chunks_mut(LANES).zip(velocity.chunks_mut(LANES));
+            for (Block([x, u]), (displacement, velocity)) in self.free_vertices.blocks.all().iter().zip(all) {
+                // the last block may have more lanes than there are vertices
+                for (((displacement, velocity), x), u) in
+                    displacement.iter_mut().zip(velocity).zip(&x[axis]).zip(&u[axis])
+                {
+                    *displacement = xx * x + xu * u;
+                    *velocity = ux * x + uu * u;
+                }
             }
         }
     }
-}
-
-/// One coordinate of [`FreeVertex`], for one block or part of one.
-#[inline(always)]
-fn free_into([xx, xu, ux, uu]: [f64; 4], [x, u]: [&[f64; LANES]; 2], displacement: &mut [f64], velocity: &mut [f64]) {
-    if let (Ok(displacement), Ok(velocity)) =
-        (<&mut [f64; LANES]>::try_from(&mut *displacement), <&mut [f64; LANES]>::try_from(&mut *velocity))
-    {
-        for i in 0..LANES {
-            displacement[i] = xx * x[i] + xu * u[i];
-            velocity[i] = ux * x[i] + uu * u[i];
-        }
-        return;
-    }
-    let mut swung = [[0.0; LANES]; 2];
-    for i in 0..LANES {
-        swung[0][i] = xx * x[i] + xu * u[i];
-        swung[1][i] = ux * x[i] + uu * u[i];
-    }
-    let n = displacement.len();
-    displacement.copy_from_slice(&swung[0][..n]);
-    velocity.copy_from_slice(&swung[1][..n]);
 }
 
 /// The states of an active set and of free vertices at the end of the last step, and the amplitude of each [scene unit]:
