@@ -13,7 +13,7 @@ use crate::{
     sim::numerics::{
         bernstein::Basis,
         dense::Dense,
-        lanes::{Mask, Reals, Vector},
+        lanes::{Reals, Vector},
         larger,
     },
 };
@@ -515,19 +515,6 @@ fn combine<S: Simd, const W: usize>(w: &[f64; 4], v: &[Vector<S, W>; 4]) -> Vect
     (v[0] * w[0] + v[1] * w[1]) + (v[2] * w[2] + v[3] * w[3])
 }
 
-/// The accelerations at the nodes.
-#[inline(always)]
-fn forces<S: Simd, const W: usize>(simd: S, block: &Block) -> [Vector<S, W>; 4] {
-    let [a, b, c, d, _] = &block.f;
-    [load(simd, a), load(simd, b), load(simd, c), load(simd, d)]
-}
-
-/// The lanes that are vertices, not padding.
-#[inline(always)]
-fn real<S: Simd, const W: usize>(simd: S, block: &Block) -> Mask<S, W> {
-    Reals::splat(simd, 0.0).below(Reals::load(simd, &block.masses, 0))
-}
-
 /// Moves active vertices to a sample.
 pub struct Move<'a> {
     pub active: &'a mut Active,
@@ -913,10 +900,10 @@ impl Kernel for AddResidual<'_> {
         let AddResidual { active, weights: w, common, by_rest, effect } = self;
         let (common, by_rest) = (Vector::<S, W>::splat(simd, common), columns::<S, W>(simd, by_rest));
         for block in &mut active.blocks {
-            let f = forces::<S, W>(simd, block);
-            let found = load(simd, &block.f[4]);
+            let [a, b, c, d, found] = &block.f;
+            let through_nodes = combine(&w, &[load(simd, a), load(simd, b), load(simd, c), load(simd, d)]);
             let shared = common + times(&by_rest, load(simd, &block.rest));
-            let residual = found - combine(&w, &f) + shared;
+            let residual = load(simd, found) - through_nodes + shared;
             let [x, u] = &mut block.errors;
             store(load(simd, x) + residual * effect.0, x);
             store(load(simd, u) + residual * effect.1, u);
@@ -935,7 +922,8 @@ impl Kernel for LargestErrors<'_> {
         let none = Reals::<S, W>::splat(simd, 0.0);
         let mut max = [none; 2];
         for block in &self.0.blocks {
-            let real = real::<S, W>(simd, block);
+            // the padding has no mass
+            let real = none.below(Reals::load(simd, &block.masses, 0));
             for k in 0..2 {
                 let square = load::<S, W>(simd, &block.errors[k]).length_squared();
                 max[k] = max[k].larger_or_nan(real.select(square, none));

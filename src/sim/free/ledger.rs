@@ -53,15 +53,8 @@ impl Ledger {
 
     /// Energy added by all causes together [mass · scene unit²/s²].
     pub fn total(&self) -> f64 {
-        self.events
-            + self.core
-            + self.damping
-            + self.friction
-            + self.pushes
-            + self.prescribed
-            + self.points
-            + self.rest
-            + self.edits
+        let Ledger { events, core, damping, friction, pushes, prescribed, points, rest, edits } = *self;
+        events + core + damping + friction + pushes + prescribed + points + rest + edits
     }
 }
 
