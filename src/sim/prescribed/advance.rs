@@ -487,7 +487,8 @@ impl<'a> Context<'a> {
     }
 }
 
-/// See [`find_gaps`]. (A closure would be compiled for the baseline instruction set.)
+/// Lowers each gap to the distance of the vertex's rest position from the nearest sphere, negative inside [scene unit];
+/// spheres are given by centre and radius. (A closure would be compiled for the baseline instruction set.)
 struct FindGaps<'a> {
     rest: Rest<'a>,
     centres: &'a [(DVec3, f64)],
@@ -499,11 +500,22 @@ impl WithSimd for FindGaps<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
-        find_gaps(self.rest, self.centres, self.gaps);
+        let FindGaps { rest, centres, gaps } = self;
+        let (l, radius) = (rest.mesh.positions(), rest.radius);
+        for &(centre, sphere) in centres {
+            // slices of equal length, so that the loop needs no bounds checks and vectorises
+            let n = gaps.len();
+            let (lx, ly, lz) = (&l.x[..n], &l.y[..n], &l.z[..n]);
+            for i in 0..n {
+                let (dx, dy, dz) = (centre.x - radius * lx[i], centre.y - radius * ly[i], centre.z - radius * lz[i]);
+                let gap = (dx * dx + dy * dy + dz * dz).sqrt() - sphere;
+                gaps[i] = if gaps[i] < gap { gaps[i] } else { gap };
+            }
+        }
     }
 }
 
-/// See [`clearance`].
+/// Distance of a centre from the nearest rest position of an active set [scene unit].
 struct Clearance<'a> {
     active_set: &'a ActiveSet,
     centre: DVec3,
@@ -514,38 +526,16 @@ impl WithSimd for Clearance<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) -> f64 {
-        clearance(self.active_set, self.centre)
-    }
-}
-
-/// Lowers each gap to the distance of the vertex's rest position from the nearest sphere, negative inside [scene unit];
-/// spheres are given by centre and radius.
-#[inline(always)]
-fn find_gaps(rest: Rest<'_>, centres: &[(DVec3, f64)], gaps: &mut [f64]) {
-    let (l, radius) = (rest.mesh.positions(), rest.radius);
-    for &(centre, sphere) in centres {
-        // slices of equal length, so that the loop needs no bounds checks and vectorises
-        let n = gaps.len();
-        let (lx, ly, lz) = (&l.x[..n], &l.y[..n], &l.z[..n]);
-        for i in 0..n {
-            let (dx, dy, dz) = (centre.x - radius * lx[i], centre.y - radius * ly[i], centre.z - radius * lz[i]);
-            let gap = (dx * dx + dy * dy + dz * dz).sqrt() - sphere;
-            gaps[i] = if gaps[i] < gap { gaps[i] } else { gap };
+        let Clearance { active_set, centre } = self;
+        let mut nearest = [f64::INFINITY; LANES];
+        // padded to whole blocks
+        for Block([.., [lx, ly, lz]]) in active_set.blocks.all() {
+            for lane in 0..LANES {
+                let (dx, dy, dz) = (centre.x - lx[lane], centre.y - ly[lane], centre.z - lz[lane]);
+                let square = dx * dx + dy * dy + dz * dz;
+                nearest[lane] = if square < nearest[lane] { square } else { nearest[lane] };
+            }
         }
+        nearest.into_iter().fold(f64::INFINITY, f64::min).sqrt()
     }
-}
-
-/// Distance of a centre from the nearest rest position of an active set [scene unit].
-#[inline(always)]
-fn clearance(active_set: &ActiveSet, centre: DVec3) -> f64 {
-    let mut nearest = [f64::INFINITY; LANES];
-    // padded to whole blocks
-    for Block([.., [lx, ly, lz]]) in active_set.blocks.all() {
-        for lane in 0..LANES {
-            let (dx, dy, dz) = (centre.x - lx[lane], centre.y - ly[lane], centre.z - lz[lane]);
-            let square = dx * dx + dy * dy + dz * dz;
-            nearest[lane] = if square < nearest[lane] { square } else { nearest[lane] };
-        }
-    }
-    nearest.into_iter().fold(f64::INFINITY, f64::min).sqrt()
 }

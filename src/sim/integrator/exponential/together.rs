@@ -163,7 +163,7 @@ impl Together<'_> {
             Some(local) => Vector::load(simd, local.accelerations, first),
             None => Vector::splat(simd, DVec3::ZERO),
         };
-        let Near { rims: near, passing } = self.find_pulls(simd, first, rest + x, travel);
+        let [near, passing] = self.find_pulls(simd, first, rest + x, travel);
 
         let zero = Vector::splat(simd, DVec3::ZERO);
         let end = if self.pulls.is_empty() {
@@ -224,8 +224,8 @@ impl Together<'_> {
         u1.into_block(u, lane);
     }
 
-    /// Finds the spheres that contain the vertices at `position`, and the vertices that may enter other spheres in the
-    /// step.
+    /// Finds the spheres that contain the vertices at `position`. Returns the vertices that may cross a rim at which the
+    /// force has a kink, and those that may be inside a sphere between the nodes of the step but at none of them.
     #[inline(always)]
     fn find_pulls<S: Simd, const W: usize>(
         &mut self,
@@ -233,7 +233,7 @@ impl Together<'_> {
         first: usize,
         position: Vector<S, W>,
         travel: Reals<S, W>,
-    ) -> Near<S, W> {
+    ) -> [Mask<S, W>; 2] {
         let Together { course, step, .. } = *self;
         let zero = Reals::splat(simd, 0.0);
         let (mut near, mut passing) = (Mask::none(simd), Mask::none(simd));
@@ -277,16 +277,8 @@ impl Together<'_> {
             let lanes = Reals::<S, W>::COUNT.min(self.active_set.vertices.len() - first);
             self.uncounted += PULL * of_lanes[..lanes].iter().sum::<f64>() as u64;
         }
-        Near { rims: near, passing }
+        [near, passing]
     }
-}
-
-/// The vertices that may enter spheres that do not contain them.
-struct Near<S: Simd, const W: usize> {
-    /// Vertices that may cross a rim at which the force has a kink.
-    rims: Mask<S, W>,
-    /// Vertices that may be inside a sphere between the nodes of the step but at none of them.
-    passing: Mask<S, W>,
 }
 
 /// The vertices that may cross a rim between two positions, at the ends of a step. The squared distance to a centre
