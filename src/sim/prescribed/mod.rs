@@ -161,7 +161,7 @@ impl Prescribed {
         let Prescribed { bodies, actives, tracks, pairs, .. } = self;
         actives.drop_state(bodies, body);
         actives.renumber(body as u32);
-        pairs.remove(Surrounded { scene, bodies, tracks, time }, body);
+        pairs.near.remove(&mut Surrounded { scene, bodies, tracks, time }, body as u32);
         bodies.remove(body);
         tracks.remove(body);
         self.energy_of_distant_pairs = OnceLock::new();
@@ -172,7 +172,7 @@ impl Prescribed {
         let (scene, time) = (setting.scene, setting.time());
         let Prescribed { bodies, actives, tracks, pairs, .. } = self;
         actives.drop_state(bodies, body);
-        pairs.isolate(Surrounded { scene, bodies, tracks, time }, body);
+        pairs.near.isolate(&mut Surrounded { scene, bodies, tracks, time }, body as u32);
         tracks.remove(body);
         tracks.insert(scene, body, time);
         self.enter(setting, body, u64::MAX);
@@ -428,7 +428,7 @@ impl Prescribed {
 
 fn too_many_neighbours(step: &Step<'_>, stop: Stop, body: u32, pairs: &Pairs) -> Failure {
     let body = step.setting.scene.bodies[body as usize].name.clone();
-    step.failure(stop, Toil::Neighbours { body, pairs: pairs.count() })
+    step.failure(stop, Toil::Neighbours { body, pairs: pairs.near.count() })
 }
 
 /// Whether the bodies' steps take long enough for several threads to pay off.
@@ -540,7 +540,7 @@ impl Prescribed {
 
     /// A hash of the exact state.
     pub fn hash(&self) -> u64 {
-        self.actives.hash().wrapping_add(self.pairs.hash())
+        self.actives.hash().wrapping_add(self.pairs.near.hash())
     }
 
     /// All pairs that are near each other or not apart, in ascending order of their bodies.

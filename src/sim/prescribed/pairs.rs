@@ -60,7 +60,7 @@ pub(in crate::sim) struct Moving<'a> {
 /// All pairs of bodies that are near each other, and their phase changes in the current step.
 #[derive(Clone)]
 pub(in crate::sim) struct Pairs {
-    near: NearPairs<Pair>,
+    pub(super) near: NearPairs<Pair>,
     /// Phase changes of the current step, grouped by pair.
     changes: Vec<(f64, Phase)>,
     /// Pairs with phase changes in the current step.
@@ -140,16 +140,6 @@ impl Pairs {
             pair.phase = of.scene.law_at(pair.law).thresholds.initial(of.tracks.pair(pair.a, pair.b).q(of.time));
         }
         true
-    }
-
-    /// Removes a body from the pairs.
-    pub fn isolate(&mut self, mut of: Surrounded<'_>, body: usize) {
-        self.near.isolate(&mut of, body as u32);
-    }
-
-    /// Removes a body from the pairs; the indices of later ones decrease by one, also in lists of neighbours.
-    pub fn remove(&mut self, mut of: Surrounded<'_>, body: usize) {
-        self.near.remove(&mut of, body as u32);
     }
 
     /// Takes over the `phases` of all pairs of bodies of another scene that are not apart. Then enters the phases of pairs
@@ -280,16 +270,6 @@ impl Pairs {
             pair.phase = last.unwrap_or(pair.phase);
             pair.changes = 0..0;
         }
-    }
-
-    /// Number of pairs.
-    pub fn count(&self) -> usize {
-        self.near.count()
-    }
-
-    /// The sum of the hashes of all pairs that are not apart.
-    pub fn hash(&self) -> u64 {
-        self.near.hash()
     }
 
     /// A pair.
