@@ -8,7 +8,6 @@ use smallvec::SmallVec;
 
 use super::{
     deformation::{Deformation, Now, REST, Scratch},
-    pairs::Pairs,
     tracks::Tracks,
 };
 use crate::{
@@ -74,7 +73,7 @@ impl Body {
     }
 
     /// The data about the body that force terms use; `index` is its index in the scene.
-    pub fn on<'a>(&'a self, scene: &'a Scene, index: u32, tracks: &'a Tracks, phases: &'a Pairs) -> On<'a, &'a Pairs> {
+    pub fn on<'a, P>(&'a self, scene: &'a Scene, index: u32, tracks: &'a Tracks, phases: P) -> On<'a, P> {
         let Body { material, neighbours, points, pushes, .. } = self;
         On { scene, index, material, neighbours, points, pushes, tracks, phases }
     }

@@ -40,12 +40,12 @@ use super::{
     report::{Failure, Shortfall, Stage, StepReport, Stopwatch, Strain, Toil},
     solver::{Setting, Step, Takeover},
     span::Span,
-    terms::{Moment, On, Surroundings, spheres},
+    terms::{Moment, Surroundings, spheres},
     work::{Stop, Tally, Work},
 };
 use crate::{
     model::phase::Phase,
-    scene::{self, Path, Scene},
+    scene::{self, Scene},
 };
 
 /// With fewer vertices than this to step, a second thread does not pay off.
@@ -523,16 +523,6 @@ impl Prescribed {
         BodyView { body, mesh: &self.bodies[index].mesh, centre: path.position(now.time()), solved }
     }
 
-    /// The data about a body that force terms use.
-    pub fn on<'a>(&'a self, scene: &'a Scene, index: u32) -> On<'a, &'a Pairs> {
-        self.bodies[index as usize].on(scene, index, &self.tracks, &self.pairs)
-    }
-
-    /// The path of a body.
-    pub fn path(&self, index: usize) -> &Path {
-        self.tracks.path(index)
-    }
-
     /// A bound on the distance of a body's vertices from its centre, now and later if nothing else acts [scene unit].
     pub fn extent(&self, index: usize) -> f64 {
         self.bodies[index].radius + self.active(index).map_or(0.0, Active::amplitude)
@@ -563,7 +553,7 @@ impl Prescribed {
     /// What acts on a body in the current state, except its own oscillators.
     pub fn surroundings_into(&self, setting: Setting<'_>, index: usize, surroundings: &mut Surroundings) {
         let time = setting.time();
-        let on = self.on(setting.scene, index as u32);
+        let on = self.bodies[index].on(setting.scene, index as u32, &self.tracks, &self.pairs);
         on.surroundings_into(Moment { time, phases_at: time }, self.extent(index), surroundings);
     }
 

@@ -50,7 +50,7 @@ impl<'a> Recomputed<'a> {
 
     /// The path of a body.
     pub fn path(&self, index: usize) -> &Path {
-        self.prescribed.path(index)
+        self.prescribed.tracks.path(index)
     }
 
     /// Whether the limit of work is reached: the states are then meaningless.
@@ -90,7 +90,7 @@ impl<'a> Recomputed<'a> {
 
     /// The input of force terms for a body.
     fn on(&self, index: usize) -> On<'_, &Self> {
-        self.prescribed.on(self.world.scene(), index as u32).with_phases(self)
+        self.body(index).on(self.world.scene(), index as u32, &self.prescribed.tracks, self)
     }
 
     /// What acts on a body at `t`, with the phases that hold from `phases_at` on.

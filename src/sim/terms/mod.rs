@@ -233,14 +233,6 @@ pub(super) struct On<'a, P> {
     pub phases: P,
 }
 
-impl<'a, P> On<'a, P> {
-    /// The same body, with phases from another source.
-    pub fn with_phases<Q>(self, phases: Q) -> On<'a, Q> {
-        let On { scene, index, material, neighbours, points, pushes, tracks, .. } = self;
-        On { scene, index, material, neighbours, points, pushes, tracks, phases }
-    }
-}
-
 /// The phases of a body's pairs during a step.
 pub(super) trait Phases {
     /// The phase of the pair from `t` on.
