@@ -30,7 +30,7 @@ use self::{
     advance::Context,
     body::{Active, Body},
     deformation::Now,
-    pairs::{Moving, Pair, Pairs, Surrounded},
+    pairs::{Pair, Pairs, Surrounded},
     tracks::Tracks,
 };
 use super::{
@@ -226,20 +226,16 @@ impl Prescribed {
 
     /// Bounds the motion of moving bodies during the step and finds which bodies they come near.
     fn find_neighbours(&mut self, step: &Step<'_>) -> Result<(), Failure> {
-        let (Prescribed { bodies, tracks, pairs, .. }, &Step { setting: Setting { scene, .. }, span, .. }) =
-            (self, step);
-        tracks.evaluate(scene, span);
-        let updated = pairs.update(Moving { scene, bodies, tracks, work: step.work }, span);
-        updated.map_err(|(stop, body)| too_many_neighbours(step, stop, body, pairs))
+        let Prescribed { bodies, tracks, pairs, .. } = self;
+        tracks.evaluate(step.setting.scene, step.span);
+        pairs.update(bodies, tracks, step).map_err(|(stop, body)| too_many_neighbours(step, stop, body, pairs))
     }
 
     /// Finds the exact times at which pairs change phase during the step.
     fn find_events(&mut self, step: &mut Step<'_>) -> Result<(), Failure> {
-        let (Prescribed { bodies, tracks, pairs, .. }, Setting { scene, .. }) = (self, step.setting);
-        let moving = Moving { scene, bodies, tracks, work: step.work };
-        let found = pairs.find_events(moving, step.span, step.report.step, &mut step.report.events);
-        found.map_err(|(stop, pair)| {
-            let [a, b] = pair.map(|body| scene.bodies[body as usize].name.clone());
+        let Prescribed { bodies, tracks, pairs, .. } = self;
+        pairs.find_events(bodies, tracks, step).map_err(|(stop, pair)| {
+            let [a, b] = pair.map(|body| step.setting.scene.bodies[body as usize].name.clone());
             step.failure(stop, Toil::Events { a, b, found: step.report.events.len() })
         })
     }

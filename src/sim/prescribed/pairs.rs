@@ -10,7 +10,7 @@ use crate::{
         events::{Event, Search},
         neighbours::{Bodies, FatBounds, Listed, NearPairs, Neighbours, PairId, SKIN},
         report::StepReport,
-        solver::Takeover,
+        solver::{Step, Takeover},
         span::Span,
         work::{DISTANCE, EVENT, Stop, Tally, Work},
     },
@@ -47,14 +47,6 @@ pub(in crate::sim) struct Surrounded<'a> {
     pub tracks: &'a Tracks,
     /// The time at which it is searched [s].
     pub time: f64,
-}
-
-/// The bodies of a step, and its work limit.
-pub(in crate::sim) struct Moving<'a> {
-    pub scene: &'a Scene,
-    pub bodies: &'a mut [Body],
-    pub tracks: &'a mut Tracks,
-    pub work: &'a Work,
 }
 
 /// All pairs of bodies that are near each other, and their phase changes in the current step.
@@ -172,12 +164,12 @@ impl Pairs {
         }
     }
 
-    /// Finds the neighbours of bodies that leave their fat bounds before the end of `span`.
+    /// Finds the neighbours of bodies that leave their fat bounds before the end of the step.
     ///
     /// # Errors
     /// If there are too many: the body at which the search stopped.
-    pub fn update(&mut self, among: Moving<'_>, span: Span) -> Result<(), (Stop, u32)> {
-        let Moving { scene, bodies, tracks, work } = among;
+    pub fn update(&mut self, bodies: &mut [Body], tracks: &mut Tracks, step: &Step<'_>) -> Result<(), (Stop, u32)> {
+        let (scene, span, work) = (step.setting.scene, step.span, &*step.work);
         tracks.watch(|track| bodies[track.body as usize].known_until < span.end);
         let mut of = Surrounded { scene, bodies, tracks, time: span.start };
         let tally = Tally::new(work, None);
@@ -205,18 +197,18 @@ impl Pairs {
         self.near.place(scene, i as u32, path.position(t), bounds);
     }
 
-    /// Finds the exact times at which pairs change phase during `span`, in step `step`: adds them to `events`, in order.
+    /// Finds the exact times at which pairs change phase during the step, and reports them in order.
     ///
     /// # Errors
     /// If that takes too much work: the pair that took the most.
     pub fn find_events(
         &mut self,
-        among: Moving<'_>,
-        span: Span,
-        step: u64,
-        events: &mut Vec<Event>,
+        bodies: &mut [Body],
+        tracks: &mut Tracks,
+        step: &mut Step<'_>,
     ) -> Result<(), (Stop, [u32; 2])> {
-        let Moving { scene, bodies, tracks, work } = among;
+        let (scene, span, work) = (step.setting.scene, step.span, &*step.work);
+        let StepReport { step, events, .. } = &mut *step.report;
         let tally = Tally::new(work, None);
         let mut busiest = (0, [0, 0]);
         let ahead = AHEAD * scene.dt * ((span.start / (AHEAD * scene.dt) + 1e-6).floor() + 1.0);
@@ -243,7 +235,7 @@ impl Pairs {
                 pair.advance(search, span, horizon, |time, to| {
                     self.changes.push((time, to));
                     let (q, rate) = (both.q(time), both.rate(time));
-                    events.push(Event { time, step, a, b, q, rate, from, to, energy: 0.0 });
+                    events.push(Event { time, step: *step, a, b, q, rate, from, to, energy: 0.0 });
                     from = to;
                 });
                 busiest = busiest.max((tally.done() - before, [a, b]));
