@@ -72,7 +72,7 @@ impl<'a> BodyView<'a> {
 
     /// Angular velocity of the body [rad/s].
     pub fn angular_velocity(&self) -> DVec3 {
-        self.member().map_or(DVec3::ZERO, Member::spin)
+        self.member().map_or(DVec3::ZERO, |member| member.body.frame_spin())
     }
 
     /// Whether every displacement and velocity is exactly zero.

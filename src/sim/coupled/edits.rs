@@ -139,7 +139,6 @@ impl Coupled {
         if let Some(path) = scene.bodies[body].path() {
             member.body.follow(path.at(time));
         }
-        member.is_awake = true;
         member.bound_motion(&scene.bodies[body], free_fall(scene), Span { start: time, end: time + scene.dt });
         member
     }

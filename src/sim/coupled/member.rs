@@ -9,7 +9,7 @@ use crate::{
     geometry::{Mesh, Vectors},
     model::{
         oscillator::Oscillator,
-        shape_matching::{resistance, rotation_by, solve},
+        shape_matching::{Plane, resistance, rotation_by, solve},
     },
     scene::{self, Motion, Push, Scene},
     sim::{
@@ -123,7 +123,7 @@ impl Shapes {
 }
 
 impl Member {
-    /// A body of the scene at t = 0.
+    /// A body of the scene at t = 0, awake.
     pub fn new(scene: &Scene, index: usize, shapes: &mut Shapes) -> Member {
         let body = &scene.bodies[index];
         let mesh = body.shape.mesh();
@@ -153,7 +153,7 @@ impl Member {
             fixed: FixedSteps::default(),
             slow_steps: 0,
             slow_from: Drift::default(),
-            is_awake: false,
+            is_awake: true,
             bounds: MemberBounds::default(),
             fat: FatBounds::default(),
             neighbours: Neighbours::new(),
@@ -213,6 +213,12 @@ impl Member {
             }
         };
         self.bounds = MemberBounds { way: slack + way, extent: *extent + slack + 1.5 * *speed * h };
+    }
+
+    /// Whether it may touch one of `planes` in the step.
+    pub fn touches(&self, planes: &[Plane]) -> bool {
+        let MemberBounds { way, extent } = self.bounds;
+        planes.iter().any(|plane| plane.depth(self.body.centre) + extent + way > 0.0)
     }
 
     /// Whether the body moved farther than expected; if so, widens its bounds.
@@ -344,11 +350,6 @@ impl Member {
         u.fill(DVec3::ZERO);
         self.speed = 0.0;
         lost
-    }
-
-    /// Angular velocity of its frame [rad/s].
-    pub fn spin(&self) -> DVec3 {
-        self.body.frame_spin()
     }
 
     /// Displacements and velocities of all vertices.

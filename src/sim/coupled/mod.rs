@@ -65,13 +65,12 @@ use super::{
     report::{Failure, Stage, StepReport, Stopwatch, Strain},
     solver::{Setting, Step},
     span::Span,
-    terms::free_fall,
+    terms::{free_fall, push},
     work::{Stop, Tally, Work},
 };
 use crate::{
     disjoint_sets::DisjointSets,
-    model::shape_matching::Plane,
-    scene::{Response, Scene},
+    scene::{Response, Scene, path::Bounds},
 };
 
 /// Limit on repetitions of a step because bodies moved farther than expected.
@@ -142,7 +141,7 @@ impl Coupled {
             members,
             points: scene.points.iter().map(|point| source_at(scene, point, 0.0)).collect(),
             near: Near::new(scene),
-            awake: Vec::new(),
+            awake: (0..scene.bodies.len() as u32).collect(),
             sleeping_hash: 0,
             shapes,
             islands: DisjointSets::default(),
@@ -164,11 +163,7 @@ impl Coupled {
         }
         let among = Among { scene, members: &mut coupled.members, time: 0.0 };
         coupled.near = Near::of_all(among, max_pairs, work)?;
-        for body in 0..coupled.members.len() as u32 {
-            coupled.members[body as usize].is_awake = true;
-            coupled.awake.push(body);
-        }
-        coupled.first_energy = coupled.snapshot(scene, 0.0).conserved().energy();
+        coupled.first_energy = coupled.energy(scene, 0.0);
         Some(coupled)
     }
 
@@ -360,12 +355,11 @@ impl Coupled {
         }
         let index = group.bodies[0] as usize;
         let member = &self.members[index];
-        let is_pushed = member.pushes.iter().any(|push| push.start < span.end && push.end() > span.start);
         let body = &member.body;
-        let touches = |plane: &Plane| plane.depth(body.centre) + member.bounds.extent + member.bounds.way > 0.0;
-        let is_driven =
-            is_pushed || scene.bodies[index].force.is_some() || self.points_near(scene, span, index).next().is_some();
-        if is_driven || scene.planes.iter().any(touches) {
+        let is_driven = push::any_acts(&member.pushes, span)
+            || scene.bodies[index].force.is_some()
+            || self.points_near(scene, span, index).next().is_some();
+        if is_driven || member.touches(&scene.planes) {
             return true;
         }
         if member.rigid_spin.is_some() {
@@ -374,19 +368,13 @@ impl Coupled {
         if member.is_deformed() {
             return true;
         }
-        match scene.bodies[index].path() {
-            None => body.turns() && body.spin != DVec3::ZERO,
-            Some(path) => {
-                let bounds = path.bounds(span.start, span.end);
-                if scene.bodies[index].material.response != Response::Rigid && path.kicks(span.start, span.end) > 0.0 {
-                    return true;
-                }
-                match scene.bodies[index].material.response {
-                    Response::Rigid => false,
-                    Response::Inertial => bounds.acceleration != 0.0,
-                    Response::World => bounds.acceleration != 0.0 || bounds.speed != 0.0,
-                }
-            }
+        let Some(path) = scene.bodies[index].path() else { return body.turns() && body.spin != DVec3::ZERO };
+        let Bounds { speed, acceleration } = path.bounds(span.start, span.end);
+        let is_accelerated = || acceleration != 0.0 || path.kicks(span.start, span.end) > 0.0;
+        match scene.bodies[index].material.response {
+            Response::Rigid => false,
+            Response::Inertial => is_accelerated(),
+            Response::World => speed != 0.0 || is_accelerated(),
         }
     }
 

@@ -6,7 +6,6 @@ use super::{
     member::{FixedSteps, Member},
 };
 use crate::{
-    model::shape_matching::Plane,
     scene::{Point, Scene},
     sim::{
         numerics::control::MAX_SLOW_TOLERANCE,
@@ -125,10 +124,8 @@ impl Coupled {
             }
             if let (&[body], []) = (&bodies[..], &pairs[..]) {
                 let member = &mut self.members[body as usize];
-                let touches =
-                    |plane: &Plane| plane.depth(member.body.centre) + member.bounds.extent + member.bounds.way > 0.0;
                 let is_turning = member.body.turns() && member.body.spin != DVec3::ZERO;
-                if scene.planes.iter().any(touches) {
+                if member.touches(&scene.planes) {
                     continue;
                 }
                 if is_turning {
