@@ -5,13 +5,13 @@ use std::collections::BTreeMap;
 use glam::{DQuat, DVec3};
 
 use crate::{
-    model::{
-        influence::{Weight, acceleration},
-        phase::Phase,
-    },
+    model::{influence::Weight, phase::Phase},
     observe::PairEvent,
     scene::{Path, Point, Push, Response, Scene, path::Kinematics},
-    sim::{Cause, span::Span},
+    sim::{
+        span::Span,
+        terms::{Origin, Source},
+    },
 };
 
 /// The motion of a centre in an interval, known in advance.
@@ -53,34 +53,11 @@ pub struct StepContext<'a> {
     pub step: u64,
 }
 
-/// An influence sphere at an instant.
-#[derive(Clone, Copy, Debug)]
-pub struct ActingSphere {
-    /// The cause that its force counts as.
-    pub cause: Cause,
-    /// The body or force point that it belongs to.
-    pub source: u32,
-    /// Its centre relative to that of the body acted on [scene unit].
-    pub centre: DVec3,
-    /// Its signed strength, in proportion to the time during which it acts [1/s²].
-    pub strength: f64,
-    /// Its radius [scene unit].
-    pub radius: f64,
-}
-
-impl ActingSphere {
-    /// The acceleration at a position relative to the centre of the body acted on [scene unit/s²].
-    #[inline]
-    pub fn acceleration(&self, weight: Weight, place: DVec3) -> DVec3 {
-        acceleration(weight, self.strength, self.radius, self.centre - place)
-    }
-}
-
 /// What acts on a body at an instant, or on average over some time.
 #[derive(Clone, Debug, Default)]
 pub struct Instantaneous {
-    /// The influence spheres.
-    pub spheres: Vec<ActingSphere>,
+    /// The influence spheres, with strengths in proportion to the time during which they act.
+    pub spheres: Vec<Source>,
     /// Pushes: direction and strength [scene unit/s²].
     pub pushes: Vec<(DVec3, f64)>,
     /// The acceleration that all nodes of a body on a path share [scene unit/s²].
@@ -96,7 +73,7 @@ pub struct Instantaneous {
 pub struct ExternalForces {
     /// f̄ of a free body [scene unit/s²].
     pub mean: DVec3,
-    /// Σ m f of each sphere, by its body or force point [mass · scene unit/s²].
+    /// Σ m f of each body's sphere [mass · scene unit/s²].
     pub pulls: Vec<(u32, DVec3)>,
     /// Accelerations of the nodes minus their mean [scene unit/s²], `[node_count]`; finite elements only.
     pub loads: Vec<DVec3>,
@@ -251,12 +228,13 @@ impl StepContext<'_> {
 
     /// The sphere of a body or force point as it acts on a body from time `t` [s] on, given its position relative to that
     /// body's and the fraction of the time during which it acts.
-    fn sphere(&self, index: usize, source: u32, t: f64, share: f64, centre: DVec3) -> Option<ActingSphere> {
+    fn sphere(&self, index: usize, source: u32, t: f64, share: f64, centre: DVec3) -> Option<Source> {
         let influence = self.scene.influence;
-        let (cause, strength, radius) = match self.point(source) {
+        let (origin, strength, sphere_radius) = match self.point(source) {
             Some(point) if !point.acts_at(t) => return None,
             Some(point) => {
-                (Cause::Point, self.scene.point_strength(point, index), influence.sphere_radius(point.radius))
+                let origin = Origin::Point { index: source - self.scene.bodies.len() as u32 };
+                (origin, self.scene.point_strength(point, index), influence.sphere_radius(point.radius))
             }
             None => {
                 let (one, other) = (&self.scene.bodies[index], &self.scene.bodies[source as usize]);
@@ -266,10 +244,10 @@ impl StepContext<'_> {
                 }
                 let strength = law.strength(phase, centre.length() / (one.radius + other.radius))
                     * influence.scale(one.radius, other.radius);
-                (Cause::of_sphere(phase, strength), strength, other.sphere_radius())
+                (Origin::Body { index: source, phase }, strength, other.sphere_radius())
             }
         };
-        Some(ActingSphere { cause, source, centre, strength: strength * share, radius })
+        Some(Source { origin, centre, sphere_radius, strength: strength * share })
     }
 }
 

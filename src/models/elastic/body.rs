@@ -15,7 +15,6 @@ use super::{
 };
 use crate::{
     geometry::{Mesh, Shape, Vectors},
-    model::influence::acceleration,
     models::{
         cells::{Cells, boundary},
         fem::{self, Elasticity, Element, Stepper, Unfactored},
@@ -353,13 +352,13 @@ impl Body {
             let mut sum = DVec3::ZERO;
             for (node, (into, position)) in into.iter_mut().zip(positions).enumerate() {
                 let to_centre = sphere.centre - *position;
-                if to_centre.length_squared() < sphere.radius * sphere.radius {
-                    let pull = acceleration(scene.influence.weight, sphere.strength, sphere.radius, to_centre);
+                if to_centre.length_squared() < sphere.sphere_radius * sphere.sphere_radius {
+                    let pull = sphere.acceleration(scene.influence.weight, *position);
                     *into += pull;
                     sum += pull * mass(node);
                 }
             }
-            acted.pulls.push((sphere.source, sum));
+            acted.pulls.extend(sphere.body().map(|body| (body, sum)));
         }
         let turned = now.rotation.inverse();
         for &(direction, strength) in &now.pushes {

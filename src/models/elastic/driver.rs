@@ -222,7 +222,7 @@ impl Elastic {
         if !self.has_free {
             return;
         }
-        let mut reactions = vec![DVec3::ZERO; self.bodies.len() + self.scene.points.len()];
+        let mut reactions = vec![DVec3::ZERO; self.bodies.len()];
         for body in &self.bodies {
             body.acted.pulls.iter().for_each(|&(source, pull)| reactions[source as usize] -= pull);
         }

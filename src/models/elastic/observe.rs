@@ -299,7 +299,7 @@ impl Elastic {
         };
         let weight = self.scene.influence.weight;
         for sphere in &acting.spheres {
-            add(sphere.cause, &|node| sphere.acceleration(weight, positions[node]));
+            add(sphere.cause(), &|node| sphere.acceleration(weight, positions[node]));
         }
         for &(direction, strength) in &acting.pushes {
             let towards = back * direction;
@@ -357,9 +357,9 @@ impl Elastic {
                 let mean = weighted_sum(nodes.iter().copied().zip(body.masses().iter().map(|mass| mass / mass_now)));
                 (term.mean, net_mean) = (Some(mean), net_mean + mean);
             }
-            let mut of_cause = acting.spheres.iter().filter(|sphere| sphere.cause == *cause);
+            let mut of_cause = acting.spheres.iter().filter(|sphere| sphere.cause() == *cause);
             if let (Some(only), None) = (of_cause.next(), of_cause.next()) {
-                term.source = Some(only.source).filter(|_| *cause != Cause::Point);
+                term.source = only.body();
             }
         }
         now.net_force = body.free.is_some().then(|| {

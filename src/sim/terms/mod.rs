@@ -17,10 +17,7 @@ use glam::DVec3;
 
 use super::{integrator::explicit::Scheme, neighbours::Neighbour, prescribed::tracks::Tracks, span::Span};
 use crate::{
-    model::{
-        influence::{self, Weight},
-        phase::Phase,
-    },
+    model::{influence::Weight, phase::Phase},
     scene::{Material, Push, Scene, path::Kinematics},
 };
 pub use push::Weighted;
@@ -277,8 +274,7 @@ impl Surroundings {
         let mut acceleration = DVec3::ZERO;
         let position = rest + x;
         for source in &self.sources {
-            let to_centre = source.centre - position;
-            acceleration += influence::acceleration(weight, source.strength, source.sphere_radius, to_centre);
+            acceleration += source.acceleration(weight, position);
         }
         for weighted in &self.weighted {
             acceleration += weighted.acceleration(facing);

@@ -7,7 +7,11 @@ use glam::DVec3;
 use super::{Cause, Moment, On, Phases, Surroundings, Term};
 use crate::{
     geometry::Rest,
-    model::{PairLaw, energy, influence::Weight, phase::Phase},
+    model::{
+        PairLaw, energy,
+        influence::{self, Weight},
+        phase::Phase,
+    },
     scene::{Body, Members, Scene, path::Kinematics},
     sim::{
         neighbours::{Neighbour, PairId},
@@ -73,6 +77,12 @@ impl Source {
             Origin::Point { .. } => Cause::Point,
             Origin::Body { phase, .. } => Cause::of_sphere(phase, self.strength),
         }
+    }
+
+    /// Its acceleration of a vertex at a place relative to the centre of the body acted on [scene unit/s²].
+    #[inline]
+    pub fn acceleration(&self, weight: Weight, place: DVec3) -> DVec3 {
+        influence::acceleration(weight, self.strength, self.sphere_radius, self.centre - place)
     }
 
     /// The body that it belongs to, if it belongs to one.
