@@ -194,21 +194,22 @@ impl<P: Listed> NearPairs<P> {
         }
     }
 
-    /// Takes out a body whose neighbours have not been searched for.
-    pub fn take(&mut self, body: u32) {
-        self.grid.take(body);
-    }
-
     /// The centre of a body when it was placed [scene unit].
     pub fn placed_at(&self, body: u32) -> DVec3 {
         self.grid.ball(body).centre
     }
 
-    /// An upper bound of the number of bodies near one that has been placed.
-    pub fn most_near(&self, body: u32) -> u64 {
-        let mut count = 0;
-        self.grid.each_touching(body, |_| count += 1);
-        count
+    /// Finds the pairs of a body that has been [placed](NearPairs::place) and has none; false, and it is taken out, if there
+    /// may be more than `max` pairs then.
+    pub fn join<B: Bodies<Pair = P>>(&mut self, bodies: &mut B, body: u32, max: u64) -> bool {
+        let mut most = self.count() as u64;
+        self.grid.each_touching(body, |_| most += 1);
+        if most > max {
+            self.grid.take(body);
+            return false;
+        }
+        self.search(bodies, body, &Tally::unlimited());
+        true
     }
 
     /// Finds the neighbours of a body that has been [placed](NearPairs::place). A known pair keeps its phase; a pair that

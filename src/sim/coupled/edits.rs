@@ -90,7 +90,7 @@ impl Coupled {
         let last = self.members.len();
         let member = self.awakened(scene, last, time);
         self.members.push(member);
-        if !self.near.add_last(&mut Among { scene, members: &mut self.members, time }, max_pairs) {
+        if !self.near.enter_body(&mut Among { scene, members: &mut self.members, time }, last as u32, max_pairs) {
             self.members.pop();
             self.shapes.forget_unused();
             return false;
@@ -128,7 +128,7 @@ impl Coupled {
         near.into_iter().chain([body as u32]).for_each(|one| self.wake_up(one as usize));
         self.near.isolate(&mut Among { scene, members: &mut self.members, time }, body as u32);
         self.members[body] = self.awakened(scene, body, time);
-        self.near.place_anew(&mut Among { scene, members: &mut self.members, time }, body as u32);
+        self.near.enter_body(&mut Among { scene, members: &mut self.members, time }, body as u32, u64::MAX);
         self.forget_results();
         self.begin(scene, body, energy, time, report);
     }

@@ -66,22 +66,10 @@ impl Near {
         near.start(&mut among, max, work, &Tally::new(work, None)).then_some(near)
     }
 
-    /// Finds the pairs of the last body, which is new; false, and nothing has changed, if there would be more than `max`.
-    pub fn add_last(&mut self, among: &mut Among<'_>, max: u64) -> bool {
-        let last = among.members.len() as u32 - 1;
-        self.place_again(among, last);
-        if self.count() as u64 + self.most_near(last) > max {
-            self.take(last);
-            return false;
-        }
-        self.search(among, last, &Tally::unlimited());
-        true
-    }
-
-    /// Finds the pairs of a body that is elsewhere now; it had none before.
-    pub fn place_anew(&mut self, among: &mut Among<'_>, body: u32) {
+    /// Finds the pairs of a body that has none yet; false, and nothing has changed, if there would be more than `max`.
+    pub fn enter_body(&mut self, among: &mut Among<'_>, body: u32, max: u64) -> bool {
         self.place_again(among, body);
-        self.search(among, body, &Tally::unlimited());
+        self.join(among, body, max)
     }
 
     /// Finds the neighbours of a body again if it may leave its fat bounds in this step.

@@ -122,11 +122,9 @@ impl Pairs {
     pub fn enter_body(&mut self, mut of: Surrounded<'_>, body: usize, max: u64) -> bool {
         let vertices = of.scene.bodies[body].radius;
         self.place(&mut of, body, vertices);
-        if self.near.count() as u64 + self.near.most_near(body as u32) > max {
-            self.near.take(body as u32);
+        if !self.near.join(&mut of, body as u32, max) {
             return false;
         }
-        self.near.search(&mut of, body as u32, &Tally::unlimited());
         for neighbour in &of.bodies[body].neighbours {
             let pair = self.near.get_mut(neighbour.pair);
             pair.phase = of.scene.law_at(pair.law).thresholds.initial(of.tracks.pair(pair.a, pair.b).q(of.time));
