@@ -67,14 +67,9 @@ pub struct Report {
 }
 
 /// Why an island cannot be advanced any further.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Failure {
     /// A pair chatters: it changes its phase over and over.
-    #[error(
-        "the pair of bodies {a} and {b} changed its phase {MAX_CHANGES} times by t = {time:.9} s within one step: where \
-         attraction turns into repulsion at once, bodies chatter; give the core a width (core_width), or thresholds that \
-         are farther apart"
-    )]
     Chatter {
         /// Index of the pair's first body.
         a: u32,
@@ -84,10 +79,6 @@ pub enum Failure {
         time: f64,
     },
     /// The step size underflows: the tolerance would require ever shorter steps.
-    #[error(
-        "at t = {time:.9} s body {body} cannot be followed within the tolerance: steps of {step:e} s are still too long; \
-         allow a larger tolerance, or make what acts on it smoother (core_width, a plane's slip)"
-    )]
     Unresolved {
         /// Index of the body.
         body: usize,
@@ -97,7 +88,6 @@ pub enum Failure {
         step: f64,
     },
     /// The limit of work is reached, or the run is interrupted.
-    #[error("stopped at t = {time:.9} s")]
     Stopped {
         /// Index of the body with the most vertices.
         body: usize,
