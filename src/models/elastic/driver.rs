@@ -350,7 +350,7 @@ impl Elastic {
 
     /// The phase changes in an interval, in order of time; only the first if `only_first`.
     fn changes(&mut self, [start, end]: [f64; 2], only_first: bool) -> Result<Vec<PairEvent>, StepFailure> {
-        let begun = Clock::now();
+        let (begun, step) = (Clock::now(), self.step + 1);
         let mut found: Vec<PairEvent> = Vec::new();
         let work = Work::limited(MAX_SEARCH, self.options.interrupt);
         let tally = Tally::new(&work, None);
@@ -377,28 +377,20 @@ impl Elastic {
             let search = Search { paths: between, thresholds: &thresholds, work: &tally };
             let mut phase = self.phases.get(&pair).copied().unwrap_or(Phase::Apart);
             let (mut from, mut count) = (start, self.events.len());
-            let names = || pair.map(|body| &self.scene.bodies[body as usize].name);
+            let too_much = |what: &str| {
+                let [a, b] = pair.map(|body| &self.scene.bodies[body as usize].name);
+                StepFailure::NotTaken(format!(
+                    "too much to do in step {step} (from t = {start:.6} s on): bodies \"{a}\" and \"{b}\" {what}"
+                ))
+            };
             while let Some((time, to)) = search.first_change(phase, from, end) {
-                let event = Event {
-                    time,
-                    step: self.step + 1,
-                    a: pair[0],
-                    b: pair[1],
-                    q: between.q(time),
-                    rate: between.rate(time),
-                    from: phase,
-                    to,
-                    energy: 0.0,
-                };
-                found.push(PairEvent::from(&event));
+                let ([a, b], q, rate) = (pair, between.q(time), between.rate(time));
+                found.push(PairEvent::from(&Event { time, step, a, b, q, rate, from: phase, to, energy: 0.0 }));
                 (from, phase, count) = (time, to, count + 1);
                 if self.has_free && count > MAX_CHANGES {
-                    let [a, b] = names();
-                    return Err(StepFailure::NotTaken(format!(
-                        "too much to do in step {} (from t = {start:.6} s on): bodies \"{a}\" and \"{b}\" change their phase again and again; set \
-                         core_width, or move merge_at, split_at and core_at apart",
-                        self.step + 1
-                    )));
+                    return Err(too_much(
+                        "change their phase again and again; set core_width, or move merge_at, split_at and core_at apart",
+                    ));
                 }
                 if only_first {
                     break;
@@ -406,12 +398,7 @@ impl Elastic {
             }
             if tally.is_over() {
                 self.check_interrupt()?;
-                let [a, b] = names();
-                return Err(StepFailure::NotTaken(format!(
-                    "too much to do in step {} (from t = {start:.6} s on): bodies \"{a}\" and \"{b}\" move too fast to find when they change \
-                     phase; lower their velocities",
-                    self.step + 1
-                )));
+                return Err(too_much("move too fast to find when they change phase; lower their velocities"));
             }
         }
         found.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));
