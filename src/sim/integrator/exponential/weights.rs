@@ -98,17 +98,12 @@ fn ringing(Oscillator { omega, damping }: Oscillator, h: f64) -> Option<Ringing>
     let mu = ((damping - omega) * (damping + omega)).sqrt();
     let fast = damping + mu;
     let slow = omega * (omega / fast);
+    let scale = 0.5 / mu;
     let mode = |rate: f64, other: f64| {
         let cubic = derivatives.map(|p| p.into_iter().rev().fold(0.0, |next, p| (p - next) / rate));
-        Mode { x: other, u: 1.0, force: cubic.map(|y| -y) }.times(0.5 / mu)
+        Mode { x: scale * other, u: scale, force: cubic.map(|y| -scale * y) }
     };
     Some([mode(fast, slow), if slow * h > RESOLVED { mode(slow, fast) } else { Mode::default() }])
-}
-
-impl Mode {
-    fn times(self, by: f64) -> Mode {
-        Mode { x: by * self.x, u: by * self.u, force: self.force.map(|force| by * force) }
-    }
 }
 
 impl Weights {
