@@ -18,11 +18,6 @@ use crate::{
     model::phase::Phase,
 };
 
-/// The sum of the hashes of bodies; a body at rest adds nothing.
-pub(super) fn of_bodies(bodies: &[Active]) -> u64 {
-    bodies.iter().map(Active::hash).fold(0, u64::wrapping_add)
-}
-
 /// The hash of a world, from the number of steps taken and the sum of the hashes of all stored states.
 pub(super) fn of_world(step: u64, sum: u64) -> u64 {
     mix(mix(step.wrapping_add(SEED)).wrapping_add(sum))
@@ -58,7 +53,7 @@ pub(super) fn of_body(index: u32, body: &Body, others: [u64; 3]) -> u64 {
 
 impl Active {
     /// A hash of the stored state of a body; 0 for one at rest.
-    fn hash(&self) -> u64 {
+    pub(super) fn hash(&self) -> u64 {
         if self.is_at_rest() {
             return 0;
         }

@@ -1,7 +1,7 @@
 //! The bodies that are not at rest: awake ones, and those that sleep because nothing acts on them.
 
 use super::body::{Active, Body};
-use crate::{scene::Scene, sim::checksum};
+use crate::scene::Scene;
 
 /// The states of the bodies that are not at rest. Only this type moves them and sets [`Body::active`], their index
 /// here.
@@ -41,14 +41,13 @@ impl ActiveSet {
 
     /// Marks body `index` as awake: it is stepped from now on. `step` is the number of steps taken.
     pub fn wake(&mut self, scene: &Scene, bodies: &mut [Body], index: usize, step: u64) {
-        let slot = bodies[index].active.map_or(self.states.len(), |slot| slot as usize);
-        if slot == self.states.len() {
-            self.states.push(Active::new(scene, index, step));
-            bodies[index].active = Some(slot as u32);
-        }
-        if slot >= self.awake {
-            self.swap(bodies, slot, self.awake);
-            self.awake += 1;
+        match bodies[index].active.map(|slot| slot as usize) {
+            None => self.insert(bodies, Active::new(scene, index, step)),
+            Some(slot) if slot >= self.awake => {
+                self.swap(bodies, slot, self.awake);
+                self.awake += 1;
+            }
+            Some(_) => {}
         }
     }
 
@@ -98,18 +97,13 @@ impl ActiveSet {
     pub fn sleep(&mut self, bodies: &mut [Body], may_sleep: impl Fn(&[Body], &Active) -> bool) {
         for slot in (0..self.awake).rev() {
             if may_sleep(bodies, &self.states[slot]) {
-                self.sleep_one(bodies, slot);
-            }
-        }
-    }
-
-    fn sleep_one(&mut self, bodies: &mut [Body], slot: usize) {
-        self.awake -= 1;
-        self.swap(bodies, slot, self.awake);
-        if self.states[self.awake].is_at_rest() {
-            self.swap(bodies, self.awake, self.states.len() - 1);
-            if let Some(active) = self.states.pop() {
-                bodies[active.body as usize].active = None;
+                let active = &self.states[slot];
+                if active.is_at_rest() {
+                    self.drop_state(bodies, active.body as usize);
+                } else {
+                    self.awake -= 1;
+                    self.swap(bodies, slot, self.awake);
+                }
             }
         }
     }
@@ -123,6 +117,6 @@ impl ActiveSet {
 
     /// Sum of the hashes of all bodies in the set.
     pub fn hash(&self) -> u64 {
-        checksum::of_bodies(&self.states)
+        self.states.iter().map(Active::hash).fold(0, u64::wrapping_add)
     }
 }
