@@ -81,28 +81,15 @@ pub(in crate::sim) fn influence(a: &Body, b: &Body, field: &Field, strength: f64
     if strength == 0.0 || (a.is_prescribed() && b.is_prescribed()) {
         return 0.0;
     }
+    // s Σ m (Φ − Φ(r_e)) over the vertices of one body in the sphere of the other: zero for those out of reach
     let of = |own: &Body, source: &Body| {
-        let axes = DMat3::from_quat(own.rotation);
-        let vertices =
-            (0..own.shape.rest.len()).map(|i| (own.shape.masses[i], axes * own.shape.rest[i] + own.state(i).0));
-        strength * potential(own, vertices, source.centre - own.centre, source, field)
+        let (axes, to_source, r_e) = (DMat3::from_quat(own.rotation), source.centre - own.centre, source.sphere_radius);
+        let outside = influence_potential(field.weight, r_e, r_e);
+        let vertices = (0..own.shape.rest.len()).map(|i| {
+            let s = axes * own.shape.rest[i] + own.state(i).0;
+            own.shape.masses[i] * (influence_potential(field.weight, r_e, (to_source - s).length()) - outside)
+        });
+        strength * (field.scale(own.radius, source.radius) * vertices.sum::<f64>())
     };
     of(a, b) + of(b, a)
-}
-
-/// Σ m (Φ − Φ(r_e)) of vertices of body `own` in the sphere of `source`, with the factor for their sizes
-/// [mass · scene unit²]: zero for vertices out of reach. `vertices` are masses and positions relative to the centre of
-/// `own`; `to_source` is the vector from that centre to the centre of the sphere.
-pub(super) fn potential(
-    own: &Body,
-    vertices: impl Iterator<Item = (f64, DVec3)>,
-    to_source: DVec3,
-    source: &Body,
-    field: &Field,
-) -> f64 {
-    let r_e = source.sphere_radius;
-    let outside = influence_potential(field.weight, r_e, r_e);
-    let sum =
-        vertices.map(|(mass, s)| mass * (influence_potential(field.weight, r_e, (to_source - s).length()) - outside));
-    field.scale(own.radius, source.radius) * sum.sum::<f64>()
 }
