@@ -22,7 +22,7 @@ use crate::{
     scene::{Path, Scene},
     sim::{
         events::Event,
-        free::{self, Body},
+        free::{self, Body, Driven, Place},
         report::StepReport,
         span::Span,
         terms::free_fall,
@@ -64,14 +64,8 @@ struct Frame {
 impl Frame {
     fn of(scene: &Scene, index: usize, body: &Body, particles: &Particles, t: f64) -> Frame {
         if !body.is_free() {
-            let now = driven(scene, index as u32, t, false);
-            return Frame {
-                centre: now.position,
-                velocity: now.velocity,
-                rotation: DQuat::IDENTITY,
-                spin: DVec3::ZERO,
-                uniform: now.uniform,
-            };
+            let Driven { place: Place { centre, velocity }, uniform } = driven(scene, index as u32, t, false);
+            return Frame { centre, velocity, rotation: DQuat::IDENTITY, spin: DVec3::ZERO, uniform };
         }
         let (masses, rest) = (body.shape.masses(), body.shape.rest());
         let mean = |v: &[DVec3]| v.iter().zip(masses).map(|(&v, &m)| m * v).sum::<DVec3>() / body.mass();

@@ -14,7 +14,7 @@ use crate::{
     scene::{self, Motion, Push, Scene},
     sim::{
         checksum,
-        free::{Body, Driven, Shape, Way},
+        free::{Body, Driven, Place, Shape, Way},
         neighbours::{FatBounds, Neighbours},
         numerics::control::{MAX_SLOW_TOLERANCE, NEGLIGIBLE, NEGLIGIBLE_TOLERANCE, SLOW_TIME},
         span::Span,
@@ -396,7 +396,7 @@ pub(in crate::sim) fn driven(scene: &Scene, source: u32, t: f64, before: bool) -
     let motion = if before { path.before(t) } else { path.at(t) };
     let body = scene.bodies.get(source as usize);
     let uniform = body.map_or(DVec3::ZERO, |body| terms::uniform(scene, &body.material, &motion));
-    Driven { position: motion.position, velocity: motion.velocity, uniform }
+    Driven { place: Place { centre: motion.position, velocity: motion.velocity }, uniform }
 }
 
 /// The jump of the velocities of a body's vertices at `t` [s], see [`carry::kick`]; zero for a free body and for a force

@@ -132,20 +132,12 @@ impl Field {
 }
 
 /// The motion of a body on a prescribed path at an instant.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Driven {
-    /// Position c [scene unit].
-    pub position: DVec3,
-    /// Velocity c′ [scene unit/s].
-    pub velocity: DVec3,
+    /// Its centre.
+    pub place: Place,
     /// The acceleration that all its vertices share, as by its inertial response to its own motion [scene unit/s²].
     pub uniform: DVec3,
-}
-
-impl From<Driven> for Place {
-    fn from(driven: Driven) -> Place {
-        Place { centre: driven.position, velocity: driven.velocity }
-    }
 }
 
 /// The motion of bodies on prescribed paths.

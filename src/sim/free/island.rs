@@ -261,7 +261,7 @@ impl Island {
     /// The place of a body at `t` [s]: now if it is free, with `before` the left limit if its path jumps there.
     pub(super) fn place(&self, body: usize, t: f64, before: bool, paths: &dyn Paths) -> Place {
         let known = &self.bodies[body];
-        if known.is_free() { known.place() } else { paths.at(body, t, before).into() }
+        if known.is_free() { known.place() } else { paths.at(body, t, before).place }
     }
 
     /// The bodies.
@@ -433,9 +433,9 @@ impl Island {
             if body.is_free() {
                 continue;
             }
-            let to = paths.at(index, self.time, false);
-            let from = std::mem::replace(&mut body.centre, to.position);
-            if from == to.position {
+            let to = paths.at(index, self.time, false).place.centre;
+            let from = std::mem::replace(&mut body.centre, to);
+            if from == to {
                 continue;
             }
             // change of the energy of the influence between it and free bodies

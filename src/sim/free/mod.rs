@@ -52,6 +52,7 @@ pub use island::{Change, Failure, Island, Report, Way};
 pub(super) use island::{Parts, Scratch};
 pub use ledger::Ledger;
 pub use observed::{Forces, Snapshot};
+pub use step::Place;
 
 #[cfg(test)]
 mod tests;

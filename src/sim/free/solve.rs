@@ -316,7 +316,7 @@ impl Island {
                         course.sample_midpoint(i, body, &span, k, paths, &mut places[i]);
                         course.correct(arch, body, &span, MIDDLE..MIDDLE + 1, &mut places[i]);
                     }
-                    None => places[i][MIDDLE] = paths.at(i, span.time(MIDDLE), false).into(),
+                    None => places[i][MIDDLE] = paths.at(i, span.time(MIDDLE), false).place,
                 }
             }
             self.evaluate_at(scratch, &span, MIDDLE);

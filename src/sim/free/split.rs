@@ -186,7 +186,7 @@ impl Around<'_> {
             let (moved, rate) = self.motions[body].centre.at(theta);
             return Place { centre: self.places[body][0].centre + moved, velocity: rate / self.span.h };
         }
-        self.paths.at(body, self.span.start + theta * self.span.h, theta >= 1.0).into()
+        self.paths.at(body, self.span.start + theta * self.span.h, theta >= 1.0).place
     }
 }
 

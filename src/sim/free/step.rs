@@ -231,7 +231,7 @@ impl Span {
     /// The motion of a body on a path at the samples, also stored in `places`.
     pub fn driven(&self, index: usize, paths: &dyn Paths, places: &mut [Place; 5]) -> [Driven; 5] {
         let driven = std::array::from_fn(|sample| paths.at(index, self.time(sample), sample == 3));
-        *places = driven.map(|driven: Driven| Place { centre: driven.position, velocity: driven.velocity });
+        *places = driven.map(|driven: Driven| driven.place);
         driven
     }
 
@@ -741,8 +741,7 @@ impl Course {
         if !body.is_free() {
             let t = span.time(MIDDLE);
             self.driven[MIDDLE] = paths.at(index, t, false);
-            let Driven { position, velocity, .. } = self.driven[MIDDLE];
-            places[MIDDLE] = Place { centre: position, velocity };
+            places[MIDDLE] = self.driven[MIDDLE].place;
         }
     }
 

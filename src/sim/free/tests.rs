@@ -363,7 +363,7 @@ fn chatter_is_reported_and_a_core_width_prevents_it() {
 fn a_free_body_follows_one_on_a_path() {
     let o = Oscillator { omega: 12.0, damping: 1.5 };
     let path = |body: usize, t: f64, _: bool| match body {
-        0 => Driven { position: 0.5 * t * DVec3::X, velocity: 0.5 * DVec3::X, uniform: DVec3::ZERO },
+        0 => Driven { place: Place { centre: 0.5 * t * DVec3::X, velocity: 0.5 * DVec3::X }, uniform: DVec3::ZERO },
         _ => Driven::default(),
     };
     let led = body(0.5, o, DVec3::new(1.0, 0.0, 0.0), DVec3::ZERO, DVec3::ZERO);
@@ -575,8 +575,10 @@ fn the_ledger_accounts_for_bodies_on_paths() {
     let o = Oscillator { omega: 12.0, damping: 0.5 };
     let path = |body: usize, t: f64, _: bool| match body {
         0 => Driven {
-            position: DVec3::new(0.6 * libm::sin(t), 0.1, 0.0),
-            velocity: DVec3::new(0.6 * libm::cos(t), 0.0, 0.0),
+            place: Place {
+                centre: DVec3::new(0.6 * libm::sin(t), 0.1, 0.0),
+                velocity: DVec3::new(0.6 * libm::cos(t), 0.0, 0.0),
+            },
             uniform: DVec3::new(0.6 * libm::sin(t), 0.0, 0.0),
         },
         _ => Driven::default(),
