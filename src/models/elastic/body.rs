@@ -473,13 +473,13 @@ impl Body {
         let Finite { element, torn, .. } = &mut **finite;
         let axes = free.as_ref().map(|free| DMat3::from_quat(free.rotation));
         let turned = axes.map(|axes| x.iter().map(|x| axes.transpose() * *x).collect::<Vec<_>>());
-        element.tensions(turned.as_ref().unwrap_or(x), |tension| {
-            statistics.tension = statistics.tension.max(tension.stress);
-            let is_torn = &mut torn[tension.cell as usize];
-            if tension.stress > limit && !*is_torn {
+        element.tensions(turned.as_ref().unwrap_or(x), |cell, stress| {
+            statistics.tension = statistics.tension.max(stress);
+            let is_torn = &mut torn[cell];
+            if stress > limit && !*is_torn {
                 *is_torn = true;
                 statistics.torn += 1;
-                let corners = surface.cells.corners[tension.cell as usize];
+                let corners = surface.cells.corners[cell];
                 let place = corners
                     .map(|node| axes.unwrap_or(DMat3::IDENTITY) * rest[node as usize] + x[node as usize])
                     .iter()

@@ -50,18 +50,13 @@ impl Symmetric {
     }
 
     /// Number of rows of blocks.
-    pub fn len(&self) -> usize {
+    pub fn size(&self) -> usize {
         self.starts.len() - 1
-    }
-
-    /// Whether the matrix is empty.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
     }
 
     /// Adds the product with `x` to `y`.
     pub fn multiply_add(&self, x: &[DVec3], y: &mut [DVec3]) {
-        for column in 0..self.len() {
+        for column in 0..self.size() {
             let range = self.starts[column]..self.starts[column + 1];
             let own = x[column];
             let mut sum = DVec3::ZERO;
@@ -113,7 +108,7 @@ impl Cholesky {
     /// [`Unfactored`].
     pub fn of(matrix: &Symmetric, max: u64, interrupt: Option<&AtomicBool>) -> Result<Cholesky, Unfactored> {
         const NONE: u32 = u32::MAX;
-        let n = matrix.len();
+        let n = matrix.size();
         let is_interrupted = || is_raised(interrupt);
         let children = children(matrix, n);
         // the pattern of a column is the union of that of the matrix and those of its children in the elimination tree

@@ -96,15 +96,6 @@ pub struct Motion {
     scratch: Vec<DVec3>,
 }
 
-/// The largest tension in a cell.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Tension {
-    /// Index of the cell.
-    pub cell: u32,
-    /// The largest principal stress of its tetrahedra [mass/(scene unit · s²)].
-    pub stress: f64,
-}
-
 impl Element {
     /// Elements in `cells` at the scale of a body of the given radius [scene unit] and mass, held at some nodes. `None`
     /// if interrupted.
@@ -183,9 +174,10 @@ impl Element {
         0.5 * displacements.iter().zip(&forces).map(|(x, f)| x.dot(*f)).sum::<f64>()
     }
 
-    /// The largest tension in each cell, given the displacements of all nodes: `found` is called for each cell.
-    pub fn tensions(&self, displacements: &[DVec3], mut found: impl FnMut(Tension)) {
-        for (cell, corners) in (0..).zip(&self.corners) {
+    /// Calls `found` for each cell with its index and the largest principal stress of its tetrahedra
+    /// [mass/(scene unit · s²)], given the displacements of all nodes.
+    pub fn tensions(&self, displacements: &[DVec3], mut found: impl FnMut(usize, f64)) {
+        for (cell, corners) in self.corners.iter().enumerate() {
             let of = |(tetrahedron, gradients): (&[usize; 4], &[DVec3; 4])| {
                 let mut gradient = DMat3::ZERO;
                 for (&corner, &slope) in tetrahedron.iter().zip(gradients) {
@@ -194,8 +186,7 @@ impl Element {
                 }
                 largest_eigenvalue(self.elasticity.stress(gradient))
             };
-            let stress = TETRAHEDRA.iter().zip(&self.gradients).map(of).fold(f64::NEG_INFINITY, f64::max);
-            found(Tension { cell, stress });
+            found(cell, TETRAHEDRA.iter().zip(&self.gradients).map(of).fold(f64::NEG_INFINITY, f64::max));
         }
     }
 
