@@ -57,25 +57,13 @@ pub fn varied(run: &SceneRun, variation: &Variation) -> Result<Arc<dyn Experimen
         let mut keys = branches.iter().flat_map(|branch| branch.values.keys());
         let only = keys.clone().next().filter(|_| keys.clone().count() == 1);
         let key = keys.find(|key| error.key.contains(key.as_str())).or(only).cloned();
-        InvalidVariation { key, text: SceneText { error: &error, is_edit: error.key.starts_with("edit") }.to_string() }
+        // of generated text, the place means nothing
+        let what = if error.key.starts_with("edit") { "this branch" } else { &error.key };
+        let help = error.help.map_or_else(String::new, |help| format!("; {help}"));
+        InvalidVariation { key, text: format!("{what}: {}{help}", error.message) }
     })?;
     let Scene { integrator, model, .. } = run.scene;
     Ok(Arc::new(SceneRun { scene: Scene { integrator, model, ..scene }, options: run.options }))
-}
-
-/// An error in generated text: without its place.
-struct SceneText<'a> {
-    error: &'a crate::scene::SceneError,
-    is_edit: bool,
-}
-
-impl fmt::Display for SceneText<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let crate::scene::SceneError { key, message, help, .. } = self.error;
-        let what = if self.is_edit { "this branch" } else { key };
-        write!(f, "{what}: {message}")?;
-        help.iter().try_for_each(|help| write!(f, "; {help}"))
-    }
 }
 
 fn write_point(text: &mut String, poke: &Poke, scene: &Scene) -> fmt::Result {
