@@ -272,18 +272,15 @@ impl Prescribed {
             }
             for n in 0..self.bodies[mover as usize].neighbours.len() {
                 let other = self.bodies[mover as usize].neighbours[n].other;
-                let sleeping = [(mover, other), (other, mover)].into_iter().filter(|&(this, _)| !self.is_awake(this));
-                let reached = sleeping.filter(|&(this, source)| {
-                    let [radius, sphere] =
-                        [self.tracks.motion_bounds(this).radius, self.tracks.motion_bounds(source).sphere];
-                    let vertices = radius + self.active(this as usize).map_or(0.0, Active::amplitude);
-                    self.reading(setting, step.work).nearest(this, source, span) <= sphere + vertices
-                });
-                let [first, second] = {
-                    let mut reached = reached.map(|(this, _)| this);
-                    [reached.next(), reached.next()]
-                };
-                first.into_iter().chain(second).for_each(|this| self.wake(setting, this));
+                for (this, source) in [(mover, other), (other, mover)] {
+                    if self.is_awake(this) {
+                        continue;
+                    }
+                    let reach = self.tracks.motion_bounds(source).sphere + self.extent(this as usize);
+                    if self.reading(setting, step.work).nearest(this, source, span) <= reach {
+                        self.wake(setting, this);
+                    }
+                }
             }
         }
         self.woken = watched;
