@@ -218,30 +218,25 @@ pub struct Tally<'a> {
 impl Tally<'static> {
     /// Work without a limit.
     pub fn unlimited() -> Tally<'static> {
-        Tally {
-            work: None,
-            turn: None,
-            done: Cell::new(0),
-            reported: Cell::new(0),
-            is_over: Cell::new(false),
-            most: u64::MAX,
-        }
+        Tally::of(None, None, u64::MAX)
     }
 }
 
 impl<'a> Tally<'a> {
     /// A tally of a step: of the body in turn `turn`, or of the work before bodies are stepped.
     pub(crate) fn new(work: &'a Work, turn: Option<usize>) -> Tally<'a> {
-        let is_too_much = turn.is_some_and(|turn| turn > work.last_turn.load(Ordering::Relaxed));
-        let is_over = Cell::new(is_too_much || work.is_interrupted());
-        Tally { work: Some(work), turn, done: Cell::new(0), reported: Cell::new(0), is_over, most: u64::MAX }
+        Tally::of(Some(work), turn, u64::MAX)
     }
 
     /// A tally of the body in turn `turn` of a step, which may do at most this work [units].
     pub(super) fn limited(work: &'a Work, turn: usize, most: u64) -> Tally<'a> {
-        let mut tally = Tally::new(work, Some(turn));
-        tally.most = most;
-        tally
+        Tally::of(Some(work), Some(turn), most)
+    }
+
+    fn of(work: Option<&'a Work>, turn: Option<usize>, most: u64) -> Tally<'a> {
+        let is_beyond = |work: &Work| turn.is_some_and(|turn| turn > work.last_turn.load(Ordering::Relaxed));
+        let is_over = Cell::new(work.is_some_and(|work| is_beyond(work) || work.is_interrupted()));
+        Tally { work, turn, done: Cell::new(0), reported: Cell::new(0), is_over, most }
     }
 
     /// Counts work that is about to be done. Returns whether to do it; if false, the step is abandoned.
