@@ -10,7 +10,7 @@
 use super::{
     handle::{BodyHandle, BodyId},
     memory,
-    report::EditError,
+    report::{EditError, StepReport},
     solver::{Setting, Solver},
     world::World,
 };
@@ -60,15 +60,12 @@ impl World {
     fn add_last(&mut self) -> Result<(), EditError> {
         let budget = memory::check_grown(&self.scene)?;
         let max_pairs = budget.max_pairs(&self.scene);
-        let (time, step, arch) = (self.time(), self.steps_taken(), self.options().arch);
-        let World { scene, solver, report, .. } = self;
+        let (setting, solver, report) = self.split();
         let is_added = match solver {
-            Solver::Coupled(coupled) => coupled.add_last(scene, time, max_pairs, report),
-            Solver::Prescribed(prescribed) => {
-                prescribed.add_last(Setting { scene, step, arch, is_partial: false }, max_pairs)
-            }
+            Solver::Coupled(coupled) => coupled.add_last(setting.scene, setting.time(), max_pairs, report),
+            Solver::Prescribed(prescribed) => prescribed.add_last(setting, max_pairs),
         };
-        if is_added { Ok(()) } else { Err(budget.exceeded(scene, Some(max_pairs)).into()) }
+        if is_added { Ok(()) } else { Err(budget.exceeded(setting.scene, Some(max_pairs)).into()) }
     }
 
     /// Removes a body and its pushes; the indices of later bodies decrease by one, their handles stay. In a world with free
@@ -86,13 +83,10 @@ impl World {
             return Err(EditError::Laws);
         }
         if self.keeps_solver(self.scene.is_coupled_without(index)) && self.renumbers_in_place() {
-            let (time, step, arch) = (self.time(), self.steps_taken(), self.options().arch);
-            let World { scene, solver, report, .. } = self;
+            let (setting, solver, report) = self.split();
             match solver {
-                Solver::Coupled(coupled) => coupled.remove(scene, index, time, report),
-                Solver::Prescribed(prescribed) => {
-                    prescribed.remove(Setting { scene, step, arch, is_partial: false }, index);
-                }
+                Solver::Coupled(coupled) => coupled.remove(setting.scene, index, setting.time(), report),
+                Solver::Prescribed(prescribed) => prescribed.remove(setting, index),
             }
             self.scene.remove_body(index);
             self.work.set_vertices(self.scene.vertex_count());
@@ -157,7 +151,7 @@ impl World {
         let (index, motion) = (body.index_in(self)?, motion.into());
         let checked = self.scene.bodies[index].check_motion(&motion);
         checked.map_err(|invalid| invalid.at(format_args!("bodies[{index}]")))?;
-        let (time, step, arch) = (self.time(), self.steps_taken(), self.options().arch);
+        let time = self.time();
         let energy = self.solver.coupled().map_or(0.0, |coupled| coupled.energy_of(&self.scene, time, index));
         let own = &mut self.scene.bodies[index];
         let force = if matches!(motion, Motion::Prescribed(_)) { own.force.take() } else { None };
@@ -170,14 +164,19 @@ impl World {
             let kept: Vec<Option<usize>> = (0..self.body_count()).map(|old| (old != index).then_some(old)).collect();
             return self.restart_now(changed, &kept, true);
         }
-        let World { scene, solver, report, .. } = self;
+        let (setting, solver, report) = self.split();
         match solver {
-            Solver::Coupled(coupled) => coupled.restart(scene, index, energy, time, report),
-            Solver::Prescribed(prescribed) => {
-                prescribed.restart(Setting { scene, step, arch, is_partial: false }, index);
-            }
+            Solver::Coupled(coupled) => coupled.restart(setting.scene, index, energy, time, report),
+            Solver::Prescribed(prescribed) => prescribed.restart(setting, index),
         }
         Ok(())
+    }
+
+    /// What a change of the solver's state reads, that state, and the report.
+    fn split(&mut self) -> (Setting<'_>, &mut Solver, &mut StepReport) {
+        let arch = self.options().arch;
+        let World { scene, step, report, solver, .. } = self;
+        (Setting { scene, step: *step, arch, is_partial: false }, solver, report)
     }
 
     fn restart_now(&mut self, scene: Scene, kept: &[Option<usize>], wake_all: bool) -> Result<(), EditError> {
