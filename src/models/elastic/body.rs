@@ -575,11 +575,6 @@ impl Body {
         element.free.iter().map(|&node| back * of[node as usize]).collect()
     }
 
-    /// Whether a node is held.
-    pub fn is_held(&self, node: usize) -> bool {
-        self.held()[node]
-    }
-
     /// Whether each node is held.
     pub fn held(&self) -> &[bool] {
         match &self.matter {

@@ -173,6 +173,6 @@ impl Body {
         }
         let [positions, velocities] = self.state();
         let of = positions.iter().zip(velocities).zip(self.masses()).enumerate();
-        of.filter(|(node, _)| !self.is_held(*node)).map(|(_, ((s, u), m))| s.cross(*u) * *m).sum()
+        of.filter(|(node, _)| !self.held()[*node]).map(|(_, ((s, u), m))| s.cross(*u) * *m).sum()
     }
 }

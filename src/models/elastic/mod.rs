@@ -204,12 +204,10 @@ impl Elastic {
             (_, TearMode::Split) => SPLIT_NODE,
             _ => CUT_CELL,
         };
-        let step = self.step;
-        let of = |body: &Body| {
-            let body_event = move |index| move |&place: &_| BodyEvent { name, time, step, body: index, place };
-            body.tears.iter().map(body_event(body.index)).collect::<Vec<_>>()
-        };
-        self.tears.extend(self.bodies.iter().filter(|body| !body.tears.is_empty()).flat_map(of));
+        for body in &self.bodies {
+            let event = |&place| BodyEvent { name, time, step: self.step, body: body.index, place };
+            self.tears.extend(body.tears.iter().map(event));
+        }
     }
 
     /// Simulated time [s].

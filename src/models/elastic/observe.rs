@@ -215,7 +215,7 @@ impl Elastic {
         let of = |body: &Body| -> f64 {
             let moving = body.free.as_ref().map_or(DVec3::ZERO, |free| free.velocity);
             let nodes = body.state()[1].iter().zip(body.masses()).enumerate();
-            let part = nodes.filter(|(node, _)| body.free.is_none() || !body.is_held(*node));
+            let part = nodes.filter(|(node, _)| body.free.is_none() || !body.held()[*node]);
             part.map(|(_, (u, mass))| 0.5 * mass * (moving + *u).length_squared()).sum()
         };
         self.bodies.iter().filter(|body| !body.is_at_rest || body.free.is_some()).map(of).sum()
@@ -334,7 +334,6 @@ impl Elastic {
             }
         }
         let count = now.mesh.as_ref().map_or(body.surface.mesh.vertex_count(), |mesh| mesh.vertex_count());
-        let held: Vec<bool> = (0..n).map(|node| body.is_held(node)).collect();
         now.terms.resize_with(causes.len(), Default::default);
         let (mut net, mut net_mean, mass_now) = (Vectors::zeros(count), DVec3::ZERO, body.free_mass());
         let mut of_vertices = Vectors::default();
@@ -343,7 +342,7 @@ impl Elastic {
             term.accelerations.clear();
             let Some((_, nodes)) = by_cause.iter_mut().find(|(known, _)| known == cause) else { continue };
             // no force acts on held nodes
-            nodes.iter_mut().zip(&held).filter(|(_, held)| **held).for_each(|(sum, _)| *sum = DVec3::ZERO);
+            nodes.iter_mut().zip(body.held()).filter(|(_, held)| **held).for_each(|(sum, _)| *sum = DVec3::ZERO);
             if nodes.iter().all(|sum| *sum == DVec3::ZERO) {
                 continue;
             }
@@ -400,7 +399,7 @@ impl Elastic {
             around.acting(other.index, &[body.index as u32], &[], [time, time], time, &mut acting);
             for sphere in &acting.spheres {
                 for ((node, place), mass) in other.state()[0].iter().enumerate().zip(other.masses()) {
-                    if other.free.is_none() || !other.is_held(node) {
+                    if other.free.is_none() || !other.held()[node] {
                         sum -= sphere.acceleration(weight, *place) * *mass;
                     }
                 }

@@ -199,7 +199,7 @@ fn sharp_turns_kick_the_nodes() {
         assert!(simulation.bodies[0].is_at_rest, "{model}");
         run(&mut simulation, 101);
         let body = &simulation.bodies[0];
-        for (node, velocity) in body.u.iter().enumerate().filter(|(node, _)| !body.is_held(*node)) {
+        for (node, velocity) in body.u.iter().enumerate().filter(|(node, _)| !body.held()[*node]) {
             assert!(velocity.distance(DVec3::X) < 0.02, "{model}: {node} {velocity}");
         }
     }
