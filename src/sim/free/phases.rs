@@ -84,21 +84,13 @@ impl Island {
             let Some(course) = self.course_of(scratch, &pair, level, h) else { continue };
             let mut positive = course.starts_positive();
             for &theta in course.crossings().as_slice() {
-                let phase = self.pairs[index].phase;
+                let from = self.pairs[index].phase;
                 let passed = self.pairs[index].transitions().find(|way| way.level == level);
                 let rate = course.rate_at(theta) / (2.0 * h * level * radii * radii);
                 if let Some(way) = passed.filter(|way| way.falling == positive) {
-                    let time = start + theta * h;
-                    report.changes.push(Change {
-                        time,
-                        pair: index,
-                        q: level,
-                        rate,
-                        from: phase,
-                        to: way.to,
-                        energy: 0.0,
-                    });
-                    self.pairs[index].phase = way.to;
+                    let (time, to) = (start + theta * h, way.to);
+                    report.changes.push(Change { time, pair: index, q: level, rate, from, to, energy: 0.0 });
+                    self.pairs[index].phase = to;
                     self.count(index, time, scratch)?;
                 }
                 positive = !positive;
