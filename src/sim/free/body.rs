@@ -250,12 +250,7 @@ impl Body {
         self.motion == Motion::Free(Rotation::Free)
     }
 
-    /// Whether a path moves the body, not forces.
-    pub fn is_prescribed(&self) -> bool {
-        self.motion == Motion::Prescribed
-    }
-
-    /// Whether forces move the body.
+    /// Whether forces move the body, not a path.
     pub fn is_free(&self) -> bool {
         matches!(self.motion, Motion::Free(_))
     }

@@ -78,7 +78,7 @@ impl Conserved {
 
 /// The energy of a pair's influence at a given strength [mass · scene unit²/s²].
 pub(in crate::sim) fn influence(a: &Body, b: &Body, field: &Field, strength: f64) -> f64 {
-    if strength == 0.0 || (a.is_prescribed() && b.is_prescribed()) {
+    if strength == 0.0 || (!a.is_free() && !b.is_free()) {
         return 0.0;
     }
     // s Σ m (Φ − Φ(r_e)) over the vertices of one body in the sphere of the other: zero for those out of reach

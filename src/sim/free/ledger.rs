@@ -197,8 +197,7 @@ impl Done<'_> {
     /// are `selected`.
     fn prescribed(self, index: usize, selected: impl Fn(u32) -> bool) -> f64 {
         let (body, course) = (&self.bodies[index], &self.courses[index]);
-        let counts =
-            |source: u32| selected(source) && self.bodies[source as usize].is_prescribed() != body.is_prescribed();
+        let counts = |source: u32| selected(source) && self.bodies[source as usize].is_free() != body.is_free();
         let mut work = 0.0;
         for reaction in course.reactions.iter().filter(|reaction| counts(reaction.source)) {
             work += self.over(std::array::from_fn(|node| {
@@ -221,7 +220,7 @@ impl Done<'_> {
     fn core(self, pair: &Pair) -> f64 {
         let Some(rim) = pair.law.rim(pair.phase) else { return 0.0 };
         let (a, b) = (pair.a as usize, pair.b as usize);
-        if self.bodies[a].is_prescribed() && self.bodies[b].is_prescribed() {
+        if !self.bodies[a].is_free() && !self.bodies[b].is_free() {
             return 0.0;
         }
         let radii = self.bodies[a].radius + self.bodies[b].radius;

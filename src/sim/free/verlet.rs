@@ -541,7 +541,7 @@ impl Island {
             for pulled in &own.pulls {
                 let (source, to) = (&self.bodies[pulled.source as usize], centres[pulled.source as usize]);
                 let pair = &self.pairs[pulled.pair as usize];
-                if source.is_prescribed() != body.is_prescribed() {
+                if source.is_free() != body.is_free() {
                     let (path, power) = match body.is_free() {
                         true => (pulled.source, pulled.force.dot(to.velocity)),
                         false => (i as u32, -(pulled.power + pulled.force.dot(place.velocity))),
