@@ -206,19 +206,12 @@ fn find_distances(rest: Rest<'_>, displacement: &Vectors, centre: DVec3, first: 
     let (l, radius) = (rest.mesh.positions(), rest.radius);
     let [lx, ly, lz] = [&l.x, &l.y, &l.z].map(|axis| &axis[first..first + n]);
     let Vectors { x, y, z } = displacement;
-    if x.is_empty() {
-        for i in 0..n {
-            let (dx, dy, dz) = (centre.x - radius * lx[i], centre.y - radius * ly[i], centre.z - radius * lz[i]);
-            distances[i] = (dx * dx + dy * dy + dz * dz).sqrt();
-        }
-    } else {
-        let [x, y, z] = [x, y, z].map(|axis| &axis[first..first + n]);
-        for i in 0..n {
-            let dx = centre.x - (radius * lx[i] + x[i]);
-            let dy = centre.y - (radius * ly[i] + y[i]);
-            let dz = centre.z - (radius * lz[i] + z[i]);
-            distances[i] = (dx * dx + dy * dy + dz * dz).sqrt();
-        }
+    let [x, y, z] = [x, y, z].map(|axis| if axis.is_empty() { &[0.0; STRIP][..n] } else { &axis[first..first + n] });
+    for i in 0..n {
+        let dx = centre.x - (radius * lx[i] + x[i]);
+        let dy = centre.y - (radius * ly[i] + y[i]);
+        let dz = centre.z - (radius * lz[i] + z[i]);
+        distances[i] = (dx * dx + dy * dy + dz * dz).sqrt();
     }
 }
 
