@@ -64,9 +64,7 @@ impl Body {
             unchanged_until: f64::NEG_INFINITY,
         }
     }
-}
 
-impl Body {
     /// Its rest shape at the body's scale.
     pub fn rest(&self) -> Rest<'_> {
         self.mesh.at(self.radius)
