@@ -13,10 +13,7 @@ use super::{
 };
 use crate::{
     geometry::Rest,
-    model::{
-        influence::{self, Weight},
-        phase::Phase,
-    },
+    model::{influence::Weight, phase::Phase},
     scene::{Body, Scene},
 };
 
@@ -158,9 +155,7 @@ impl Observed<'_> {
             let forces = &mut by_cause[source.cause() as usize];
             for i in 0..rest.len() {
                 let x = if displacement.is_empty() { DVec3::ZERO } else { displacement.get(i) };
-                let to_centre = source.centre - (rest.position(i) + x);
-                let force = influence::acceleration(weight, source.strength, source.sphere_radius, to_centre);
-                forces.set(i, forces.get(i) + force);
+                forces.set(i, forces.get(i) + source.acceleration(weight, rest.position(i) + x));
             }
         }
         for weighted in weighted {
