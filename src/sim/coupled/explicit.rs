@@ -25,7 +25,7 @@ use crate::{
         free::{self, Body, Driven, Place},
         report::StepReport,
         span::Span,
-        terms::free_fall,
+        terms::{free_fall, push},
     },
 };
 
@@ -166,9 +166,8 @@ impl ExplicitStep<'_> {
                     force += plane.acceleration(depth, frame.velocity + rate);
                 }
             }
-            for push in member.pushes.iter().filter(|push| push.acts_at(t)) {
-                let facing = -a.normalize_or_zero().dot(push.direction);
-                force += push.direction * (push.strength * f64::max(0.0, facing));
+            for push in push::acting(&member.pushes, t) {
+                force += push.acceleration(a.normalize_or_zero());
             }
             outer.push(force);
             inner.push(-(omega * omega) * (s - a) - 2.0 * damping * (rate - frame.spin.cross(s)));
