@@ -135,10 +135,7 @@ impl Coupled {
 
     /// A body of the scene that starts at `time` [s].
     fn awakened(&mut self, scene: &Scene, body: usize, time: f64) -> Member {
-        let mut member = Member::new(scene, body, &mut self.shapes);
-        if let Some(path) = scene.bodies[body].path() {
-            member.body.follow(path.at(time));
-        }
+        let mut member = Member::new(scene, body, &mut self.shapes, time);
         member.bound_motion(&scene.bodies[body], free_fall(scene), Span { start: time, end: time + scene.dt });
         member
     }

@@ -123,8 +123,8 @@ impl Shapes {
 }
 
 impl Member {
-    /// A body of the scene at t = 0, awake.
-    pub fn new(scene: &Scene, index: usize, shapes: &mut Shapes) -> Member {
+    /// A body of the scene that starts at `time` [s], awake.
+    pub fn new(scene: &Scene, index: usize, shapes: &mut Shapes, time: f64) -> Member {
         let body = &scene.bodies[index];
         let mesh = body.shape.mesh();
         let mut pushes: Vec<Push> = scene.pushes.iter().filter(|push| push.body == index).copied().collect();
@@ -136,7 +136,7 @@ impl Member {
         let body = match &body.motion {
             Motion::Prescribed(path) => {
                 let mut prescribed = Body::prescribed(shape, body.radius, oscillator);
-                prescribed.follow(path.at(0.0));
+                prescribed.follow(path.at(time));
                 prescribed
             }
             Motion::Free(free) => {

@@ -136,7 +136,7 @@ impl Coupled {
     pub fn new(scene: &Scene, max_pairs: u64, work: &Work) -> Option<Coupled> {
         let mut shapes = Shapes::default();
         let members: Vec<Member> =
-            (0..scene.bodies.len()).map(|index| Member::new(scene, index, &mut shapes)).collect();
+            (0..scene.bodies.len()).map(|index| Member::new(scene, index, &mut shapes, 0.0)).collect();
         let mut coupled = Coupled {
             members,
             points: scene.points.iter().map(|point| source_at(scene, point, 0.0)).collect(),
