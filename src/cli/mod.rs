@@ -74,7 +74,7 @@ struct Arguments<C: Subcommand> {
 enum Command {
     /// Simulate a scene and record it.
     Run(Box<run::Arguments>),
-    /// Open a page with sliders beside the viewer: each change runs the whole scene again.
+    /// Open a page with sliders beside the viewer: each change repeats the whole run.
     Live(live::Arguments),
     /// Simulate a recording's scene again and verify every step.
     Replay(replay::Arguments),

@@ -430,7 +430,8 @@ impl Drop for Writer {
             self.join().ok();
         }
         if let Some(Held { partial: Some(partial), .. }) = &mut self.held {
-            partial.is_kept = std::fs::metadata(&partial.path).is_ok_and(|written| written.len() > 0);
+            let is_empty = || std::fs::metadata(&partial.path).is_ok_and(|written| written.len() == 0);
+            partial.is_kept = self.sent > 0 && !is_empty();
         }
     }
 }

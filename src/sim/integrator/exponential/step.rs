@@ -200,7 +200,7 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
             if pull.cut && self.course.weight() == Weight::Wendland {
                 let inside = Reals::splat(simd, sphere.radius * sphere.radius);
                 let outside = inside.below(from.length_squared()).or(inside.below((from + way).length_squared()));
-                crosses = crosses.or(outside);
+                crosses = crosses.or(outside.and(zero.below(strength)));
             }
 
             let way = (way.x.abs() + way.y.abs() + way.z.abs()) * sphere.inverse_radius;
