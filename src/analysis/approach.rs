@@ -27,6 +27,13 @@ const STILL: f64 = 1e-4;
 /// Number of places in a step at which the distance of a pair is looked at.
 const LOOKS: usize = 8;
 
+/// The cubic through positions and velocities at both ends of a step of `h` [s], at the fraction `z` of it.
+fn cubic(z: f64, h: f64, [[from, rate], [to, last_rate]]: [[DVec3; 2]; 2]) -> DVec3 {
+    let (value, slope) = ((1.0 - z) * (1.0 - z) * (1.0 + 2.0 * z), z * (1.0 - z) * (1.0 - z) * h);
+    let last_slope = -z * z * (1.0 - z) * h;
+    from * value + to * (1.0 - value) + rate * slope + last_rate * last_slope
+}
+
 impl NearPair {
     /// Time [s] and distance [scene unit] of an extremum of the centre distance within the step of a simulation from
     /// this state to `next`: of its minimum, or of its maximum. Bodies on paths are where their paths are; the motion of
@@ -34,26 +41,20 @@ impl NearPair {
     pub fn extremum(&self, next: &NearPair, simulation: &dyn Simulation, ends: [f64; 2], is_maximum: bool) -> [f64; 2] {
         let h = ends[1] - ends[0];
         let sign = if is_maximum { -1.0 } else { 1.0 };
-        // through positions and velocities at both ends
-        let cubic = |z: f64, [[from, rate], [to, last_rate]]: [[DVec3; 2]; 2]| {
-            let (value, slope) = ((1.0 - z) * (1.0 - z) * (1.0 + 2.0 * z), z * (1.0 - z) * (1.0 - z) * h);
-            let last_slope = -z * z * (1.0 - z) * h;
-            from * value + to * (1.0 - value) + rate * slope + last_rate * last_slope
-        };
         let on_path = |body: usize, time: f64| simulation.on_path(body, time);
         let of_path = |body: usize| Some([on_path(body, ends[0])?, on_path(body, ends[1])?]);
         let of_paths = [self.a, self.b].map(of_path);
         // how far a path is from the cubic through its ends
         let beside = |which: usize, z: f64, time: f64| {
             let of_path = of_paths[which]?;
-            Some(on_path([self.a, self.b][which], time)?[0] - cubic(z, of_path))
+            Some(on_path([self.a, self.b][which], time)?[0] - cubic(z, h, of_path))
         };
         let distance = |z: f64| {
             let time = ends[0] + z * h;
             let apart = match [self.a, self.b].map(|body| on_path(body, time)) {
                 [Some([a, _]), Some([b, _])] => b - a,
                 _ => {
-                    let relative = cubic(z, [[self.apart, self.rate], [next.apart, next.rate]]);
+                    let relative = cubic(z, h, [[self.apart, self.rate], [next.apart, next.rate]]);
                     relative + beside(1, z, time).unwrap_or_default() - beside(0, z, time).unwrap_or_default()
                 }
             };
@@ -79,7 +80,29 @@ impl NearPair {
         [ends[0] + best_at * h, sign * best]
     }
 
-    /// A lower bound of the distance [scene unit] of bodies that are not on paths, in a step of `h` [s] to `next`: a
+    /// Whether the distance may be below `nearest` [scene unit] in the step to `next`.
+    fn may_be_nearer(&self, next: &NearPair, simulation: &dyn Simulation, ends: [f64; 2], nearest: f64) -> bool {
+        let on_path = |body: usize, time: f64| simulation.on_path(body, time);
+        let h = ends[1] - ends[0];
+        match [self.a, self.b].map(|body| on_path(body, ends[1]).is_some()) {
+            [true, true] => true,
+            [false, false] => self.least_distance(next, h) < nearest,
+            [is_first, _] => {
+                // how far the path is from the cubic through its ends, about
+                let body = if is_first { self.a } else { self.b };
+                let Some([from, to]) = on_path(body, ends[0]).zip(on_path(body, ends[1])).map(<[_; 2]>::from) else {
+                    return true;
+                };
+                let beside = [0.25, 0.5, 0.75].map(|z| {
+                    let at = on_path(body, ends[0] + z * h).map_or(DVec3::ZERO, |[position, _]| position);
+                    at.distance(cubic(z, h, [from, to]))
+                });
+                self.least_distance(next, h) - 2.0 * beside.into_iter().fold(0.0, f64::max) < nearest
+            }
+        }
+    }
+
+    /// A lower bound of the distance [scene unit] of bodies neither of which is on a path, in a step of `h` [s] to `next`: a
     /// cubic does not leave the convex hull of its Bézier points.
     fn least_distance(&self, next: &NearPair, h: f64) -> f64 {
         let along = next.apart.normalize_or_zero();
@@ -156,8 +179,7 @@ impl Approaches {
             }
             let nearest = watched.closest.q * radii * (1.0 - 1e-12);
             if let Some(before) = before
-                && ([pair.a, pair.b].into_iter().any(|body| simulation.on_path(body, time).is_some())
-                    || before.least_distance(pair, time - self.time) < nearest)
+                && before.may_be_nearer(pair, simulation, [self.time, time], nearest)
             {
                 let [time, distance] = before.extremum(pair, simulation, [self.time, time], false);
                 if distance / radii < watched.closest.q {
@@ -188,7 +210,7 @@ impl Approach {
         let first = schema.thresholds.first().zip(schema.level(0, [self.a, self.b], self.time));
         let missed = first.map_or(String::new(), |(threshold, level)| {
             let (by, at) = (self.q - level, format!("{} = {}", threshold.name, (1e4 * level).round() / 1e4));
-            match by < 1e-9 {
+            match by.abs() < 1e-9 {
                 true => format!(", right at {at}"),
                 false if by < 1e-4 => format!(", {by:.0e} short of {at}"),
                 false => format!(", {by:.4} short of {at}"),

@@ -65,7 +65,7 @@ pub fn diff(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> {
     print_lines(&difference.to_string());
     if difference.instants < 2 {
         let remedy = match a.schema.dt == b.schema.dt {
-            true => "one of them has too few frames, of other steps, or was cut: record it again",
+            true => "they have no frames of the same steps, or one was cut short: record it again",
             false => "record them with step sizes of which one is a multiple of the other",
         };
         return Err(Failure::Input(format!(

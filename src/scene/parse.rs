@@ -437,7 +437,7 @@ impl Names {
                 let line = first.line();
                 let whose = match again.text() == Some(body.name.as_str()) {
                     true => format!("the body at line {line} has this one"),
-                    false => format!("the body at line {line} has the name \"{}\" of one of them", body.name),
+                    false => format!("the body or grid at line {line} has the name \"{}\" of one of them", body.name),
                 };
                 let expected = format!("a name that no other body has ({whose})");
                 return Err(again.unexpected(expected));

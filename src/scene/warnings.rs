@@ -46,9 +46,9 @@ impl Scene {
         let of_pairs = warnings.into_iter().filter_map(|all| summary(all, "pair"));
         let of_bodies = [self.not_enclosed(), self.hollow()].into_iter().filter_map(|all| summary(all, "body"));
         let no_step = (self.steps() == 0).then(|| {
+            let Scene { duration, dt, .. } = self;
             format!(
-                "duration = {} is less than half of dt = {}: the scene has no step; raise it",
-                self.duration, self.dt
+                "duration = {duration} is less than half of dt = {dt}: of itself, the scene has no step; raise duration or lower dt"
             )
         });
         no_step.into_iter().chain(of_pairs).chain(of_bodies).chain(self.placement_warning()).collect()

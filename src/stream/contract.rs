@@ -127,7 +127,7 @@ entities! {
     BODY_FORCE = "/forces/NAME/CAUSE" ["Scalars"]
         "Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, by mass if it is free, and of that by forces at points [scene unit/s²]; with at most 16 bodies, from the first frame in which it acts.";
     RESULTANTS = "/world/resultants" ["Arrows3D"]
-        "The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre; all of an instant on the largest scale on which none is longer than 1.5 times the geometric mean of the radius of its body and the largest radius.";
+        "The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre, the net force beside it; all of an instant on the largest scale on which none is longer than 1.5 times the geometric mean of the radius of its body and the largest radius.";
     RESULTANT_LABELS = "/world/resultants/labels" ["Points3D"]
         "Of the five bodies with the largest net forces, the names, these forces and their strongest causes [scene unit/s²], and the names of others, of at most 32, where there is room.";
     STRONGEST = "/strongest/CAUSE" ["Scalars"]
@@ -189,7 +189,7 @@ entities! {
     BODY_EVENTS = "/events/bodies" ["TextLog"]
         "One line per event of a single body, with its position.";
     MARKS_ON_AXIS = "/marks/axis/KIND" ["Scalars, SeriesPoints"]
-        "Events as markers on the axis of plots.";
+        "Events, and what the scene changes, as markers on the axis of plots.";
     MARKS_AT_Q = "/marks/q/KIND" ["Scalars, SeriesPoints"]
         "Events and near misses as markers in plots of q, and the ends of the run.";
     MARKS_OF_DRAWN = "/marks/drawn/KIND" ["Scalars, SeriesPoints"]

@@ -49,7 +49,7 @@
 //! | `/world/forces` | AnnotationContext | Names of the pairs of bodies between which forces act, as classes of arrows. |
 //! | `/world/forces/CAUSE` | Arrows3D | Accelerations of vertices and of points of contact by one cause, times the arrow scale given in the panel; those of uniform forces, net_force and torque: one arrow per free body, at its centre. |
 //! | `/forces/NAME/CAUSE` | Scalars | Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, by mass if it is free, and of that by forces at points [scene unit/s²]; with at most 16 bodies, from the first frame in which it acts. |
-//! | `/world/resultants` | Arrows3D | The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre; all of an instant on the largest scale on which none is longer than 1.5 times the geometric mean of the radius of its body and the largest radius. |
+//! | `/world/resultants` | Arrows3D | The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre, the net force beside it; all of an instant on the largest scale on which none is longer than 1.5 times the geometric mean of the radius of its body and the largest radius. |
 //! | `/world/resultants/labels` | Points3D | Of the five bodies with the largest net forces, the names, these forces and their strongest causes [scene unit/s²], and the names of others, of at most 32, where there is room. |
 //! | `/strongest/CAUSE` | Scalars | With more than 3 bodies: the largest of the net forces on bodies by one cause, or by all together, over their masses [scene unit/s²]; from the first frame in which it acts. |
 //! | `/ranking/forces` | Points2D, LineStrips2D | Rows with labels and bars: the strongest forces on bodies as wholes at an instant; with more than 3 bodies, those with the largest net forces, each with a dot at each cause. |
@@ -80,7 +80,7 @@
 //! | `/events/failure` | TextLog | Why the run ended before its last step. |
 //! | `/events/surfaces` | TextLog, bodies, phases, time, q | One line when surfaces touch or part; phases are empty. |
 //! | `/events/bodies` | TextLog | One line per event of a single body, with its position. |
-//! | `/marks/axis/KIND` | Scalars, SeriesPoints | Events as markers on the axis of plots. |
+//! | `/marks/axis/KIND` | Scalars, SeriesPoints | Events, and what the scene changes, as markers on the axis of plots. |
 //! | `/marks/q/KIND` | Scalars, SeriesPoints | Events and near misses as markers in plots of q, and the ends of the run. |
 //! | `/marks/drawn/KIND` | Scalars, SeriesPoints | The same for the pairs whose q the layout draws, if it leaves some out. |
 //! | `/timings/STAGE` | Scalars | What a stage of the step or of the recording costs [ms per step]. |

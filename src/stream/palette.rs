@@ -70,7 +70,7 @@ pub fn body(index: usize) -> Rgb {
     ];
     // the next eight are darker
     let rgb = BODIES[index % BODIES.len()];
-    if index / BODIES.len() % 2 == 0 { rgb } else { rgb.map(|channel| channel / 8 * 5) }
+    if (index / BODIES.len()).is_multiple_of(2) { rgb } else { rgb.map(|channel| channel / 8 * 5) }
 }
 
 /// Colour of a vertex of a merged surface: its body's colour, blended with that of the adjacent body.

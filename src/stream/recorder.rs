@@ -18,8 +18,8 @@ use super::{
     chunks::{Audience, Chunks},
     contract::{
         self, ABOUT, ABOUT_STAGES, ACCURACY, ARROWS, BODY_EVENTS, Component, DIGEST, EVENTS, Entity, FAILED, FAILURE,
-        INTEGRATOR, MACHINE, MODEL, NOT_RECORDED, OVERRIDES, PAIR_PHASE, PROPERTIES, RECORDING_INFO, SCENE, SETTINGS,
-        STAGE, STAGES, STEPS, SURFACE_EVENTS, VERSION, WORLD, path_of,
+        INTEGRATOR, MACHINE, MODEL, NOT_RECORDED, OVERRIDES, PAIR_PHASE, PROPERTIES, RECORDING_INFO, SCENE, SCHEDULED,
+        SETTINGS, STAGE, STAGES, STEPS, SURFACE_EVENTS, VERSION, WORLD, path_of,
     },
     extract::Extractor,
     flight::{Ended, FlightRecorder},
@@ -76,7 +76,8 @@ const RANGES: usize = 8;
 
 /// What a flight recorder writes whether or not a trigger fires.
 /// Not the marks of events, which would make plots as long as the run.
-static ALWAYS_WRITTEN: [&Entity; 6] = [&EVENTS, &SURFACE_EVENTS, &BODY_EVENTS, &ACCURACY, &FAILED, &PAIR_PHASE];
+static ALWAYS_WRITTEN: [&Entity; 7] =
+    [&EVENTS, &SURFACE_EVENTS, &BODY_EVENTS, &SCHEDULED, &ACCURACY, &FAILED, &PAIR_PHASE];
 
 /// Converts a simulation, step by step, to the messages of a recording.
 pub struct Recorder {
@@ -202,6 +203,9 @@ impl Recorder {
         if settings.frames != Frames::Thin && settings.detail != Detail::Surface {
             log_text(&ARROWS, blueprint::arrows(&schema), &mut chunks);
         }
+        if settings.frames != Frames::Thin && !schema.scheduled.is_empty() {
+            marks::log_style_of_scheduled(&mut chunks);
+        }
         if settings.frames != Frames::Thin && !schema.planes.is_empty() {
             planes::log(&schema, &simulation.framing(false), now(simulation), &mut chunks);
         }
@@ -302,6 +306,7 @@ impl Recorder {
             durations: Some(parts.numbers.totals()),
             fastest: parts.numbers.fastest(),
             longest_wait: parts.numbers.longest_wait(),
+            changed_volume: parts.groups.changed_volume(),
             distances: parts.pairs.axis(&parts.series, &self.schema, &pairs),
             lines: parts.series.outlines().collect(),
             pairs,
@@ -384,8 +389,11 @@ impl Recorder {
         let (at, before) = (step.summary.at, self.at.time);
         self.at = at;
         self.checksums.push(at, step.checksum);
-        let first = self.schema.scheduled.partition_point(|of| of.time <= before);
-        let now = self.schema.scheduled[first..].iter().take_while(|of| of.time <= at.time);
+        // an instant this close to the end of a step is at it but for rounding
+        let rounding = 1e-9 * self.schema.dt;
+        let [first, end] =
+            [before, at.time].map(|time| self.schema.scheduled.partition_point(|of| of.time <= time + rounding));
+        let now = self.schema.scheduled.get(first..end).unwrap_or_default();
         marks::log_scheduled(at.step, now, self.parts.is_some(), &mut self.chunks);
         for row in rows(&step.summary.events, &step.surfaces, &step.summary.body_events) {
             pairs::log_row(&self.schema, &row, self.settings.frames == Frames::Thin, &mut self.chunks);
@@ -662,7 +670,7 @@ impl FrameParts {
         FrameParts {
             state,
             pairs: PairPlots::new(settings),
-            changes: Changes::new(schema, chunks),
+            changes: Changes::new(schema, settings.steps, chunks),
             groups: GroupPlots::new(schema, settings.pairs, &mut series, chunks),
             touching: Touching::default(),
             numbers,

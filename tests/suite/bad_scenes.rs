@@ -964,7 +964,7 @@ count = [2, 1, 1]
 spacing = [3, 3, 3]
 radius = 1
 motion = { fixed = [0, 0, 0] }
-> bad.toml:7:8: grid["a"].name: expected a name that no other body has (the body at line 3 has the name "a-1-0-0" of one of them), found the string "a"
+> bad.toml:7:8: grid["a"].name: expected a name that no other body has (the body or grid at line 3 has the name "a-1-0-0" of one of them), found the string "a"
 "##;
 
 /// More cases, which are easier to read escaped: part, lines, message.

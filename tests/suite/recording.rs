@@ -983,8 +983,13 @@ impl Run {
                 }
             }
             let look = Look::new(world, widest);
-            look.assert_readable(&all, &at);
-            let has_room = |index: usize| look.has_room(index, text_of(index).len(), &all);
+            look.assert_readable_through(3, &all, &at); // bodies are translucent
+            let has_room = |index: usize| {
+                let stronger = |of: &&(usize, DVec3, usize)| net_on(of.0) >= (1.0 - 1e-12) * net_on(index);
+                let before: Vec<_> =
+                    all.iter().filter(|of| labelled.contains(&of.0)).filter(stronger).copied().collect();
+                look.has_room(index, text_of(index).len(), &before)
+            };
             assert_labelled(&labelled, &acting, net_on, has_room, &at);
             // the names of others, as far as there is room
             for index in (0..bodies.len()).filter(|&index| bodies.len() <= 32 && all.iter().all(|of| of.0 != index)) {
@@ -1094,7 +1099,13 @@ impl Run {
                 labels.iter().zip(&places).map(|(label, place)| (of(label), place.as_dvec3(), label.len())).collect();
             let look = Look::new(world, widest);
             look.assert_readable(&shown, &at);
-            let has_room = |index: usize| look.has_room(index, label_of(index).len(), &shown);
+            let has_room = |index: usize| {
+                let largest = |of: usize| largest_of(&world.body(of));
+                let larger = |of: &&(usize, DVec3, usize)| largest(of.0) >= (1.0 - 1e-12) * largest(index);
+                let before: Vec<_> =
+                    shown.iter().filter(|of| labelled.contains(&of.0)).filter(larger).copied().collect();
+                look.has_room(index, label_of(index).len(), &before)
+            };
             assert_labelled(&labelled, &all, |index| largest_of(&world.body(index)), has_room, &at);
             if let Some((displacement, position, label)) = largest {
                 let held = &track.held[frame];
@@ -1807,12 +1818,16 @@ impl Look<'_> {
     /// Verifies that labels, each of which has the index of its body, the place of its middle and its number of characters,
     /// stand on their bodies, where these are seen, and do not cover each other.
     fn assert_readable(&self, labels: &[(usize, DVec3, usize)], at: &str) {
+        self.assert_readable_through(0, labels, at);
+    }
+
+    /// The same, if the first bodies may be hidden.
+    fn assert_readable_through(&self, hidden: usize, labels: &[(usize, DVec3, usize)], at: &str) {
         for (number, &(index, place, length)) in labels.iter().enumerate() {
-            let body = self.world.body(index);
-            let from = place.distance(body.centre());
-            let extent = body.scene().radius + body.max_displacement();
-            assert!(from <= (1.0 + 1e-6) * extent, "{at}: {index} is labelled {from} from its centre");
-            assert!(!self.is_hidden(index, place, 0.151), "{at}: the label of {index} is on another body");
+            let nearest = self.places(index).map(|of| of.distance(place)).fold(f64::INFINITY, f64::min);
+            assert!(nearest < 1e-6 * self.widest, "{at}: {index} is labelled {nearest} from its places");
+            let is_hidden = number >= hidden && self.is_hidden(index, place, 0.151);
+            assert!(!is_hidden, "{at}: the label of {index} is on another body");
             for &(_, other, other_length) in &labels[..number] {
                 assert!(!self.covers([(place, length), (other, other_length)], 0.799), "{at}: {labels:?}");
             }
@@ -1821,19 +1836,26 @@ impl Look<'_> {
 
     /// Whether there is clearly room on a body for a label of this length beside other labels.
     fn has_room(&self, index: usize, length: usize, labels: &[(usize, DVec3, usize)]) -> bool {
-        let [right, up, back] = self.axes;
-        let body = self.world.body(index);
-        let eighths = (0..8).map(|eighth| f64::from(eighth) * std::f64::consts::FRAC_PI_4);
-        let sides = eighths.map(|angle| 0.8 * (angle.cos() * up + angle.sin() * right));
-        sides.chain([DVec3::ZERO]).any(|side| {
-            let direction = (side + 0.6 * back).normalize();
-            let furthest = body.positions().map(|vertex| (vertex - body.centre()).dot(direction)).fold(0.0, f64::max);
-            let place = body.centre() + furthest * direction;
+        self.places(index).any(|place| {
             let others = labels.iter().filter(|of| of.0 != index);
             let is_clear = |&(_, other, other_length): &(usize, DVec3, usize)| {
                 !self.covers([(place, length), (other, other_length)], 1.001)
             };
-            !self.is_hidden(index, place, -0.001) && others.into_iter().all(is_clear)
+            !self.is_hidden(index, place, 0.019) && others.into_iter().all(is_clear)
+        })
+    }
+
+    /// The places on the front of a body for its label: on eight sides, and in the middle.
+    fn places(&self, index: usize) -> impl Iterator<Item = DVec3> {
+        let [right, up, back] = self.axes;
+        let body = self.world.body(index);
+        let eighths = (0..8).map(|eighth| f64::from(eighth) * std::f64::consts::FRAC_PI_4);
+        let sides = eighths.map(move |angle| 0.8 * (angle.cos() * up + angle.sin() * right));
+        sides.chain([DVec3::ZERO]).map(move |side| {
+            let direction = (side + 0.6 * back).normalize();
+            let some = body.positions().step_by(1 + body.vertex_count() / 512);
+            let furthest = some.map(|vertex| (vertex - body.centre()).dot(direction)).fold(0.0, f64::max);
+            body.centre() + furthest * direction
         })
     }
 }
@@ -1916,6 +1938,7 @@ fn what_a_scene_changes_is_listed() {
         "edit: material.omega = 9.0 at t = 0.760000 s, step 46",
     ];
     assert_eq!(rows, expected);
+    assert_eq!(run.recording.rows(&EntityPath::from("/marks/axis/scheduled")).len(), 3);
 }
 
 #[test]

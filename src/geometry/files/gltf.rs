@@ -210,7 +210,7 @@ fn transform(node: &Value) -> Result<DMat4, String> {
             if rotation.length_squared() > 0.0 {
                 rotation.normalize()
             } else {
-                return Err("the rotation of a node is 0: a quaternion has a length".to_owned());
+                return Err("the rotation of a node is 0: a quaternion must not be".to_owned());
             }
         }
     };

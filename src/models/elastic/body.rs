@@ -607,7 +607,7 @@ pub struct Surface {
 }
 
 /// The acceleration of a point of a surface by planes, given its place and velocity relative to those of the centre. Friction
-/// takes at least `min_stop` to stop it [s].
+/// takes at least `min_stop` to stop it [s]: a body on a slope on which it would rest creeps.
 fn of_planes(planes: &[Plane], centre: [DVec3; 2], min_stop: f64, place: DVec3, velocity: impl Fn() -> DVec3) -> DVec3 {
     let mut sum = DVec3::ZERO;
     for plane in planes {

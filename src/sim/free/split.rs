@@ -366,13 +366,13 @@ pub struct Passage {
 /// The contacts that act on a vertex at any time in a step.
 pub type Passages = SmallVec<[Passage; 4]>;
 
-/// Upper limit on the [load] of an island: where so much begins and ends in a step, it is too long.
-pub const MAX_LOAD: u64 = 2_000_000;
+/// Upper limit on the [load] of an island, about 1 GB: a step in which more contacts begin and end is not taken. If shorter ones
+/// are not possible either, the island takes steps of fixed length.
+pub const MAX_LOAD: u64 = 1_000_000;
 
-/// What a vertex with these contacts takes [about the memory of a [`Touch`]]: a leg for each beginning and end, and in each the
-/// contacts.
+/// Memory for a vertex with these contacts [at most 1 kB]: a leg for each beginning and end, and in each the contacts.
 pub fn load(passages: &Passages) -> u64 {
-    /// Memory of a [`Leg`] without contacts.
+    /// A [`Leg`] without contacts.
     const LEG: u64 = 7;
 
     let ends: usize = passages.iter().map(|passage| passage.crossings.as_slice().len()).sum();

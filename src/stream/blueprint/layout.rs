@@ -80,6 +80,8 @@ pub struct Layout {
     pub timings: Vec<TimingsPlot>,
     /// The plot of speed.
     pub speeds: Option<String>,
+    /// The plot of volumes.
+    pub volumes: Option<String>,
     /// All plots over time.
     pub plots: Vec<Plot>,
     /// The plots of q.
@@ -135,6 +137,7 @@ impl Layout {
             next_id: 0,
             timings: Vec::new(),
             speeds: None,
+            volumes: None,
             plots: Vec::new(),
             distances: Vec::new(),
             scalars: Vec::new(),

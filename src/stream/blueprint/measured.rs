@@ -4,7 +4,7 @@ use super::{
     Subject, Tab,
     camera::{NARROW, WIDE, camera_past},
     layout::{Layout, TimingsPlot, family, including},
-    tabs::PAIR_DISTANCES,
+    tabs::{PAIR_DISTANCES, VOLUMES},
 };
 use crate::{
     observe::schema::ScalarSchema,
@@ -40,6 +40,8 @@ pub struct Measured<'a> {
     pub fastest: f64,
     /// The longest wait for the recorder [ms per step].
     pub longest_wait: f64,
+    /// How merging changes the volume, if it does.
+    pub changed_volume: Option<String>,
     /// The axis of q, if any is plotted.
     pub distances: Option<pairs::Axis>,
     /// The entities of all lines of plots, and their outlines.
@@ -99,6 +101,9 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             }
             layout.set_range(&plot, [low, high]);
         }
+    }
+    if let Some((volumes, changed)) = layout.volumes.take().zip(measured.changed_volume.as_ref()) {
+        layout.log(&volumes, &ViewBlueprint::update_fields().with_display_name(format!("{VOLUMES}; {changed}")));
     }
     if let Some(speeds) = layout.speeds.take().filter(|_| measured.fastest > 0.0) {
         layout.set_range(&speeds, readable([0.0, measured.fastest]));

@@ -44,6 +44,9 @@ const ENERGY_SHARES: [f32; 2] = [1.5, 1.0];
 /// The title of plots of distances.
 pub const PAIR_DISTANCES: &str = "Pair distances q and their thresholds";
 
+/// The title of the plot of volumes.
+pub const VOLUMES: &str = "Volume [unit³]";
+
 /// The title of plots of the stages of a step.
 const TIMINGS: &str = "Timings, ms per step: stages stacked";
 
@@ -230,7 +233,7 @@ impl Layout {
                 plot
             }));
         }
-        let title = "Contact: red-orange joined only, yellow touching only, green both";
+        let title = "Contact: red-orange joined, yellow touching, green both";
         let mut contents: Vec<String> = pairs::named(schema, &PAIR_PHASE).map(|lane| format!("- {lane}")).collect();
         contents.push(family(&PAIR_PHASE));
         let contacts = self.lanes(title, PAIR_PHASE.family(), &contents);
@@ -249,8 +252,9 @@ impl Layout {
         };
         if groups::has_volume(schema) {
             // no marks of events, which are at 0: a change of a hundredth is visible
-            let title = "Volume [unit³]; between the lines: what bodies share";
-            parts.push(self.time_series(title, "/", &[family(&VOLUME)], Corner2D::LeftBottom));
+            let plot = self.time_series(VOLUMES, "/", &[family(&VOLUME)], Corner2D::LeftBottom);
+            self.volumes = Some(plot.path.clone());
+            parts.push(plot);
         }
         parts.push(self.events());
         let mut shares = vec![1.0; parts.len()];

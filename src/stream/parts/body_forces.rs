@@ -1,4 +1,4 @@
-//! The resultant force on each body by each cause: arrows at the centre, plots, and a ranking of the strongest; of more than
+//! The resultant force on each body by each cause: arrows at or beside the centre, plots, and a ranking of the strongest; of more than
 //! a few bodies, a ranking of bodies, and a plot of the strongest on any of them.
 
 use glam::DVec3;
@@ -31,6 +31,9 @@ pub const MOST_BODIES: usize = 16;
 /// Upper limit on the length of an arrow [geometric mean of the radius of its body and the largest]: it ends outside of its body,
 /// and that of a small body beside a large one is still in view.
 const LONGEST: f64 = 1.5;
+
+/// Number of the bodies with the largest net forces that are labelled even if others, which are translucent, hide them.
+const MAY_BE_HIDDEN: usize = 3;
 
 /// A force that is weaker is left out of the ranking [strongest force].
 const WEAK: f64 = 0.04;
@@ -89,7 +92,7 @@ impl BodyForces {
             strongest: vec![None; if is_ranked(schema) { terms } else { 0 }],
             has_acted: vec![false; terms],
             arrows,
-            labels: BodyLabels::new(RESULTANT_LABELS.path, chunks),
+            labels: BodyLabels::new(RESULTANT_LABELS.path, MAY_BE_HIDDEN, chunks),
         }
     }
 

@@ -22,6 +22,8 @@ pub struct Changes {
     /// q of the pairs in the last frame and its rate [1/s], and the time of that [s].
     last: BTreeMap<(usize, usize), [f64; 2]>,
     time: f64,
+    /// When the run ends [s].
+    end: f64,
 }
 
 /// A threshold that a pair can cross.
@@ -36,11 +38,12 @@ struct Next {
 }
 
 impl Changes {
-    /// Starts without pairs; of few bodies, there is no ranking.
-    pub fn new(schema: &Schema, chunks: &mut Chunks) -> Option<Changes> {
+    /// Starts without pairs, in a run of so many steps; of few bodies, there is no ranking.
+    pub fn new(schema: &Schema, steps: Option<u64>, chunks: &mut Chunks) -> Option<Changes> {
         let is_ranked = is_ranked(schema) && !schema.thresholds.is_empty();
         let ranking = is_ranked.then(|| Ranking::new(RANKED_PAIRS.path, chunks))?;
-        Some(Changes { ranking, last: BTreeMap::new(), time: 0.0 })
+        let end = steps.map_or(f64::INFINITY, |steps| (steps as f64 + 1e-9) * schema.dt);
+        Some(Changes { ranking, last: BTreeMap::new(), time: 0.0, end })
     }
 
     /// Logs changed rows.
@@ -55,7 +58,7 @@ impl Changes {
             let rate = if pair.rate.is_nan() { difference() } else { pair.rate };
             let acceleration = before.map_or(0.0, |[_, before]| (rate - before) / since);
             let mut next = next(schema, &pair, [rate, acceleration], at.time);
-            if let Some(next) = next.as_mut().filter(|next| at.time + next.wait > schema.dt * schema.steps as f64) {
+            if let Some(next) = next.as_mut().filter(|next| at.time + next.wait > self.end) {
                 next.wait = f64::INFINITY; // the run ends before
             }
             ranked.push((pair, next));

@@ -35,6 +35,8 @@ pub struct GroupPlots {
     of_surfaces: Vec<LineId>,
     /// The plot of the volumes of the bodies one by one, unless there are variants.
     of_bodies: Option<LineId>,
+    /// The least and the largest volume of all surfaces over that of the bodies one by one, so far.
+    ratios: Option<[f64; 2]>,
     /// Volume of each body at rest [scene unit³].
     at_rest: Vec<f64>,
     /// The volumes of the bodies one by one, if they are plotted [scene unit³]; reused.
@@ -99,7 +101,17 @@ impl GroupPlots {
         let at_rest = at_rest.collect();
         let ranking = is_ranked(schema).then(|| Ranking::new(RANKED_GROUPS.path, chunks));
         let (known, volumes) = (BTreeMap::new(), Vec::new());
-        GroupPlots { max_groups, known, overlapping: None, of_surfaces, of_bodies, at_rest, volumes, ranking }
+        GroupPlots {
+            max_groups,
+            known,
+            overlapping: None,
+            of_surfaces,
+            of_bodies,
+            ratios: None,
+            at_rest,
+            volumes,
+            ranking,
+        }
     }
 
     /// Logs changed values.
@@ -148,6 +160,15 @@ impl GroupPlots {
 }
 
 impl GroupPlots {
+    /// How merging changes the volume, in words, if it does.
+    pub fn changed_volume(&self) -> Option<String> {
+        let [least, largest] = self.ratios?.map(percent);
+        match (least.as_str(), largest.as_str()) {
+            ("+0.0", "+0.0") => None,
+            _ => Some(format!("merging: {least} to {largest} %")),
+        }
+    }
+
     fn log_volume(&mut self, view: FrameView<'_>, merged: &Merged, series: &mut Series, chunks: &mut Chunks) {
         if self.of_surfaces.is_empty() {
             return;
@@ -171,6 +192,11 @@ impl GroupPlots {
         let sum: f64 = self.volumes.iter().sum();
         if let Some(line) = self.of_bodies {
             series.log(chunks, line, sum, view.at);
+            let ratio = sums[0] / sum;
+            if merged.overlapping == 0 && ratio.is_finite() {
+                let [least, largest] = self.ratios.unwrap_or([ratio; 2]);
+                self.ratios = Some([least.min(ratio), largest.max(ratio)]);
+            }
         }
         for (&line, sum) in self.of_surfaces.iter().zip(sums) {
             match merged.overlapping {

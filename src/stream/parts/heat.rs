@@ -118,7 +118,7 @@ impl Heat {
         Heat {
             ticks: chunks.track(&LEGEND.of(&["ticks"]), [Points2D::descriptor_labels()]),
             mark: Callout::new(LARGEST.path, MARK, chunks),
-            bodies: are_bodies_labelled(schema).then(|| BodyLabels::new(LARGEST_OF_BODIES.path, chunks)),
+            bodies: are_bodies_labelled(schema).then(|| BodyLabels::new(LARGEST_OF_BODIES.path, 0, chunks)),
             ranking: is_ranked(schema).then(|| Ranking::new(RANKED_DISPLACEMENTS.path, chunks)),
             lines,
         }

@@ -1,7 +1,7 @@
 //! Labels of bodies in space: seen from the usual direction of the camera, each stands on its own body, and none covers
 //! another.
 
-use std::f64::consts::TAU;
+use std::{collections::BTreeMap, f64::consts::TAU};
 
 use glam::{DVec2, DVec3};
 
@@ -25,10 +25,16 @@ const SIDES: u8 = 8;
 /// How far a place is from the middle of the front, and towards the eye [radii].
 const ASIDE: f64 = 0.8;
 const TOWARDS: f64 = 0.6;
-/// A label that was there in the last frame may come this near to others [sizes], and this far behind other bodies [radii], so
-/// that labels do not come and go in every frame.
+/// A place may be this far behind another body [its radii].
+const NEW_DEPTH: f64 = 0.02;
+/// A label that was there in the last frame may come this near to others [sizes], and this far behind other bodies [their radii],
+/// so that labels do not come and go in every frame.
 const KEPT_SIZE: f64 = 0.8;
 const KEPT_DEPTH: f64 = 0.15;
+/// With more bodies than this, labels may stand in front of others: the search would take longer than all else.
+const MAX_HIDING: usize = 1000;
+/// Radius of the ball that stands for a body of another shape where it hides others [radii].
+const OF_MESH: f64 = 0.7;
 /// Number of vertices from which the surface at a place is found.
 const SAMPLES: usize = 512;
 
@@ -38,6 +44,8 @@ pub struct Labels<'a> {
     /// To the right, upwards, and towards the eye.
     axes: [DVec3; 3],
     eye: DVec3,
+    /// The bodies that may hide places: index, centre and radius.
+    hiding: Vec<(usize, DVec3, f64)>,
     /// Middles and half sizes [scene unit, at the distance of the middle of all bodies].
     taken: Vec<(DVec2, DVec2)>,
 }
@@ -57,50 +65,82 @@ impl<'a> Labels<'a> {
         let right = view.schema.up.cross(back).normalize();
         let [low, high] = view.bounds();
         let eye = 0.5 * (low + high) + Labels::DISTANCE * view.widest * back;
-        Labels { view, axes: [right, back.cross(right), back], eye, taken: Vec::new() }
+        let present = view.bodies().enumerate().filter(|(_, (_, now))| !now.is_absent);
+        let hiding = present.map(|(index, (of, now))| {
+            let share = if now.mesh_of(of).is_round() { 1.0 } else { OF_MESH };
+            (index, now.centre, share * of.radius)
+        });
+        let hiding = if view.frame.bodies.len() > MAX_HIDING { Vec::new() } else { hiding.collect() };
+        Labels { view, axes: [right, back.cross(right), back], eye, hiding, taken: Vec::new() }
     }
 
     /// Takes this place for a label if there is room.
     pub fn take(&mut self, place: DVec3, label: &str) -> bool {
-        self.take_if(place, label, 1.0)
+        self.take_if(place, label, 1.0, |_| true)
     }
 
-    /// Takes this place unless the label, of a size times `size`, would cover another one.
-    fn take_if(&mut self, place: DVec3, label: &str, size: f64) -> bool {
-        let [right, up, back] = self.axes;
-        let from = place - self.eye;
-        let distance = Labels::DISTANCE * self.view.widest;
-        let scale = distance / f64::max(-from.dot(back), 0.1 * distance);
-        let middle = scale * DVec2::new(from.dot(right), from.dot(up));
-        let width = Labels::MARGINS + Labels::CHARACTER * label.chars().count() as f64;
-        let half = 0.5 * self.view.widest * DVec2::new(width, Labels::HEIGHT);
+    /// Takes this place unless the label, of a size times `size`, would cover another one, or the place is not suitable.
+    fn take_if(&mut self, place: DVec3, label: &str, size: f64, is_suitable: impl FnOnce(&Self) -> bool) -> bool {
+        let (middle, half) = self.in_view(place, label);
         let is_clear = self.taken.iter().all(|&(other, other_half)| {
             let (apart, sum) = ((other - middle).abs(), size * (half + other_half));
             apart.x > sum.x || apart.y > sum.y
         });
-        if is_clear {
+        let is_taken = is_clear && is_suitable(self);
+        if is_taken {
             self.taken.push((middle, half));
         }
-        is_clear
+        is_taken
     }
 
     /// Takes a place for the label of a body, on the visible part of its surface, if there is one with room: that of the last
-    /// frame, `side`, or else one on the side away from its neighbours. Returns it and its side.
+    /// frame, `side`, or else one where the label is on as few other bodies as possible, away from neighbours. Returns it and
+    /// its side.
     fn take_on(&mut self, body: usize, label: &str, side: Option<u8>) -> Option<(DVec3, u8)> {
         if let Some(side) = side {
             let place = self.place(body, side);
-            if self.is_seen(body, place, KEPT_DEPTH) && self.take_if(place, label, KEPT_SIZE) {
+            if self.take_if(place, label, KEPT_SIZE, |labels| labels.is_seen(body, place, KEPT_DEPTH)) {
                 return Some((place, side));
             }
         }
         let away = self.away(body);
-        let mut sides: Vec<u8> = (0..SIDES).collect();
-        sides.sort_by(|&one, &other| self.towards(other).dot(away).total_cmp(&self.towards(one).dot(away)));
-        sides.push(SIDES);
-        sides.into_iter().find_map(|side| {
-            let place = self.place(body, side);
-            (self.is_seen(body, place, 0.0) && self.take_if(place, label, 1.0)).then_some((place, side))
+        let mut sides: Vec<(u8, DVec3, usize)> = (0..=SIDES)
+            .map(|side| {
+                let place = self.place(body, side);
+                (side, place, self.count_under(body, place, label))
+            })
+            .collect();
+        let along = |side: u8| if side == SIDES { f64::NEG_INFINITY } else { self.towards(side).dot(away) };
+        sides.sort_by(|one, other| one.2.cmp(&other.2).then(along(other.0).total_cmp(&along(one.0))));
+        sides.into_iter().find_map(|(side, place, _)| {
+            let is_seen = |labels: &Labels<'_>| labels.is_seen(body, place, NEW_DEPTH);
+            self.take_if(place, label, 1.0, is_seen).then_some((place, side))
         })
+    }
+
+    /// Where a place is in the view, and half of the size of a label there.
+    fn in_view(&self, place: DVec3, label: &str) -> (DVec2, DVec2) {
+        let [right, up, back] = self.axes;
+        let from = place - self.eye;
+        let distance = Labels::DISTANCE * self.view.widest;
+        let scale = distance / f64::max(-from.dot(back), 0.1 * distance);
+        let width = Labels::MARGINS + Labels::CHARACTER * label.chars().count() as f64;
+        let half = 0.5 * self.view.widest * DVec2::new(width, Labels::HEIGHT);
+        (scale * DVec2::new(from.dot(right), from.dot(up)), half)
+    }
+
+    /// Number of other bodies that the middle or an end of a label at this place is on.
+    fn count_under(&self, body: usize, place: DVec3, label: &str) -> usize {
+        let (middle, half) = self.in_view(place, label);
+        let points = [-1.0, 0.0, 1.0].map(|side| middle + DVec2::new(side * half.x, 0.0));
+        let others = self.hiding.iter().filter(|(other, ..)| *other != body);
+        let is_under = |&&(_, centre, radius): &&(usize, DVec3, f64)| {
+            let (at, _) = self.in_view(centre, "");
+            let distance = Labels::DISTANCE * self.view.widest;
+            let depth = f64::max(-(centre - self.eye).dot(self.axes[2]), 0.1 * distance);
+            points.iter().any(|point| point.distance(at) < radius * distance / depth)
+        };
+        others.filter(is_under).count()
     }
 
     /// The direction of a side in the plane of the view; 0 for the middle.
@@ -131,12 +171,11 @@ impl<'a> Labels<'a> {
     fn is_seen(&self, body: usize, place: DVec3, depth: f64) -> bool {
         let distance = self.eye.distance(place);
         let ray = (place - self.eye) / distance;
-        let mut others = self.view.bodies().enumerate().filter(|(other, (_, now))| *other != body && !now.is_absent);
-        !others.any(|(_, (of, now))| {
-            let to = now.centre - self.eye;
+        !self.hiding.iter().filter(|(other, ..)| *other != body).any(|&(_, centre, radius)| {
+            let to = centre - self.eye;
             let along = to.dot(ray);
-            let half = of.radius * of.radius - (to - along * ray).length_squared();
-            half > 0.0 && along > 0.0 && along - half.sqrt() < distance - depth * of.radius
+            let half = radius * radius - (to - along * ray).length_squared();
+            half > 0.0 && along > 0.0 && along - half.sqrt() < distance - depth * radius
         })
     }
 
@@ -156,21 +195,23 @@ impl<'a> Labels<'a> {
     }
 }
 
-/// Labels of bodies from frame to frame: on which side each stood in the last one, if it had a label.
+/// Labels of bodies from frame to frame: on which side each stood, of those that had one.
 #[derive(Default)]
-struct Sides(Vec<Option<u8>>);
+struct Sides {
+    before: BTreeMap<usize, u8>,
+    now: BTreeMap<usize, u8>,
+}
 
 impl Sides {
-    /// Takes a place for the label of a body, if there is one.
-    fn take(&mut self, body: usize, label: &str, labels: &mut Labels<'_>) -> Option<DVec3> {
-        self.0.resize(self.0.len().max(body + 1), None);
-        let found = labels.take_on(body, label, self.0[body]);
-        self.0[body] = found.map(|(_, side)| side);
-        found.map(|(place, _)| place)
+    fn begin_frame(&mut self) {
+        self.before = std::mem::take(&mut self.now);
     }
 
-    fn has(&self, body: usize) -> bool {
-        self.0.get(body).is_some_and(Option::is_some)
+    /// Takes a place for the label of a body, if there is one.
+    fn take(&mut self, body: usize, label: &str, labels: &mut Labels<'_>) -> Option<DVec3> {
+        let (place, side) = labels.take_on(body, label, self.before.get(&body).copied())?;
+        self.now.insert(body, side);
+        Some(place)
     }
 }
 
@@ -207,7 +248,8 @@ impl Names {
         }
         let nameable = Some(schema.variant_size()).filter(|&bodies| bodies <= MAX_NAMED).unwrap_or(0);
         let mut bodies: Vec<usize> = (0..nameable).filter(|&body| !frame.bodies[body].is_absent).collect();
-        let rank = |body: usize| (first.contains(&body), self.sides.has(body));
+        self.sides.begin_frame();
+        let rank = |body: usize| (first.contains(&body), self.sides.before.contains_key(&body));
         let radius = |body: usize| schema.bodies[body].radius;
         bodies.sort_by(|&one, &other| rank(other).cmp(&rank(one)).then(radius(other).total_cmp(&radius(one))));
         let place = |body: usize| Some((body, self.sides.take(body, schema.plain_name(body), labels)?));
@@ -218,7 +260,9 @@ impl Names {
         let places: Vec<Float3> = places.map(|place| place.as_vec3().to_array()).collect();
         let bodies: Vec<usize> = named.into_iter().map(|(body, _)| body).collect();
         if self.named.as_ref() != Some(&bodies) {
-            let names = bodies.iter().map(|&body| (schema.plain_name(body), palette::of_body(schema, body)));
+            // lighter than the bodies, to be read on them
+            let light = |body: usize| palette::of_body(schema, body).map(|channel| channel / 2 + 0x7F);
+            let names = bodies.iter().map(|&body| (schema.plain_name(body), light(body)));
             let names = names.chain(schema.variants.iter().map(|variant| (variant.name, palette::SEAM)));
             let (names, colors): (Vec<String>, Vec<u32>) =
                 names.map(|(name, rgb)| (name.to_owned(), color(rgb).to_u32())).unzip();
@@ -233,15 +277,17 @@ impl Names {
 pub struct BodyLabels {
     track: TrackId,
     sides: Sides,
+    /// Number of the first bodies that may be labelled where another one hides them, because bodies are translucent.
+    hidden: usize,
 }
 
 impl BodyLabels {
     /// Starts without labels.
-    pub fn new(entity: &str, chunks: &mut Chunks) -> BodyLabels {
+    pub fn new(entity: &str, hidden: usize, chunks: &mut Chunks) -> BodyLabels {
         let style = Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.5)]).with_show_labels(true);
         chunks.log_static(entity, &style.with_colors([color(palette::SEAM)]));
         let track = chunks.track(entity, [Points3D::descriptor_positions(), Points3D::descriptor_labels()]);
-        BodyLabels { track, sides: Sides::default() }
+        BodyLabels { track, sides: Sides::default(), hidden }
     }
 
     /// Logs the labels of `first` for which there is room, then as many names of the rest of them and of `others`.
@@ -252,23 +298,29 @@ impl BodyLabels {
         others: impl Iterator<Item = usize>,
         chunks: &mut Chunks,
     ) {
+        self.sides.begin_frame();
         let (mut taken, mut rest) = (Labels::new(view), Vec::new());
         let (mut places, mut labels): (Vec<Float3>, Vec<String>) = (Vec::new(), Vec::new());
-        let mut take = |body: usize, label: String| {
-            let place = self.sides.take(body, &label, &mut taken);
+        let mut take = |body: usize, label: String, may_be_hidden: bool| {
+            let mut place = self.sides.take(body, &label, &mut taken);
+            if place.is_none() && may_be_hidden {
+                let hiding = std::mem::take(&mut taken.hiding);
+                place = self.sides.take(body, &label, &mut taken);
+                taken.hiding = hiding;
+            }
             if let Some(place) = place {
                 places.push(place.as_vec3().to_array());
                 labels.push(label);
             }
             place.is_some()
         };
-        for (body, label) in first {
-            if !take(body, label) {
+        for (number, (body, label)) in first.enumerate() {
+            if !take(body, label, number < self.hidden) {
                 rest.push(body);
             }
         }
         for body in rest.into_iter().chain(others).take(MAX_NAMED) {
-            take(body, view.schema.bodies[body].name.clone());
+            take(body, view.schema.bodies[body].name.clone(), false);
         }
         chunks.push_changed(self.track, view.at, &[&places, &labels]);
     }

@@ -85,25 +85,31 @@ pub fn log_near_misses(family: &Entity, schema: &Schema, approaches: &[&Approach
 }
 
 /// Lists what the scene changes within a step; `is_plotted`: whether to mark it in plots, too.
-pub fn log_scheduled<'a>(
-    step: u64,
-    scheduled: impl Iterator<Item = &'a Scheduled>,
-    is_plotted: bool,
-    chunks: &mut Chunks,
-) {
-    /// Upper limit on the number of lines of a step.
+pub fn log_scheduled(step: u64, scheduled: &[Scheduled], is_plotted: bool, chunks: &mut Chunks) {
+    /// Upper limits on the number of lines of a step, and of characters of a line.
     const MOST: usize = 64;
+    const LONGEST: usize = 200;
 
-    for (number, Scheduled { time, text }) in scheduled.take(MOST).enumerate() {
+    for (number, Scheduled { time, text }) in scheduled.iter().take(MOST).enumerate() {
         let at = Instant { step, time: *time };
-        let line = TextLog::new(format!("{text} at t = {time:.6} s, step {step}")).with_level("scene");
-        chunks.log(SCHEDULED.path, at, &line.with_color(color(SILVER)));
+        let end = text.char_indices().nth(LONGEST).map_or(text.len(), |(end, _)| end);
+        let cut = if end < text.len() { " …" } else { "" };
+        let more = match scheduled.len().checked_sub(MOST) {
+            Some(more @ 1..) if number + 1 == MOST => format!(", and {more} more"),
+            _ => String::new(),
+        };
+        let line = TextLog::new(format!("{}{cut} at t = {time:.6} s, step {step}{more}", &text[..end]));
+        chunks.log(SCHEDULED.path, at, &line.with_level("scene").with_color(color(SILVER)));
         if is_plotted && number == 0 {
-            let entity = MARKS_ON_AXIS.of(&["scheduled"]);
-            chunks.log_static(&entity, &style(ON_AXIS, SILVER, MarkerShape::Square, 4.0));
-            chunks.log(&entity, at, &Scalars::new([0.0]));
+            chunks.log(&MARKS_ON_AXIS.of(&["scheduled"]), at, &Scalars::new([0.0]));
         }
     }
+}
+
+/// Logs the style of the marks of what the scene changes.
+pub fn log_style_of_scheduled(chunks: &mut Chunks) {
+    let style = style("scene changes", SILVER, MarkerShape::Square, 4.0);
+    chunks.log_static(&MARKS_ON_AXIS.of(&["scheduled"]), &style);
 }
 
 /// Marks the ends of a run in every plot, so that all of them show the same range of time; `level` is any plotted q, if

@@ -198,9 +198,10 @@ impl<S: Simd, const W: usize> Group<'_, S, W> {
             turned = turned + strength * square * (sharpness * sharpness) * slope;
             // at the rim of the linear weight a step ends
             if pull.cut && self.course.weight() == Weight::Wendland {
-                let inside = Reals::splat(simd, sphere.radius * sphere.radius);
-                let outside = inside.below(from.length_squared()).or(inside.below((from + way).length_squared()));
-                crosses = crosses.or(outside.and(zero.below(strength)));
+                let rim = Reals::splat(simd, sphere.radius * sphere.radius);
+                let outside = rim.below(from.length_squared()).or(rim.below((from + way).length_squared()));
+                let enters = (from + way * theta).length_squared().below(rim);
+                crosses = crosses.or(outside.and(enters).and(zero.below(strength)));
             }
 
             let way = (way.x.abs() + way.y.abs() + way.z.abs()) * sphere.inverse_radius;
