@@ -1640,7 +1640,7 @@ fn a_scene_that_takes_long_is_announced_and_can_be_interrupted() {
 fn a_lost_reader_leaves_the_file_complete() {
     let dir = Dir::new();
     let mut child = meldscope(&dir, ["run", "two", "--stdout", "--save", "two.rrd", "-q"]).spawn().unwrap();
-    let mut head = [0; 100];
+    let mut head = vec![0; 1_500_000]; // with some frames
     child.stdout.take().unwrap().read_exact(&mut head).unwrap();
     let ran = Ran::new(child.wait_with_output().unwrap());
     assert!(ran.status == 1 && ran.err.contains("cannot write the recording to standard output"), "{ran:?}");

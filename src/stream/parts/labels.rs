@@ -32,11 +32,20 @@ const NEW_DEPTH: f64 = 0.02;
 const KEPT_SIZE: f64 = 0.8;
 const KEPT_DEPTH: f64 = 0.15;
 /// With more bodies than this, labels may stand in front of others: the search would take longer than all else.
-const MAX_HIDING: usize = 1000;
+const MAX_HIDING: usize = 64;
 /// Radius of the ball that stands for a body of another shape where it hides others [radii].
 const OF_MESH: f64 = 0.7;
 /// Number of vertices from which the surface at a place is found.
 const SAMPLES: usize = 512;
+
+/// A ball that may hide places.
+struct Hiding {
+    body: usize,
+    centre: DVec3,
+    radius: f64,
+    /// Centre and radius in the view.
+    disc: (DVec2, f64),
+}
 
 /// The labels of a frame so far.
 pub struct Labels<'a> {
@@ -44,8 +53,8 @@ pub struct Labels<'a> {
     /// To the right, upwards, and towards the eye.
     axes: [DVec3; 3],
     eye: DVec3,
-    /// The bodies that may hide places: index, centre and radius.
-    hiding: Vec<(usize, DVec3, f64)>,
+    /// The bodies that may hide places.
+    hiding: Vec<Hiding>,
     /// Middles and half sizes [scene unit, at the distance of the middle of all bodies].
     taken: Vec<(DVec2, DVec2)>,
 }
@@ -65,13 +74,18 @@ impl<'a> Labels<'a> {
         let right = view.schema.up.cross(back).normalize();
         let [low, high] = view.bounds();
         let eye = 0.5 * (low + high) + Labels::DISTANCE * view.widest * back;
-        let present = view.bodies().enumerate().filter(|(_, (_, now))| !now.is_absent);
-        let hiding = present.map(|(index, (of, now))| {
-            let share = if now.mesh_of(of).is_round() { 1.0 } else { OF_MESH };
-            (index, now.centre, share * of.radius)
-        });
-        let hiding = if view.frame.bodies.len() > MAX_HIDING { Vec::new() } else { hiding.collect() };
-        Labels { view, axes: [right, back.cross(right), back], eye, hiding, taken: Vec::new() }
+        let mut labels =
+            Labels { view, axes: [right, back.cross(right), back], eye, hiding: Vec::new(), taken: Vec::new() };
+        if view.frame.bodies.len() <= MAX_HIDING {
+            let present = view.bodies().enumerate().filter(|(_, (_, now))| !now.is_absent);
+            let hiding = present.map(|(body, (of, now))| {
+                let radius = of.radius * if now.mesh_of(of).is_round() { 1.0 } else { OF_MESH };
+                let (at, scale) = labels.in_view(now.centre);
+                Hiding { body, centre: now.centre, radius, disc: (at, scale * radius) }
+            });
+            labels.hiding = hiding.collect();
+        }
+        labels
     }
 
     /// Takes this place for a label if there is room.
@@ -81,7 +95,7 @@ impl<'a> Labels<'a> {
 
     /// Takes this place unless the label, of a size times `size`, would cover another one, or the place is not suitable.
     fn take_if(&mut self, place: DVec3, label: &str, size: f64, is_suitable: impl FnOnce(&Self) -> bool) -> bool {
-        let (middle, half) = self.in_view(place, label);
+        let ((middle, _), half) = (self.in_view(place), self.half_size(label));
         let is_clear = self.taken.iter().all(|&(other, other_half)| {
             let (apart, sum) = ((other - middle).abs(), size * (half + other_half));
             apart.x > sum.x || apart.y > sum.y
@@ -103,11 +117,11 @@ impl<'a> Labels<'a> {
                 return Some((place, side));
             }
         }
-        let away = self.away(body);
+        let (away, half_width) = (self.away(body), self.half_size(label).x);
         let mut sides: Vec<(u8, DVec3, usize)> = (0..=SIDES)
             .map(|side| {
                 let place = self.place(body, side);
-                (side, place, self.count_under(body, place, label))
+                (side, place, self.count_under(body, place, half_width))
             })
             .collect();
         let along = |side: u8| if side == SIDES { f64::NEG_INFINITY } else { self.towards(side).dot(away) };
@@ -118,29 +132,28 @@ impl<'a> Labels<'a> {
         })
     }
 
-    /// Where a place is in the view, and half of the size of a label there.
-    fn in_view(&self, place: DVec3, label: &str) -> (DVec2, DVec2) {
+    /// Where a place is in the view, and how much larger things are there than at the middle of all bodies.
+    fn in_view(&self, place: DVec3) -> (DVec2, f64) {
         let [right, up, back] = self.axes;
         let from = place - self.eye;
         let distance = Labels::DISTANCE * self.view.widest;
         let scale = distance / f64::max(-from.dot(back), 0.1 * distance);
+        (scale * DVec2::new(from.dot(right), from.dot(up)), scale)
+    }
+
+    /// Half of the size of a label in the view.
+    fn half_size(&self, label: &str) -> DVec2 {
         let width = Labels::MARGINS + Labels::CHARACTER * label.chars().count() as f64;
-        let half = 0.5 * self.view.widest * DVec2::new(width, Labels::HEIGHT);
-        (scale * DVec2::new(from.dot(right), from.dot(up)), half)
+        0.5 * self.view.widest * DVec2::new(width, Labels::HEIGHT)
     }
 
     /// Number of other bodies that the middle or an end of a label at this place is on.
-    fn count_under(&self, body: usize, place: DVec3, label: &str) -> usize {
-        let (middle, half) = self.in_view(place, label);
-        let points = [-1.0, 0.0, 1.0].map(|side| middle + DVec2::new(side * half.x, 0.0));
-        let others = self.hiding.iter().filter(|(other, ..)| *other != body);
-        let is_under = |&&(_, centre, radius): &&(usize, DVec3, f64)| {
-            let (at, _) = self.in_view(centre, "");
-            let distance = Labels::DISTANCE * self.view.widest;
-            let depth = f64::max(-(centre - self.eye).dot(self.axes[2]), 0.1 * distance);
-            points.iter().any(|point| point.distance(at) < radius * distance / depth)
-        };
-        others.filter(is_under).count()
+    fn count_under(&self, body: usize, place: DVec3, half_width: f64) -> usize {
+        let (middle, _) = self.in_view(place);
+        let points = [-1.0, 0.0, 1.0].map(|side| middle + DVec2::new(side * half_width, 0.0));
+        let is_under =
+            |of: &&Hiding| points.iter().any(|point| point.distance_squared(of.disc.0) < of.disc.1 * of.disc.1);
+        self.hiding.iter().filter(|of| of.body != body).filter(is_under).count()
     }
 
     /// The direction of a side in the plane of the view; 0 for the middle.
@@ -150,32 +163,32 @@ impl<'a> Labels<'a> {
         if side == SIDES { DVec3::ZERO } else { cos * up + sin * right }
     }
 
-    /// A point on the front of a body's surface, on this side.
+    /// A point on the front of a body's surface, on this side; of a ball while it is undeformed.
     fn place(&self, body: usize, side: u8) -> DVec3 {
         let [.., back] = self.axes;
         let direction = (ASIDE * self.towards(side) + TOWARDS * back).normalize();
         let (schema, now) = (&self.view.schema.bodies[body], &self.view.frame.bodies[body]);
+        if now.mesh_of(schema).is_round() {
+            return now.centre + schema.radius * direction;
+        }
         let rest = now.rest_of(schema);
         let vertices = (0..rest.len()).step_by(1 + rest.len() / SAMPLES).map(|vertex| match now.is_at_rest {
             true => now.rotation * rest.position(vertex),
             false => now.positions.get(vertex),
         });
         let furthest = vertices.max_by(|one, other| one.dot(direction).total_cmp(&other.dot(direction)));
-        let vertex = furthest.unwrap_or_default();
-        // of a ball, a place that does not jump from vertex to vertex
-        let is_round = now.mesh_of(schema).is_round();
-        now.centre + if is_round { vertex.dot(direction) * direction } else { vertex }
+        now.centre + furthest.unwrap_or_default()
     }
 
     /// Whether no other body is in front of a place, or only by `depth` [its radii].
     fn is_seen(&self, body: usize, place: DVec3, depth: f64) -> bool {
         let distance = self.eye.distance(place);
         let ray = (place - self.eye) / distance;
-        !self.hiding.iter().filter(|(other, ..)| *other != body).any(|&(_, centre, radius)| {
-            let to = centre - self.eye;
+        !self.hiding.iter().filter(|of| of.body != body).any(|of| {
+            let to = of.centre - self.eye;
             let along = to.dot(ray);
-            let half = radius * radius - (to - along * ray).length_squared();
-            half > 0.0 && along > 0.0 && along - half.sqrt() < distance - depth * radius
+            let half = of.radius * of.radius - (to - along * ray).length_squared();
+            half > 0.0 && along > 0.0 && along - half.sqrt() < distance - depth * of.radius
         })
     }
 
