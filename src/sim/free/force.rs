@@ -195,7 +195,7 @@ impl Acting {
     }
 
     /// Finds the vertices on which a contact begins or ceases to act within the step, and those on which a plane or a
-    /// push acts throughout. Returns whether the set of individually advanced vertices changed. Adds their [load](split::load)
+    /// push acts throughout. Returns whether the set of individually advanced vertices changed. Adds their [load](split::Split::load)
     /// to `load`, and leaves vertices out once that is too much.
     pub fn find_splits(&self, view: &View<'_>, course: &mut Course, load: &AtomicU64) -> bool {
         let View { field, span, places, arch, .. } = *view;
@@ -274,10 +274,6 @@ impl Acting {
         let (mut before, mut changed) = (old.drain(..).peekable(), false);
         for &vertex in &crossing {
             let Some(passages) = passages(vertex as usize, course, self, view) else { continue };
-            let own = split::load(&passages);
-            if load.fetch_add(own, Ordering::Relaxed).saturating_add(own) > split::MAX_LOAD {
-                break;
-            }
             while let Some(gone) = before.next_if(|split| split.vertex < vertex) {
                 course.active.set_split(gone.vertex as usize, false);
                 spare.push(gone);
@@ -289,7 +285,11 @@ impl Acting {
                 spare.pop().unwrap_or_default().restart(vertex)
             });
             split.pass(passages);
+            let own = split.load();
             splits.push(split);
+            if load.fetch_add(own, Ordering::Relaxed).saturating_add(own) > split::MAX_LOAD {
+                break;
+            }
         }
         for gone in before {
             course.active.set_split(gone.vertex as usize, false);

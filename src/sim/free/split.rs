@@ -366,18 +366,9 @@ pub struct Passage {
 /// The contacts that act on a vertex at any time in a step.
 pub type Passages = SmallVec<[Passage; 4]>;
 
-/// Upper limit on the [load] of an island, about 1 GB: a step in which more contacts begin and end is not taken. If shorter ones
+/// Upper limit on the [load](Split::load) of an island, about 1 GB: a step in which more contacts begin and end is not taken. If shorter ones
 /// are not possible either, the island takes steps of fixed length.
 pub const MAX_LOAD: u64 = 1_000_000;
-
-/// Memory for a vertex with these contacts [at most 1 kB]: a leg for each beginning and end, and in each the contacts.
-pub fn load(passages: &Passages) -> u64 {
-    /// A [`Leg`] without contacts.
-    const LEG: u64 = 7;
-
-    let ends: usize = passages.iter().map(|passage| passage.crossings.as_slice().len()).sum();
-    (1 + ends as u64) * (LEG + passages.len() as u64)
-}
 
 impl Passage {
     fn acts_at(&self, theta: f64) -> bool {
@@ -395,6 +386,15 @@ impl Split {
     /// Sets when contacts act on it.
     pub fn pass(&mut self, passages: Passages) {
         self.passages = passages;
+    }
+
+    /// Memory for its contacts [at most 1 kB]: a leg for each beginning and end, and in each the contacts.
+    pub fn load(&self) -> u64 {
+        /// A [`Leg`] without contacts.
+        const LEG: u64 = 7;
+
+        let ends: usize = self.passages.iter().map(|passage| passage.crossings.as_slice().len()).sum();
+        (1 + ends as u64) * (LEG + self.passages.len() as u64)
     }
 
     /// The parts of the step, in order.
