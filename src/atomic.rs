@@ -6,7 +6,7 @@
 //! of this process.
 
 use std::{
-    ffi::{OsStr, OsString},
+    ffi::OsString,
     fs::{self, File, OpenOptions},
     io::{self, Write},
     path::{Path, PathBuf},
@@ -74,11 +74,6 @@ pub fn place(temporary: &Path, destination: &Path) -> io::Result<()> {
 fn sync_folder(path: &Path) {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     File::open(folder).and_then(|folder| folder.sync_all()).ok();
-}
-
-/// The start of the temporary name of a file: hidden, and short enough for the rest wherever the file's own name is.
-pub fn temporary_start(name: &OsStr) -> String {
-    format!(".{}.", name.to_string_lossy().chars().take(50).collect::<String>())
 }
 
 /// A name that no other process has: `start`, random digits, `end`.
@@ -158,7 +153,9 @@ impl AtomicFile {
     pub fn create(path: &Path) -> io::Result<AtomicFile> {
         let destination = destination(path);
         let name = destination.file_name().ok_or(io::ErrorKind::IsADirectory)?;
-        let temporary = destination.with_file_name(unique_name(temporary_start(name), PARTIAL)?);
+        // short enough for the rest, wherever the file's own name is
+        let start: String = name.to_string_lossy().chars().take(50).collect();
+        let temporary = destination.with_file_name(unique_name(format!(".{start}."), PARTIAL)?);
         let file = Some(create_new(&temporary)?);
         Ok(AtomicFile { destination, temporary, file })
     }

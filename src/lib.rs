@@ -73,7 +73,7 @@
 //! | [`scene`] | scene files: parsing, validation, centre paths | `model`, `geometry`, `random`, `text` | |
 //! | [`sim`] | the world and its step: forces, integrators, events, solver of free bodies | `model`, `geometry`, `text`, `hash`, `disjoint_sets`, `interrupt`, `parallel`, `scene` | |
 //! | [`observe`] | the contract between a simulation and its observers: schema, frames, events | `model`, `text`, `interrupt`, `geometry`, `colors` | |
-//! | [`analysis`] | what is computed from frames: surfaces, touches, closest approaches | `disjoint_sets`, `interrupt`, `parallel`, `geometry`, `observe` | |
+//! | [`analysis`] | what is computed from frames: surfaces, touches, closest approaches | `disjoint_sets`, `interrupt`, `parallel`, `model`, `geometry`, `observe` | |
 //! | [`view`] | how the world presents itself: titles, colours, plots, arrows, cameras | all above but `analysis` | |
 //! | [`models`] | the models of a soft body, and which of them runs a scene | all above | |
 //! | `atomic` | files that are either complete or not there | | `viewer` |

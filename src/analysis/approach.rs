@@ -4,7 +4,10 @@ use std::{collections::BTreeMap, mem::take};
 
 use glam::DVec3;
 
-use crate::observe::{NearPair, PairEvent, Schema, Simulation};
+use crate::{
+    model::hermite::Hermite,
+    observe::{NearPair, PairEvent, Schema, Simulation},
+};
 
 /// Upper limit on the number of tracked pairs.
 const MAX_PAIRS: usize = 1 << 16;
@@ -27,11 +30,15 @@ const STILL: f64 = 1e-4;
 /// Number of places in a step at which the distance of a pair is looked at.
 const LOOKS: usize = 8;
 
-/// The cubic through positions and velocities at both ends of a step of `h` [s], at the fraction `z` of it.
-fn cubic(z: f64, h: f64, [[from, rate], [to, last_rate]]: [[DVec3; 2]; 2]) -> DVec3 {
-    let (value, slope) = ((1.0 - z) * (1.0 - z) * (1.0 + 2.0 * z), z * (1.0 - z) * (1.0 - z) * h);
-    let last_slope = -z * z * (1.0 - z) * h;
-    from * value + to * (1.0 - value) + rate * slope + last_rate * last_slope
+/// How far a body is at `time` from the cubic through the ends of a step [s, scene unit]; 0 unless it is on a path.
+fn beside_cubic(simulation: &dyn Simulation, body: usize, ends: [f64; 2], time: f64) -> DVec3 {
+    let on_path = |time: f64| simulation.on_path(body, time);
+    let (Some([from, rate]), Some([to, last_rate]), Some([now, _])) =
+        (on_path(ends[0]), on_path(ends[1]), on_path(time))
+    else {
+        return DVec3::ZERO;
+    };
+    now - Hermite::new(ends, time).vector([from, to], [rate, last_rate])
 }
 
 impl NearPair {
@@ -41,21 +48,13 @@ impl NearPair {
     pub fn extremum(&self, next: &NearPair, simulation: &dyn Simulation, ends: [f64; 2], is_maximum: bool) -> [f64; 2] {
         let h = ends[1] - ends[0];
         let sign = if is_maximum { -1.0 } else { 1.0 };
-        let on_path = |body: usize, time: f64| simulation.on_path(body, time);
-        let of_path = |body: usize| Some([on_path(body, ends[0])?, on_path(body, ends[1])?]);
-        let of_paths = [self.a, self.b].map(of_path);
-        // how far a path is from the cubic through its ends
-        let beside = |which: usize, z: f64, time: f64| {
-            let of_path = of_paths[which]?;
-            Some(on_path([self.a, self.b][which], time)?[0] - cubic(z, h, of_path))
-        };
         let distance = |z: f64| {
             let time = ends[0] + z * h;
-            let apart = match [self.a, self.b].map(|body| on_path(body, time)) {
+            let apart = match [self.a, self.b].map(|body| simulation.on_path(body, time)) {
                 [Some([a, _]), Some([b, _])] => b - a,
                 _ => {
-                    let relative = cubic(z, h, [[self.apart, self.rate], [next.apart, next.rate]]);
-                    relative + beside(1, z, time).unwrap_or_default() - beside(0, z, time).unwrap_or_default()
+                    let [a, b] = [self.a, self.b].map(|body| beside_cubic(simulation, body, ends, time));
+                    Hermite::new(ends, time).vector([self.apart, next.apart], [self.rate, next.rate]) + b - a
                 }
             };
             sign * apart.length()
@@ -82,24 +81,15 @@ impl NearPair {
 
     /// Whether the distance may be below `nearest` [scene unit] in the step to `next`.
     fn may_be_nearer(&self, next: &NearPair, simulation: &dyn Simulation, ends: [f64; 2], nearest: f64) -> bool {
-        let on_path = |body: usize, time: f64| simulation.on_path(body, time);
-        let h = ends[1] - ends[0];
-        match [self.a, self.b].map(|body| on_path(body, ends[1]).is_some()) {
-            [true, true] => true,
-            [false, false] => self.least_distance(next, h) < nearest,
-            [is_first, _] => {
-                // how far the path is from the cubic through its ends, about
-                let body = if is_first { self.a } else { self.b };
-                let Some([from, to]) = on_path(body, ends[0]).zip(on_path(body, ends[1])).map(<[_; 2]>::from) else {
-                    return true;
-                };
-                let beside = [0.25, 0.5, 0.75].map(|z| {
-                    let at = on_path(body, ends[0] + z * h).map_or(DVec3::ZERO, |[position, _]| position);
-                    at.distance(cubic(z, h, [from, to]))
-                });
-                self.least_distance(next, h) - 2.0 * beside.into_iter().fold(0.0, f64::max) < nearest
-            }
+        let pair = [self.a, self.b];
+        if pair.into_iter().all(|body| simulation.on_path(body, ends[1]).is_some()) {
+            return true;
         }
+        let h = ends[1] - ends[0];
+        let beside = |z: f64| pair.map(|body| beside_cubic(simulation, body, ends, ends[0] + z * h).length());
+        let beside = [0.25, 0.5, 0.75].map(beside).into_iter().flatten().fold(0.0, f64::max);
+        // between these instants a path may be farther from the cubic
+        self.least_distance(next, h) - 2.0 * beside < nearest
     }
 
     /// A lower bound of the distance [scene unit] of bodies neither of which is on a path, in a step of `h` [s] to `next`: a

@@ -49,7 +49,8 @@ pub struct Arguments {
     /// The folder of the rows and maps. An interrupted sweep is resumed from it.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Refine the grid N times where neighbours differ in outcome, or by a [jump]. Each level halves their distance.
+    /// Refine the grid N times where neighbours differ in outcome, or by a [jump]. Each level halves their distance. A region
+    /// smaller than a first cell may be missed.
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=i64::from(MOST_LEVELS)))]
     refine: u32,
     /// Find the changes of outcome along this axis, to 1e-9, where neighbours of the grid differ: KEY of an [[axis]], or

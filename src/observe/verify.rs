@@ -140,6 +140,8 @@ impl Mistakes {
         let sums = terms.iter().filter(|term| term.is_sum).count();
         ensure!(self, sums <= 1 => "schema.terms has {sums} terms with is_sum, expected at most one");
         self.names("events", schema.events.iter().map(|event| event.name), false);
+        ensure!(self, schema.scheduled.is_sorted_by(|one, other| one.time <= other.time) =>
+            "schema.scheduled is not in order of time");
         self.names("thresholds", schema.thresholds.iter().map(|threshold| threshold.name), true);
         self.names("scalars", schema.scalars.iter().map(|scalar| scalar.name), true);
         for (list, scalars) in [("body_scalars", &schema.body_scalars), ("pair_scalars", &schema.pair_scalars)] {

@@ -23,7 +23,8 @@ pub fn kick(material: &Material, path: &Path, t: f64) -> DVec3 {
     }
 }
 
-/// The inertial acceleration that is subtracted from the vertices of a body for its own motion, in the axes of the body [scene unit/s²].
+/// The inertial acceleration that is subtracted from the vertices of a body for its own motion, in the axes of the body
+/// [scene unit/s²].
 pub fn carry(material: &Material, motion: &Kinematics) -> DVec3 {
     match material.response {
         Response::Rigid => DVec3::ZERO,

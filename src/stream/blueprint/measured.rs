@@ -178,8 +178,8 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         }
         let spaces = std::mem::take(&mut layout.spaces);
         for aspect in [WIDE, NARROW] {
-            // the arrangement of several variants is for the view from the front; among many bodies, which show the pair
-            // alone, too, names stand where they are seen from there
+            // the arrangement of several variants is for the view from the front, and so are the places of names; among many
+            // bodies, the pair is also drawn alone
             let is_turned = subject.schema.variants.is_empty() && !recent::is_drawn_alone(subject.schema);
             let (pair, others) = match is_turned {
                 true => (focus.pair.as_slice(), focus.others.as_slice()),

@@ -1,5 +1,5 @@
-//! The resultant force on each body by each cause: arrows at or beside the centre, plots, and a ranking of the strongest; of more than
-//! a few bodies, a ranking of bodies, and a plot of the strongest on any of them.
+//! The resultant force on each body by each cause: arrows at or beside the centre, plots, and a ranking of the strongest; of
+//! more than a few bodies, a ranking of bodies, and a plot of the strongest on any of them.
 
 use glam::DVec3;
 

@@ -35,7 +35,9 @@ pub struct GroupPlots {
     of_surfaces: Vec<LineId>,
     /// The plot of the volumes of the bodies one by one, unless there are variants.
     of_bodies: Option<LineId>,
-    /// The least and the largest volume of all surfaces over that of the bodies one by one, so far.
+    /// The volumes of all surfaces and of the bodies one by one in this frame, if both are known [scene unit³], and the least and
+    /// the largest ratio of the two so far.
+    sums: Option<[f64; 2]>,
     ratios: Option<[f64; 2]>,
     /// Volume of each body at rest [scene unit³].
     at_rest: Vec<f64>,
@@ -107,6 +109,7 @@ impl GroupPlots {
             overlapping: None,
             of_surfaces,
             of_bodies,
+            sums: None,
             ratios: None,
             at_rest,
             volumes,
@@ -192,6 +195,7 @@ impl GroupPlots {
         let sum: f64 = self.volumes.iter().sum();
         if let Some(line) = self.of_bodies {
             series.log(chunks, line, sum, view.at);
+            self.sums = (merged.overlapping == 0).then_some([sums[0], sum]);
             let ratio = sums[0] / sum;
             if merged.overlapping == 0 && ratio.is_finite() {
                 let [least, largest] = self.ratios.unwrap_or([ratio; 2]);
@@ -248,10 +252,7 @@ impl GroupPlots {
             Row { label, color, marks: vec![(Mark::Bar(volume / largest), color)] }
         }));
         // what all of it encloses, and how much of that merging has added
-        let all = (ranked > 0).then(|| {
-            let alone: f64 = (0..ranked).filter(is_alone).map(|body| self.volumes[body]).sum();
-            let of_surfaces = groups.iter().map(|group| group.volume).sum::<f64>() + alone;
-            let of_bodies: f64 = self.volumes.iter().sum();
+        let all = self.sums.filter(|_| !groups.is_empty()).map(|[of_surfaces, of_bodies]| {
             let label = format!("all: {}, {} %", short(of_surfaces), percent(of_surfaces / of_bodies));
             Row { label, color: SILVER, marks: Vec::new() }
         });

@@ -208,6 +208,11 @@ impl<'a> Labels<'a> {
     }
 }
 
+/// Points of which only the labels are seen.
+fn style() -> Points3D {
+    Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.5)]).with_show_labels(true)
+}
+
 /// Labels of bodies from frame to frame: on which side each stood, of those that had one.
 #[derive(Default)]
 struct Sides {
@@ -243,8 +248,7 @@ impl Names {
         if schema.variants.is_empty() && !(2..=MAX_NAMED).contains(&schema.bodies.len()) {
             return None;
         }
-        let style = Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.5)]).with_show_labels(true);
-        chunks.log_static(NAMES.path, &style);
+        chunks.log_static(NAMES.path, &style());
         Some(Names {
             texts: chunks.track(NAMES.path, [Points3D::descriptor_labels(), Points3D::descriptor_colors()]),
             places: chunks.track(NAMES.path, [Points3D::descriptor_positions()]),
@@ -297,8 +301,7 @@ pub struct BodyLabels {
 impl BodyLabels {
     /// Starts without labels.
     pub fn new(entity: &str, hidden: usize, chunks: &mut Chunks) -> BodyLabels {
-        let style = Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.5)]).with_show_labels(true);
-        chunks.log_static(entity, &style.with_colors([color(palette::SEAM)]));
+        chunks.log_static(entity, &style().with_colors([color(palette::SEAM)]));
         let track = chunks.track(entity, [Points3D::descriptor_positions(), Points3D::descriptor_labels()]);
         BodyLabels { track, sides: Sides::default(), hidden }
     }

@@ -22,6 +22,7 @@ use crate::{
 /// Upper limit on the number of labelled pairs: the highlighted one, then the closest. More labels would cover each
 /// other and the bodies.
 const MAX_LABELLED: usize = 3;
+
 /// Pair lines.
 pub struct Lines {
     track: TrackId,
