@@ -25,7 +25,8 @@ const MAX_INDEX: usize = 1 << 20;
 
 /// The path of a value in a scene: `influence.merge_at`, `body.b.motion.free.velocity[0]`, `push[0].strength`.
 ///
-/// An item of an array of tables is named by its `name` or by its index.
+/// An item of an array of tables is named by its `name` or by its index; a name with dots stands in quotes, as in
+/// `edit[0].set["influence.merge_at"]`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct KeyPath {
     text: String,
@@ -67,7 +68,12 @@ impl KeyPath {
         let expected = || "expected the path of a key, such as influence.merge_at or body.b.radius".to_owned();
         let is_name = |name: &str| !name.is_empty() && name.bytes().all(is_bare);
         let mut parts = Vec::new();
-        for part in text.split('.') {
+        let mut is_quoted = false;
+        let is_dot = |c: char| {
+            is_quoted ^= c == '"';
+            c == '.' && !is_quoted
+        };
+        for part in text.split(is_dot) {
             let (name, mut rest) = part.split_at(part.find('[').unwrap_or(part.len()));
             if !is_name(name) {
                 return Err(expected());
@@ -77,7 +83,7 @@ impl KeyPath {
                 let (index, after) = opened.split_once(']').ok_or_else(expected)?;
                 let quoted = index.strip_prefix('"').and_then(|name| name.strip_suffix('"'));
                 parts.push(match (quoted, index.parse()) {
-                    (Some(name), _) if is_name(name) => Part::Name(name.to_owned()),
+                    (Some(name), _) if !name.is_empty() => Part::Name(name.to_owned()),
                     (None, Ok(index)) if index <= MAX_INDEX => Part::Index(index),
                     _ => return Err(expected()),
                 });

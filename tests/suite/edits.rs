@@ -4,7 +4,7 @@ use glam::DVec3;
 use meldscope::{
     Scene, World,
     observe::{Frame, Simulation as _, Want},
-    scene::Integrator,
+    scene::{Integrator, template::Override},
     sim::{Event, Failure, Options},
 };
 use pulp::Arch;
@@ -259,4 +259,14 @@ fn an_event_of_coinciding_centres_has_a_rate_of_zero() {
     let text = format!("duration = 1.0\n{}{}{}", fixed("a"), fixed("b"), edit(0.5, "\"influence.core_at\" = 0.5"));
     let (_, events) = run(&scene(&text));
     assert!(!events.is_empty() && events.iter().all(|event| event.rate == 0.0), "{events:?}");
+}
+
+/// What an edit sets can be given another value from outside, like every other key.
+#[test]
+fn values_of_edits_can_be_varied() {
+    let text = format!("{PATHS}[[edit]]\ntime = 0.5\nset = {{ \"influence.merge_at\" = 1.1 }}\n");
+    let varied = Override::parse("edit[0].set[\"influence.merge_at\"]=1.02").expect("a key and a value");
+    let varied = Scene::parse(&text, "edit.toml").expect("a valid scene").with(&[varied], "edit.toml");
+    let written = Scene::parse(&text.replace("= 1.1 ", "= 1.02 "), "edit.toml").expect("a valid scene");
+    assert_eq!(run(&varied.expect("a valid scene")).0.checksum(), run(&written).0.checksum());
 }

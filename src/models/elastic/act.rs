@@ -62,8 +62,8 @@ pub struct Instantaneous {
     pub pushes: Vec<(DVec3, f64)>,
     /// The acceleration that all nodes of a body on a path share [scene unit/s²].
     pub uniform: DVec3,
-    /// Position of the centre [scene unit] and its velocity [scene unit/s].
-    pub centre: [DVec3; 2],
+    /// Position of the centre [scene unit].
+    pub centre: DVec3,
     /// The rotation of the body.
     pub rotation: DQuat,
 }
@@ -71,8 +71,13 @@ pub struct Instantaneous {
 /// External forces on the nodes of a body.
 #[derive(Clone, Debug, Default)]
 pub struct ExternalForces {
-    /// f̄ of a free body [scene unit/s²].
+    /// f̄ of a free body, without friction [scene unit/s²].
     pub mean: DVec3,
+    /// The share of friction in f̄ [scene unit/s²].
+    pub rubbed: DVec3,
+    /// Accelerations of the nodes by friction at the end of the last step [scene unit/s²], `[node_count]`; empty if there
+    /// was none. Below `slip`, friction changes so fast with the velocity that it cannot be computed from the state.
+    pub friction: Vec<DVec3>,
     /// Σ m f of each body's sphere [mass · scene unit/s²].
     pub pulls: Vec<(u32, DVec3)>,
     /// Accelerations of the nodes minus their mean [scene unit/s²], `[node_count]`; finite elements only.
@@ -82,9 +87,17 @@ pub struct ExternalForces {
 }
 
 impl ExternalForces {
+    /// Friction acted: accelerations of the nodes minus their mean, and that mean [scene unit/s²].
+    pub fn rub(&mut self, friction: Vec<DVec3>, mean: DVec3) {
+        self.friction = friction;
+        self.friction.iter_mut().for_each(|of| *of += mean);
+        self.rubbed = mean;
+    }
+
     /// Nothing acts.
     pub fn clear(&mut self) {
-        self.mean = DVec3::ZERO;
+        (self.mean, self.rubbed) = (DVec3::ZERO, DVec3::ZERO);
+        self.friction.clear();
         self.pulls.clear();
         self.loads.clear();
         self.places.clear();

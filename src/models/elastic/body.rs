@@ -297,7 +297,7 @@ impl Body {
     }
 
     /// All planes if it may reach one of them from a position of its centre, otherwise none.
-    fn planes<'a>(&self, scene: &'a Scene, centre: DVec3) -> &'a [Plane] {
+    pub(super) fn planes<'a>(&self, scene: &'a Scene, centre: DVec3) -> &'a [Plane] {
         let reach = 1.5 * self.reach.max(self.extent);
         let is_near = scene.planes.iter().any(|plane| plane.depth(centre) > -reach);
         if is_near { &scene.planes } else { &[] }
@@ -332,14 +332,13 @@ impl Body {
         }
     }
 
-    /// Writes the external accelerations of the nodes to `into`, for a free body minus their mean, given their positions
-    /// and velocities, and the length of a step [s].
+    /// Writes the external accelerations of the nodes, but for friction, to `into`, for a free body minus their mean, given
+    /// their positions.
     pub fn act(
         &self,
         scene: &Scene,
         now: &Instantaneous,
-        step: f64,
-        [positions, velocities]: [&[DVec3]; 2],
+        positions: &[DVec3],
         into: &mut [DVec3],
         acted: &mut ExternalForces,
     ) {
@@ -367,8 +366,8 @@ impl Body {
                 *into += direction * (strength * f64::max(0.0, -facing.dot(towards)));
             }
         }
-        self.press(scene, now.centre, step, [positions, velocities], into);
-        acted.mean = DVec3::ZERO;
+        self.contacts(scene, now.centre, positions, |contact| contact.accelerate(masses, None, into));
+        (acted.mean, acted.rubbed) = (DVec3::ZERO, DVec3::ZERO);
         if is_free {
             let (mut sum, mut all) = (DVec3::ZERO, 0.0);
             for (node, into) in into.iter().enumerate() {
@@ -378,42 +377,6 @@ impl Body {
             if all > 0.0 && sum != DVec3::ZERO {
                 acted.mean = sum / all;
                 into.iter_mut().for_each(|into| *into -= acted.mean);
-            }
-        }
-    }
-
-    /// Adds the accelerations of the nodes by planes [scene unit/s²], given position and velocity of the centre and the
-    /// length of a step [s]. Each vertex, with its share of the body's mass, distributes its force to the nodes of its
-    /// cell; the surface of a body that has torn consists of nodes.
-    pub fn press(
-        &self,
-        scene: &Scene,
-        centre: [DVec3; 2],
-        step: f64,
-        [positions, velocities]: [&[DVec3]; 2],
-        into: &mut [DVec3],
-    ) {
-        let planes = self.planes(scene, centre[0]);
-        if planes.is_empty() {
-            return;
-        }
-        let Surface { cells, mesh, mass, exposed, contact } = &self.surface;
-        let min_stop = contact * step;
-        for node in exposed.iter().map(|&node| node as usize) {
-            into[node] += of_planes(planes, centre, min_stop, positions[node], || velocities[node]);
-        }
-        if !exposed.is_empty() {
-            return;
-        }
-        let (all, masses) = (self.corners(), self.masses());
-        for (embedded, share) in cells.embedded.iter().zip(mesh.shares()) {
-            let corners = &all[embedded.cell as usize];
-            let place = embedded.mean(corners, positions);
-            let force = of_planes(planes, centre, min_stop, place, || embedded.mean(corners, velocities));
-            if force != DVec3::ZERO {
-                for (&node, &weight) in corners.iter().zip(&embedded.weights) {
-                    into[node as usize] += force * (weight * share * mass / masses[node as usize]);
-                }
             }
         }
     }
@@ -604,23 +567,6 @@ pub struct Surface {
     pub exposed: Vec<u32>,
     /// Largest ratio of the effect of planes on a node to that on a vertex [–].
     pub contact: f64,
-}
-
-/// The acceleration of a point of a surface by planes, given its place and velocity relative to those of the centre. Friction
-/// takes at least `min_stop` to stop it [s]: a body on a slope on which it would rest creeps.
-fn of_planes(planes: &[Plane], centre: [DVec3; 2], min_stop: f64, place: DVec3, velocity: impl Fn() -> DVec3) -> DVec3 {
-    let mut sum = DVec3::ZERO;
-    for plane in planes {
-        let depth = plane.depth(place + centre[0]);
-        if depth > 0.0 {
-            let velocity = velocity() + centre[1];
-            let slide = velocity - plane.normal * plane.normal.dot(velocity);
-            let pressure = plane.stiffness * depth;
-            let rate = plane.friction * pressure / (slide.length_squared() + plane.slip * plane.slip).sqrt();
-            sum += plane.normal * pressure - slide * f64::min(rate, 1.0 / min_stop);
-        }
-    }
-    sum
 }
 
 /// The largest ratio of the mass of the vertices that act on a node to the mass of that node [–].

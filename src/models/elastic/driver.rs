@@ -24,7 +24,7 @@
 
 use std::{
     borrow::Cow,
-    sync::atomic::AtomicBool,
+    sync::{Arc, atomic::AtomicBool},
     time::{Duration, Instant as Clock},
 };
 
@@ -32,8 +32,10 @@ use glam::{DMat3, DVec3};
 
 use super::{
     Elastic,
-    act::{Course, Instantaneous, StepContext, mean_motion},
+    act::{Course, ExternalForces, Instantaneous, StepContext, mean_motion},
     body::{Body, Finite, Matter, OF_LIMIT},
+    free::Free,
+    friction::{Contact, impulses},
     note_phase,
 };
 use crate::{
@@ -42,7 +44,7 @@ use crate::{
         phase::Phase,
         shape_matching::{best_rotation, outer, resistance, solve},
     },
-    models::lattice::Scheme,
+    models::lattice::{Outside, Scheme},
     observe::{PairEvent, StepFailure},
     parallel,
     scene::{Integrator, Model, Path, Scene, path::Kinematics},
@@ -187,15 +189,25 @@ impl Elastic {
 
     /// Evaluates the forces at the start of an interval where they are unknown, if free centres need them.
     fn start_interval(&mut self, ends: [f64; 2]) -> Result<(), StepFailure> {
-        if !self.has_free || self.bodies.iter().all(Body::is_known) {
+        if !self.has_free {
             return Ok(());
         }
-        self.for_each_body(ends, &[], PARALLEL_NODES, |around, body| {
-            if !body.is_known() {
-                body.pull(around, [around.start, around.end], around.start, 0.0, 0);
-            }
-        })?;
-        self.accelerate_centres();
+        if !self.bodies.iter().all(Body::is_known) {
+            self.for_each_body(ends, &[], PARALLEL_NODES, |around, body| {
+                if !body.is_known() {
+                    body.pull(around, ends, ends[0], 0.0, 0);
+                }
+            })?;
+            self.accelerate_centres();
+        }
+        if self.scene.integrator != Integrator::Euler && self.scene.planes.iter().any(|plane| plane.friction > 0.0) {
+            self.for_each_body(ends, &[], PARALLEL_NODES, |around, body| {
+                if body.free.is_some() {
+                    body.rub(around, ends, ends[0], ends[1] - ends[0]);
+                }
+            })?;
+            self.accelerate_centres();
+        }
         Ok(())
     }
 
@@ -231,7 +243,7 @@ impl Elastic {
             let mass = body.free_mass();
             if let Some(free) = &mut body.free {
                 let back = if mass > 0.0 { reaction / mass } else { DVec3::ZERO };
-                free.acceleration = body.acted.mean + free_fall + back;
+                free.acceleration = body.acted.mean + body.acted.rubbed + free_fall + back;
             }
         }
     }
@@ -502,23 +514,77 @@ impl Body {
     /// Takes `count` steps of `h` of a lattice from time `t` [s] on, in an interval without jumps; 0 only evaluates the
     /// forces.
     fn pull(&mut self, around: &StepContext<'_>, ends: [f64; 2], t: f64, h: f64, count: u64) {
+        let scheme = if around.scene.integrator == Integrator::Euler { Scheme::Euler } else { Scheme::Verlet };
+        if self.free.is_none() && scheme == Scheme::Verlet && count > 0 && !around.scene.planes.is_empty() {
+            if !self.is_known() {
+                self.pull(around, ends, t, 0.0, 0);
+            }
+            self.rub(around, ends, t, h);
+        }
         let Matter::Lattice(springs) = &mut self.matter else { return };
         let mut motion = std::mem::take(&mut springs.motion);
-        let (mut now, mut acted) = (std::mem::take(&mut self.now), std::mem::take(&mut self.acted));
-        let scheme = if around.scene.integrator == Integrator::Euler { Scheme::Euler } else { Scheme::Verlet };
-        let body = &*self;
-        let outside = |ahead: f64, positions: &[DVec3], velocities: &[DVec3], into: &mut [DVec3]| {
-            body.find_acting(around, ends, f64::min(t + ahead, ends[1]), &mut now);
-            body.act(around.scene, &now, h, [positions, velocities], into, &mut acted);
-        };
-        let Matter::Lattice(springs) = &body.matter else { return };
-        let largest = springs.lattice.advance(&mut motion, scheme, h, count, outside);
+        let (now, acted) = (std::mem::take(&mut self.now), std::mem::take(&mut self.acted));
+        let kicked = if scheme == Scheme::Verlet { 0.5 * h } else { 0.0 };
+        let before = acted.mean + acted.rubbed;
+        let mut outside = External { body: self, around, ends, t, kicked, before, now, acted };
+        let Matter::Lattice(springs) = &outside.body.matter else { return };
+        let largest = springs.lattice.advance(&mut motion, scheme, h, count, &mut outside);
+        let External { now, acted, .. } = outside;
         if let Matter::Lattice(springs) = &mut self.matter {
             springs.motion = motion;
         }
         (self.now, self.acted) = (now, acted);
         self.statistics.strain = self.statistics.strain.max(largest - 1.0);
         self.statistics.substeps += count;
+    }
+
+    /// Finds the friction in the first half of a step of `h` of a lattice from time `t` on [s].
+    fn rub(&mut self, around: &StepContext<'_>, ends: [f64; 2], t: f64, h: f64) {
+        let Matter::Lattice(springs) = &self.matter else { return };
+        let motion = &springs.motion;
+        let (half, centre) = (0.5 * h, around.courses[self.index].at(t, ends[1]));
+        let contacts = self.rubbing(around.scene, centre.position, &motion.positions);
+        let without = |free: &Free| free.velocity + (free.acceleration - self.acted.rubbed) * half;
+        let moving = self.free.as_ref().map_or(centre.velocity, without);
+        let now = self.free.as_ref().map_or(centre.velocity, |free| free.velocity);
+        let kicked = motion.velocities.iter().zip(&motion.accelerations).map(|(u, a)| *u + *a * half);
+        let velocities: Vec<DVec3> = kicked.collect();
+        let (friction, mean) = self.friction(&contacts, half, (&motion.velocities, now), (&velocities, moving));
+        self.acted.rubbed = mean;
+        if let Matter::Lattice(springs) = &mut self.matter {
+            springs.motion.friction = friction;
+        }
+    }
+
+    /// The accelerations of the nodes by friction in a kick of `h` [s], for a free body minus their mean, and that mean
+    /// [scene unit/s²], given a guess of the velocities of the nodes and of the centre at the end of the kick, and what they
+    /// are without friction [scene unit/s].
+    fn friction(
+        &self,
+        contacts: &[Contact<'_>],
+        h: f64,
+        guess: (&[DVec3], DVec3),
+        without: (&[DVec3], DVec3),
+    ) -> (Vec<DVec3>, DVec3) {
+        if contacts.is_empty() {
+            return (Vec::new(), DVec3::ZERO);
+        }
+        let (masses, held) = (self.masses(), self.held());
+        let per_mass = |of: &mut [DVec3]| match &self.matter {
+            Matter::Lattice(_) => {
+                let nodes = of.iter_mut().zip(masses).zip(held);
+                nodes.for_each(|((v, mass), held)| *v = if *held { DVec3::ZERO } else { *v / *mass });
+            }
+            Matter::Fem(finite) => finite.respond(self.axes(), of),
+        };
+        let all = |(nodes, centre): (&[DVec3], DVec3)| nodes.iter().map(|u| *u + centre).collect::<Vec<_>>();
+        let mut friction = impulses(contacts, h, &all(guess), &all(without), masses, per_mass);
+        let whole: DVec3 = friction.iter().zip(held).filter(|(_, held)| !**held).map(|(impulse, _)| *impulse).sum();
+        let mean = if self.free.is_some() { whole / (h * self.free_mass()) } else { DVec3::ZERO };
+        for ((v, mass), held) in friction.iter_mut().zip(masses).zip(held) {
+            *v = if *held { DVec3::ZERO } else { *v / (h * *mass) - mean };
+        }
+        (friction, mean)
     }
 
     /// Writes what acts on the body at time `t` to `now`, in an interval of constant phases or averaged over one [s].
@@ -529,7 +595,7 @@ impl Body {
             Some(_) => terms::uniform(around.scene, &described.material, &motion),
             None => DVec3::ZERO,
         };
-        now.centre = [motion.position, motion.velocity];
+        now.centre = motion.position;
         now.rotation = self.free.as_ref().map(|free| free.turned(t)).unwrap_or_default();
         around.acting(self.index, &self.sources, &self.pushes, ends, t, now);
     }
@@ -537,6 +603,7 @@ impl Body {
     /// Evaluates the external forces on finite elements at the middle of a step of `h` [s].
     fn load(&mut self, around: &StepContext<'_>, h: f64) {
         let mut acted = std::mem::take(&mut self.acted);
+        let before = acted.mean + acted.rubbed;
         acted.clear();
         if self.sleeps(around) {
             self.acted = acted;
@@ -555,68 +622,58 @@ impl Body {
         acted.places.extend(positions.iter().zip(velocities).map(|(s, u)| *s + *u * half));
         loads.resize(positions.len(), DVec3::ZERO);
         let places = std::mem::take(&mut acted.places);
-        self.act(around.scene, &now, h, [&places, velocities], &mut loads, &mut acted);
+        self.act(around.scene, &now, &places, &mut loads, &mut acted);
+        let contacts = self.rubbing(around.scene, now.centre, &places);
+        if !contacts.is_empty() {
+            self.fit_axes(&places, around.start + half);
+            let without = |free: &Free| free.velocity + (acted.mean + free.acceleration - before) * h;
+            let on_path = || around.courses[self.index].at(around.end, around.end).velocity;
+            let (now, moving) = match &self.free {
+                Some(free) => (free.velocity, without(free)),
+                None => (on_path(), on_path()),
+            };
+            let axes = self.free.as_ref().map(|_| self.axes());
+            let Matter::Fem(finite) = &mut self.matter else { return };
+            finite.step(&self.rest, axes, &loads);
+            let mut ahead = vec![DVec3::ZERO; loads.len()];
+            for (velocity, &node) in finite.motion.velocities.iter().zip(&finite.element.free) {
+                ahead[node as usize] = axes.map_or(*velocity, |axes| axes * *velocity);
+            }
+            let [_, velocities] = self.state();
+            let (friction, mean) = self.friction(&contacts, h, (velocities, now), (&ahead, moving));
+            loads.iter_mut().zip(&friction).for_each(|(load, friction)| *load += *friction);
+            acted.rub(friction, mean);
+        }
         (acted.loads, acted.places) = (loads, places);
         (self.now, self.acted) = (now, acted);
     }
 
     /// Takes a step of finite elements from `t` [s] with the forces evaluated before.
     fn step_implicit(&mut self, t: f64, h: f64) {
-        let Body { matter, free, acted, rest, statistics, is_at_rest, .. } = self;
-        let Matter::Fem(finite) = matter else { return };
-        let Finite { element, stepper, motion, positions, velocities, forces, .. } = &mut **finite;
-        let masses = &element.masses;
-        let stays = || acted.loads.iter().chain(velocities.iter()).all(|v| *v == DVec3::ZERO) && positions == rest;
-        if *is_at_rest || stays() {
+        let [positions, velocities] = self.state();
+        let stays = || self.acted.loads.iter().chain(velocities).all(|v| *v == DVec3::ZERO) && positions == self.rest;
+        if self.is_at_rest || stays() {
             return;
         }
-        statistics.substeps += 1;
-        // L + h Σ m s×f, where the forces act
-        let momentum = |positions: &[DVec3], velocities: &[DVec3]| -> DVec3 {
-            positions.iter().zip(velocities).zip(masses).map(|((s, u), m)| s.cross(*u) * *m).sum()
-        };
-        let (mut axes, mut expected) = (DMat3::IDENTITY, DVec3::ZERO);
-        if let Some(free) = free {
-            expected = momentum(positions, velocities) + momentum(&acted.places, &acted.loads) * h;
-            let mut fit = DMat3::ZERO;
-            for ((place, l), m) in acted.places.iter().zip(rest.iter()).zip(masses) {
-                fit += outer(*place * *m, *l);
-            }
-            (free.rotation, free.fitted) = (best_rotation(fit, free.rotation), t + 0.5 * h);
-            axes = DMat3::from_quat(free.rotation);
+        self.statistics.substeps += 1;
+        let acted = std::mem::take(&mut self.acted);
+        self.fit_axes(&acted.places, t + 0.5 * h);
+        let axes = self.free.as_ref().map(|_| self.axes());
+        if let Matter::Fem(finite) = &mut self.matter {
+            finite.advance(&self.rest, axes, &acted, h);
         }
-        let (back, is_free) = (axes.transpose(), free.is_some());
-        let in_axes = |v: DVec3| if is_free { back * v } else { v };
-        let from_axes = |v: DVec3| if is_free { axes * v } else { v };
-        forces.clear();
-        for (i, &node) in element.free.iter().enumerate() {
-            let node = node as usize;
-            motion.displacements[i] = in_axes(positions[node]) - rest[node];
-            motion.velocities[i] = in_axes(velocities[node]);
-            forces.push(in_axes(acted.loads[node]) * masses[node]);
+        self.acted = acted;
+    }
+
+    /// Fits the axes of a free body to the positions of its nodes at time `t` [s].
+    fn fit_axes(&mut self, places: &[DVec3], t: f64) {
+        let masses = self.masses();
+        let mut fit = DMat3::ZERO;
+        for ((place, l), m) in places.iter().zip(&self.rest).zip(masses) {
+            fit += outer(*place * *m, *l);
         }
-        stepper.step(element, motion, forces);
-        for (i, &node) in element.free.iter().enumerate() {
-            let node = node as usize;
-            positions[node] = from_axes(motion.displacements[i] + rest[node]);
-            velocities[node] = from_axes(motion.velocities[i]);
-        }
-        if !is_free {
-            return;
-        }
-        // remove the mean, which is only rounding errors
-        let all: f64 = masses.iter().sum();
-        for of in [&mut *positions, &mut *velocities] {
-            let mean = of.iter().zip(masses).map(|(v, m)| *v * *m).sum::<DVec3>() / all;
-            of.iter_mut().for_each(|v| *v -= mean);
-        }
-        let mut spread = DMat3::ZERO;
-        for (s, m) in positions.iter().zip(masses) {
-            spread += outer(*s * *m, *s);
-        }
-        let turn = solve(resistance(spread), expected - momentum(positions, velocities));
-        if turn.is_finite() {
-            positions.iter().zip(velocities.iter_mut()).for_each(|(s, u)| *u += turn.cross(*s));
+        if let Some(free) = &mut self.free {
+            (free.rotation, free.fitted) = (best_rotation(fit, free.rotation), t);
         }
     }
 
@@ -644,5 +701,102 @@ impl Body {
             self.strain(around, centre);
         }
         self.update_state(around);
+    }
+}
+
+impl Finite {
+    /// Takes a step with these accelerations at its middle, in `axes` if it is free; the result is in `motion`.
+    fn step(&mut self, rest: &[DVec3], axes: Option<DMat3>, loads: &[DVec3]) {
+        let Finite { element, stepper, motion, positions, velocities, forces, .. } = self;
+        let back = axes.map(|axes| axes.transpose());
+        let in_axes = |v: DVec3| back.map_or(v, |back| back * v);
+        forces.clear();
+        for (i, &node) in element.free.iter().enumerate() {
+            let node = node as usize;
+            motion.displacements[i] = in_axes(positions[node]) - rest[node];
+            motion.velocities[i] = in_axes(velocities[node]);
+            forces.push(in_axes(loads[node]) * element.masses[node]);
+        }
+        stepper.step(element, motion, forces);
+    }
+
+    /// Turns impulses on the nodes into the velocities that they cause in a step.
+    fn respond(&self, axes: DMat3, of: &mut [DVec3]) {
+        let nodes = || self.element.free.iter().map(|&node| node as usize);
+        let back = axes.transpose();
+        let mut changes: Vec<DVec3> = nodes().map(|node| back * of[node]).collect();
+        self.stepper.respond(&mut changes);
+        of.fill(DVec3::ZERO);
+        nodes().zip(changes).for_each(|(node, change)| of[node] = axes * change);
+    }
+
+    /// Takes a step of `h` [s] with the forces evaluated before.
+    fn advance(&mut self, rest: &[DVec3], axes: Option<DMat3>, acted: &ExternalForces, h: f64) {
+        let element = Arc::clone(&self.element);
+        let masses = &element.masses;
+        // L + h Σ m s×f, where the forces act
+        let momentum = |positions: &[DVec3], velocities: &[DVec3]| -> DVec3 {
+            positions.iter().zip(velocities).zip(masses).map(|((s, u), m)| s.cross(*u) * *m).sum()
+        };
+        let expected = momentum(&self.positions, &self.velocities) + momentum(&acted.places, &acted.loads) * h;
+        self.step(rest, axes, &acted.loads);
+        let Finite { motion, positions, velocities, .. } = self;
+        let from_axes = |v: DVec3| axes.map_or(v, |axes| axes * v);
+        for (i, &node) in element.free.iter().enumerate() {
+            let node = node as usize;
+            positions[node] = from_axes(motion.displacements[i] + rest[node]);
+            velocities[node] = from_axes(motion.velocities[i]);
+        }
+        if axes.is_none() {
+            return;
+        }
+        // remove the mean, which is only rounding errors
+        let all: f64 = masses.iter().sum();
+        for of in [&mut *positions, &mut *velocities] {
+            let mean = of.iter().zip(masses).map(|(v, m)| *v * *m).sum::<DVec3>() / all;
+            of.iter_mut().for_each(|v| *v -= mean);
+        }
+        let mut spread = DMat3::ZERO;
+        for (s, m) in positions.iter().zip(masses) {
+            spread += outer(*s * *m, *s);
+        }
+        let turn = solve(resistance(spread), expected - momentum(positions, velocities));
+        if turn.is_finite() {
+            positions.iter().zip(velocities.iter_mut()).for_each(|(s, u)| *u += turn.cross(*s));
+        }
+    }
+}
+
+/// What acts on a lattice from outside, in a step from time `t` on [s].
+struct External<'a> {
+    body: &'a Body,
+    around: &'a StepContext<'a>,
+    ends: [f64; 2],
+    t: f64,
+    /// How long the velocity of a free centre has changed before the last kick [s].
+    kicked: f64,
+    /// f̄ of the last evaluation [scene unit/s²].
+    before: DVec3,
+    now: Instantaneous,
+    acted: ExternalForces,
+}
+
+impl Outside for External<'_> {
+    fn accelerate(&mut self, t: f64, positions: &[DVec3], into: &mut [DVec3]) {
+        let External { body, around, ends, now, acted, .. } = self;
+        body.find_acting(around, *ends, f64::min(self.t + t, ends[1]), now);
+        body.act(around.scene, now, positions, into, acted);
+    }
+
+    fn rub(&mut self, t: f64, h: f64, positions: &[DVec3], guess: &[DVec3], velocities: &mut [DVec3]) {
+        let External { body, around, ends, kicked, before, acted, .. } = self;
+        let centre = around.courses[body.index].at(f64::min(self.t + t, ends[1]), ends[1]);
+        let contacts = body.rubbing(around.scene, centre.position, positions);
+        let without =
+            |free: &Free| free.velocity + free.acceleration * *kicked + (acted.mean + free.acceleration - *before) * h;
+        let moving = body.free.as_ref().map_or(centre.velocity, without);
+        let (friction, mean) = body.friction(&contacts, h, (guess, moving), (velocities, moving));
+        velocities.iter_mut().zip(&friction).for_each(|(u, a)| *u += *a * h);
+        acted.rub(friction, mean);
     }
 }

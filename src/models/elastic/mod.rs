@@ -16,6 +16,7 @@ mod act;
 mod body;
 mod driver;
 mod free;
+mod friction;
 mod observe;
 #[cfg(test)]
 mod tests;

@@ -55,7 +55,7 @@ pub fn all_scalars() -> impl Iterator<Item = [&'static str; 3]> {
 }
 
 const STATE: &[Scalar] = &[
-    smooth("energy", "total [mass·unit²/s²]", ENERGY, |simulation, _| {
+    smooth("energy", "kinetic + elastic [mass·unit²/s²]", ENERGY, |simulation, _| {
         simulation.kinetic_energy() + simulation.elastic_energy()
     }),
     smooth("energy_vibration", "kinetic", ENERGY, |simulation, _| simulation.kinetic_energy()),
@@ -256,7 +256,9 @@ impl Elastic {
             let (apart, radii) = (self.centre(b) - self.centre(a), one.radius + other.radius);
             let (distance, merge_at) = (apart.length(), self.scene.law(a, b).thresholds.merge_at);
             let phase = self.phases.get(&pair).copied().unwrap_or(Phase::Apart);
-            let reach = f64::max(one.sphere_radius() + other.radius, other.sphere_radius() + one.radius);
+            let extents = [a, b].map(|body| self.bodies[body].extent.max(self.scene.bodies[body].radius));
+            let reach =
+                (one.sphere_radius() + extents[1]).max(other.sphere_radius() + extents[0]).max(extents[0] + extents[1]);
             if phase != Phase::Apart || distance <= reach.max(merge_at * radii) {
                 let rate = apart.normalize_or_zero().dot(self.velocity(b) - self.velocity(a)) / radii;
                 pairs.push(PairFrame::new(a, b, distance / radii, phase as usize).with_rate(rate));
@@ -312,9 +314,14 @@ impl Elastic {
             }
         }
         if !self.scene.planes.is_empty() {
-            let centre = [self.centre(body.index), self.velocity(body.index)];
+            let (centre, velocity) = (self.centre(body.index), self.velocity(body.index));
             let mut pressed = vec![DVec3::ZERO; n];
-            body.press(&self.scene, centre, 0.0, [positions, velocities], &mut pressed);
+            let friction = body.acted.friction.as_slice();
+            let velocity = (self.step == 0).then_some((velocities, velocity));
+            body.contacts(&self.scene, centre, positions, |contact| {
+                contact.accelerate(body.masses(), velocity, &mut pressed);
+            });
+            pressed.iter_mut().zip(friction).for_each(|(pressed, friction)| *pressed += *friction);
             add(Cause::Plane, &|node| pressed[node]);
         }
         if !body.is_at_rest {

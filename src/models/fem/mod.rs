@@ -216,6 +216,11 @@ impl Stepper {
         }
     }
 
+    /// Turns impulses during a step into the changes of velocity at its end, `[free_count]`.
+    pub fn respond(&self, impulses: &mut [DVec3]) {
+        self.factor.solve(impulses);
+    }
+
     /// Allocated memory of the factor [bytes].
     pub fn memory(&self) -> usize {
         self.factor.memory()

@@ -14,6 +14,9 @@ pub struct Motion {
     /// Accelerations at the end of the last step [scene unit/s²], `[node_count]`; empty if unknown, as after a
     /// discontinuity of the forces.
     pub accelerations: Vec<DVec3>,
+    /// Accelerations by friction in the first half of the next step of [`Scheme::Verlet`] [scene unit/s²], `[node_count]`;
+    /// empty if there is none.
+    pub friction: Vec<DVec3>,
     /// Inverse masses of the nodes, 0 for held ones, `[node_count]`.
     pub inverse: Vec<f64>,
     /// Velocities at which dampers are evaluated; reused.
@@ -75,30 +78,49 @@ impl Motion {
     }
 }
 
-/// External accelerations [scene unit/s²], given the time within the steps [s], positions and velocities; written to
-/// the last argument.
-pub trait Outside: FnMut(f64, &[DVec3], &[DVec3], &mut [DVec3]) {}
-impl<F: FnMut(f64, &[DVec3], &[DVec3], &mut [DVec3])> Outside for F {}
+/// What acts on a lattice from outside.
+pub trait Outside {
+    /// Writes the external accelerations [scene unit/s²] at a time within the steps [s], given the positions.
+    fn accelerate(&mut self, t: f64, positions: &[DVec3], into: &mut [DVec3]);
+
+    /// Friction changes the velocities at the end of a kick of `h` [s], at a time within the steps [s], given a guess of
+    /// what they become.
+    fn rub(&mut self, _t: f64, _h: f64, _positions: &[DVec3], _guess: &[DVec3], _velocities: &mut [DVec3]) {}
+}
+
+impl<F: FnMut(f64, &[DVec3], &mut [DVec3])> Outside for F {
+    fn accelerate(&mut self, t: f64, positions: &[DVec3], into: &mut [DVec3]) {
+        self(t, positions, into);
+    }
+}
 
 impl Lattice {
     /// Takes `count` steps of `h` [s]; returns the largest ratio of a spring's length to its rest length [–].
-    pub fn advance(&self, motion: &mut Motion, scheme: Scheme, h: f64, count: u64, mut outside: impl Outside) -> f64 {
+    pub fn advance<O: Outside>(&self, motion: &mut Motion, scheme: Scheme, h: f64, count: u64, outside: &mut O) -> f64 {
         let mut largest: f64 = 0.0;
         let n = self.node_count();
-        let Motion { positions, velocities, accelerations, inverse, predicted, forces, lanes } = motion;
-        let mut evaluate =
-            |t: f64, positions: &[DVec3], velocities: &[DVec3], into: &mut Vec<DVec3>, inverse: &[f64]| {
-                largest = largest.max(lanes.pull(&self.groups, self.damping, positions, velocities, forces));
-                into.resize(n, DVec3::ZERO);
-                outside(t, positions, velocities, into);
-                for ((acceleration, force), &inverse) in into.iter_mut().zip(forces.iter()).zip(inverse) {
-                    *acceleration = if inverse == 0.0 { DVec3::ZERO } else { *acceleration + *force * inverse };
-                }
-            };
+        let Motion { positions, velocities, accelerations, friction, inverse, predicted, forces, lanes } = motion;
+        let mut evaluate = |outside: &mut O,
+                            t: f64,
+                            positions: &[DVec3],
+                            velocities: &[DVec3],
+                            into: &mut Vec<DVec3>,
+                            inverse: &[f64]| {
+            largest = largest.max(lanes.pull(&self.groups, self.damping, positions, velocities, forces));
+            into.resize(n, DVec3::ZERO);
+            outside.accelerate(t, positions, into);
+            for ((acceleration, force), &inverse) in into.iter_mut().zip(forces.iter()).zip(inverse) {
+                *acceleration = if inverse == 0.0 { DVec3::ZERO } else { *acceleration + *force * inverse };
+            }
+        };
         match scheme {
             Scheme::Verlet => {
                 if accelerations.len() != n {
-                    evaluate(0.0, positions, velocities, accelerations, inverse);
+                    evaluate(outside, 0.0, positions, velocities, accelerations, inverse);
+                }
+                if count > 0 {
+                    accelerations.iter_mut().zip(friction.iter()).for_each(|(all, friction)| *all += *friction);
+                    friction.clear();
                 }
                 for step in 0..count {
                     predicted.clear();
@@ -110,21 +132,22 @@ impl Lattice {
                         *position += *velocity * h;
                         predicted.push(*velocity + kick);
                     }
-                    evaluate((step + 1) as f64 * h, positions, predicted, accelerations, inverse);
+                    let t = (step + 1) as f64 * h;
+                    evaluate(outside, t, positions, predicted, accelerations, inverse);
                     for (velocity, acceleration) in velocities.iter_mut().zip(accelerations.iter()) {
                         *velocity += *acceleration * (0.5 * h);
                     }
+                    outside.rub(t, 0.5 * h, positions, predicted, velocities);
                 }
             }
             Scheme::Euler => {
                 for step in 0..count {
-                    evaluate(step as f64 * h, positions, velocities, accelerations, inverse);
-                    for ((position, velocity), acceleration) in
-                        positions.iter_mut().zip(velocities.iter_mut()).zip(accelerations.iter())
-                    {
-                        *velocity += *acceleration * h;
-                        *position += *velocity * h;
-                    }
+                    let t = step as f64 * h;
+                    evaluate(outside, t, positions, velocities, accelerations, inverse);
+                    predicted.clone_from(velocities);
+                    velocities.iter_mut().zip(accelerations.iter()).for_each(|(u, a)| *u += *a * h);
+                    outside.rub(t, h, positions, predicted, velocities);
+                    positions.iter_mut().zip(velocities.iter()).for_each(|(s, u)| *s += *u * h);
                 }
                 accelerations.clear();
             }

@@ -16,7 +16,7 @@ impl Motion {
 }
 
 /// No external accelerations.
-fn nothing(_: f64, _: &[DVec3], _: &[DVec3], accelerations: &mut [DVec3]) {
+fn nothing(_: f64, _: &[DVec3], accelerations: &mut [DVec3]) {
     accelerations.fill(DVec3::ZERO);
 }
 
@@ -117,7 +117,7 @@ fn momentum_and_energy_are_kept() {
         of.map(|((r, u), m)| r.cross(*u) * *m).sum()
     };
     let (momentum, moment) = (motion.momentum(&free.masses), turning(&motion));
-    free.advance(&mut motion, Scheme::Verlet, 0.2 * free.step_limit(0.0), 500, nothing);
+    free.advance(&mut motion, Scheme::Verlet, 0.2 * free.step_limit(0.0), 500, &mut nothing);
     assert!(motion.momentum(&free.masses).distance(momentum) < 1e-15);
     assert!(turning(&motion).distance(moment) < 1e-6, "dampers act along springs, but at a predicted velocity");
 
@@ -128,7 +128,7 @@ fn momentum_and_energy_are_kept() {
         let first = energy(&motion);
         let mut worst: f64 = 0.0;
         for _ in 0..count {
-            free.advance(&mut motion, Scheme::Verlet, per_limit * free.step_limit(0.0), 1, nothing);
+            free.advance(&mut motion, Scheme::Verlet, per_limit * free.step_limit(0.0), 1, &mut nothing);
             worst = worst.max((energy(&motion) / first - 1.0).abs());
         }
         worst
@@ -142,7 +142,7 @@ fn momentum_and_energy_are_kept() {
 fn steps_are_stable_up_to_the_limit() {
     let grows = |lattice: &Lattice, per_limit: f64| {
         let mut motion = shaken(lattice, 1e-9);
-        lattice.advance(&mut motion, Scheme::Verlet, per_limit * lattice.step_limit(0.0), 3000, nothing);
+        lattice.advance(&mut motion, Scheme::Verlet, per_limit * lattice.step_limit(0.0), 3000, &mut nothing);
         let mean = motion.momentum(&lattice.masses) / lattice.masses.iter().sum::<f64>();
         !motion.velocities.iter().all(|u| u.distance(mean) < 1e-7)
     };
@@ -179,7 +179,7 @@ fn a_bar_has_the_frequency_of_its_closed_form() {
         let (mut before, mut crossed) = (amplitude(&motion), Vec::new());
         let mut step = 0;
         while crossed.len() < 2 {
-            lattice.advance(&mut motion, Scheme::Verlet, h, 1, nothing);
+            lattice.advance(&mut motion, Scheme::Verlet, h, 1, &mut nothing);
             step += 1;
             let now = amplitude(&motion);
             if before * now < 0.0 {
@@ -202,9 +202,9 @@ fn a_hanging_chain_is_in_balance() {
     let lengthening = |across: u32| {
         let lattice = bar(across, [1, 1, across / 2], 1.2, true);
         let mut motion = Motion::at_rest(&lattice);
-        let fall = |_: f64, _: &[DVec3], _: &[DVec3], a: &mut [DVec3]| a.fill(DVec3::Z * weight);
+        let mut fall = |_: f64, _: &[DVec3], a: &mut [DVec3]| a.fill(DVec3::Z * weight);
         let h = 0.5 * lattice.step_limit(0.0);
-        lattice.advance(&mut motion, Scheme::Verlet, h, (60.0 / h) as u64, fall);
+        lattice.advance(&mut motion, Scheme::Verlet, h, (60.0 / h) as u64, &mut fall);
         let (mut forces, mut drags) = (Vec::new(), Vec::new());
         lattice.forces(&motion.positions, &motion.velocities, &mut forces, &mut drags);
         for section in 1..=across / 2 {
@@ -223,9 +223,9 @@ fn a_hanging_chain_is_in_balance() {
 }
 
 /// Pulls a bar of `layers` cells of size 1/4 apart, from its middle.
-fn pull(layers: u32) -> impl Fn(f64, &[DVec3], &[DVec3], &mut [DVec3]) + Copy {
+fn pull(layers: u32) -> impl Fn(f64, &[DVec3], &mut [DVec3]) + Copy {
     let middle = 0.125 * f64::from(layers) - 1.0;
-    move |_, positions, _, accelerations| {
+    move |_, positions, accelerations| {
         for (acceleration, position) in accelerations.iter_mut().zip(positions) {
             *acceleration = DVec3::Z * (3.0 * (position.z - middle));
         }
@@ -238,7 +238,7 @@ fn pulled(tear: TearMode, layers: u32) -> (Lattice, Motion, usize) {
     let mut motion = Motion::at_rest(&lattice);
     let h = 0.4 * lattice.step_limit(0.0);
     for step in 0..2000 {
-        lattice.advance(&mut motion, Scheme::Verlet, h, 1, pull(layers));
+        lattice.advance(&mut motion, Scheme::Verlet, h, 1, &mut pull(layers));
         let torn = match tear {
             TearMode::None => 0,
             TearMode::Cut => {
@@ -281,7 +281,7 @@ fn both_tear_modes_part_a_bar_in_its_middle() {
     };
     let h = 0.4 * split.step_limit(0.0);
     for _ in 0..2000 {
-        split.advance(&mut motion, Scheme::Verlet, h, 1, pull(4));
+        split.advance(&mut motion, Scheme::Verlet, h, 1, &mut pull(4));
         let originals = split.split(&motion.positions, 0.3);
         motion.split(&split, &originals);
         if parts(&split, 4) > 1 {
