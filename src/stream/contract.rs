@@ -141,7 +141,7 @@ entities! {
     RANKED_PAIRS = "/ranking/pairs" ["Points2D, LineStrips2D"]
         "With more than 3 bodies: rows with labels, q and thresholds, for the pairs that change phase next.";
     NOT_RECORDED = "/world/not_recorded" ["Points3D"]
-        "In a flight recorder's file: a label while no frames were kept, when a Clear ends all else that shows a state.";
+        "Labels: while a flight recorder kept no frames, when a Clear ends all else that shows a state; and where a run failed, at the body with the largest displacement.";
     POINTS = "/world/points" ["Ellipsoids3D, Points3D"]
         "The influence spheres of force points, while they act, and above them their names.";
     SPRINGS = "/world/springs/NAME" ["LineStrips3D"]

@@ -143,6 +143,21 @@ impl FocusFinder {
         }
     }
 
+    /// The run failed at `time` [s], at this body: the instant to look at, unless another one is requested.
+    pub fn fail(&mut self, time: f64, body: (DVec3, f64)) {
+        if self.around.is_none() {
+            let focus = self.focus.get_or_insert_with(|| Focus {
+                time,
+                spheres: Vec::new(),
+                pair: [body; 2],
+                others: Vec::new(),
+            });
+            focus.spheres.push(body);
+            (focus.time, focus.pair) = (time, [body; 2]);
+            focus.others.clear();
+        }
+    }
+
     /// The time of the event in focus, if there is one [s].
     pub fn event_time(&self) -> Option<f64> {
         self.event.map(|(time, _)| time)

@@ -56,7 +56,7 @@
 //! | `/ranking/displacements` | Points2D, LineStrips2D | With more than 3 bodies: rows with labels and bars, for those with the largest displacements at an instant. |
 //! | `/ranking/groups` | Points2D, LineStrips2D | With more than 3 bodies: rows with labels and bars, for the largest groups at an instant: their pieces and volumes [scene unit³], and with at most 64 bodies how these differ from the volumes of their bodies one by one. |
 //! | `/ranking/pairs` | Points2D, LineStrips2D | With more than 3 bodies: rows with labels, q and thresholds, for the pairs that change phase next. |
-//! | `/world/not_recorded` | Points3D | In a flight recorder's file: a label while no frames were kept, when a Clear ends all else that shows a state. |
+//! | `/world/not_recorded` | Points3D | Labels: while a flight recorder kept no frames, when a Clear ends all else that shows a state; and where a run failed, at the body with the largest displacement. |
 //! | `/world/points` | Ellipsoids3D, Points3D | The influence spheres of force points, while they act, and above them their names. |
 //! | `/world/springs/NAME` | LineStrips3D | The springs of a body, blue where they are shorter than at rest, red-orange where longer; with forces, and of at most 64 cells. |
 //! | `/world/trails` | LineStrips3D | The path of the centre of each free body, one segment per frame; not with more than 64 bodies. |

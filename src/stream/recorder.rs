@@ -100,6 +100,8 @@ pub struct Recorder {
     kept: Vec<Kept>,
     /// The middle of all bodies in the last frame.
     middle: DVec3,
+    /// The body with the largest displacement in the last frame, that displacement [radii], and its centre.
+    worst: Option<(usize, f64, DVec3)>,
     /// The largest diagonal of the box around the bodies so far [scene unit].
     widest: f64,
     /// The parts that show stages inside steps.
@@ -226,6 +228,7 @@ impl Recorder {
             written: 0,
             kept: Vec::new(),
             middle: DVec3::ZERO,
+            worst: None,
             widest: 0.0,
             stages: matches!(settings.detail, Detail::Stages { .. }).then(|| {
                 log_text(&ABOUT_STAGES, blueprint::stages(), &mut chunks);
@@ -305,7 +308,6 @@ impl Recorder {
             duration: self.at.time,
             durations: Some(parts.numbers.totals()),
             fastest: parts.numbers.fastest(),
-            longest_wait: parts.numbers.longest_wait(),
             changed_volume: parts.groups.changed_volume(),
             distances: parts.pairs.axis(&parts.series, &self.schema, &pairs),
             lines: parts.series.outlines().collect(),
@@ -454,6 +456,9 @@ impl Recorder {
         view.widest = self.widest.min(focus::WIDER * view.widest);
         if let Some(parts) = &mut self.parts {
             parts.log(view, self.frames, &mut self.chunks);
+            let displaced = view.bodies().enumerate().filter(|(_, (_, now))| !now.is_absent);
+            let displaced = displaced.map(|(body, (of, now))| (body, now.max_displacement / of.radius, now.centre));
+            self.worst = displaced.max_by(|one, other| one.1.total_cmp(&other.1));
             if self.flight.is_some() {
                 let [low, high] = view.bounds();
                 self.middle = 0.5 * (low + high);
@@ -474,6 +479,19 @@ impl Recorder {
         let line = TextLog::new(cause).with_level("error").with_color(palette::color(crate::colors::VERMILION));
         self.chunks.log(FAILED.path, self.at, &line);
         self.has_failed = true;
+        /// A body that is displaced further is what failed, or shows it best [radii].
+        const FAR: f64 = 1.0;
+        if let (Some(parts), Some((body, displacement, centre))) = (&mut self.parts, self.worst)
+            && !(displacement <= FAR)
+            && centre.is_finite()
+        {
+            let of = &self.schema.bodies[body];
+            let text = format!("failed; largest displacement: {}, {} R", of.name, significant(displacement));
+            // above the body: at its centre are other labels
+            let place = centre + 1.3 * of.radius * self.schema.up;
+            self.chunks.log(NOT_RECORDED.path, self.at, &notice(place, &text));
+            parts.focus.fail(self.at.time, (centre, of.radius));
+        }
     }
 
     /// Adds a text to the recording's properties.
@@ -544,11 +562,6 @@ impl Recorder {
     /// Labels where a flight recorder has no frames.
     fn label_gaps(&mut self) {
         let every = self.settings.every;
-        let style = Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.0)]);
-        let label = |place: DVec3, text: String| {
-            let label = style.clone().with_positions([place.as_vec3().to_array()]).with_labels([text]);
-            label.with_colors([palette::color(crate::colors::VERMILION)]).with_show_labels(true)
-        };
         let Some(middle) = self.kept.first().map(|kept| kept.middle) else { return };
         let shown = self.flight.iter().flat_map(FlightRecorder::entities);
         let rankings: Vec<String> = shown.filter(|entity| ranking::is_one(entity)).collect();
@@ -560,7 +573,7 @@ impl Recorder {
                 let text = format!("no frames of steps {from} to {}", next - 1);
                 let at = self.instant(from);
                 rankings.iter().for_each(|ranking| self.chunks.log(ranking, at, &ranking::note(&text)));
-                self.chunks.log(NOT_RECORDED.path, at, &label(middle, text));
+                self.chunks.log(NOT_RECORDED.path, at, &notice(middle, &text));
                 if kept.is_some() {
                     self.chunks.log(NOT_RECORDED.path, self.instant(next), &Points3D::clear_fields());
                 }
@@ -767,6 +780,13 @@ impl StateParts {
 /// The first of the largest numbers, with its index.
 fn largest(numbers: impl Iterator<Item = f64>) -> (usize, f64) {
     numbers.enumerate().fold((0, 0.0), |largest, of| if of.1 > largest.1 { of } else { largest })
+}
+
+/// A label in space about the recording.
+fn notice(place: DVec3, text: &str) -> Points3D {
+    let label = Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(0.0)]).with_show_labels(true);
+    let label = label.with_positions([place.as_vec3().to_array()]).with_labels([text]);
+    label.with_colors([palette::color(crate::colors::VERMILION)])
 }
 
 fn log_about(text: String, chunks: &mut Chunks) {

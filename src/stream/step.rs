@@ -8,6 +8,9 @@ use crate::{
     observe::{BodyFrame, Frame, PairEvent, Schema, Simulation, StageFrame, StepSummary, SurfaceEvent, Want, verify},
 };
 
+/// Upper limit on the number of events of a step that are drawn in space.
+const DRAWN_EVENTS: usize = 64;
+
 /// The data of a step to be recorded, apart from its frame. Reused.
 #[derive(Clone, Debug, Default)]
 pub struct StepRecord {
@@ -23,7 +26,7 @@ pub struct StepRecord {
     pub lag: Option<Duration>,
     /// When the step was completed.
     pub end: Option<Clock>,
-    /// The bodies of the pair of each event, after the step; none in a thin recording.
+    /// The bodies of the pairs of the last events, after the step, at most [`DRAWN_EVENTS`]; none in a thin recording.
     pub pairs: Vec<[BodyFrame; 2]>,
     /// Surfaces that touch or part in the step, and remarks on its phase changes.
     pub surfaces: Vec<SurfaceEvent>,
@@ -94,7 +97,8 @@ impl StepWatch {
             let now = frame.as_deref().unwrap_or(own);
             if settings.frames != Frames::Thin {
                 let of_pair = |event: &PairEvent| [event.a, event.b].map(|body| now.bodies[body].clone());
-                record.pairs.extend(record.summary.events.iter().map(of_pair));
+                let events = &record.summary.events;
+                record.pairs.extend(events[events.len().saturating_sub(DRAWN_EVENTS)..].iter().map(of_pair));
             }
             let (changes, surfaces) = (&record.summary.events, &mut record.surfaces);
             match frame {

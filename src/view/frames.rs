@@ -24,6 +24,7 @@ pub fn pair_frame(pair: PairView) -> PairFrame {
 /// Adds the forces on a body of a coupled scene in its current state, and the labels of its vertices.
 pub(super) fn add_coupled_forces(
     world: &World,
+    causes: &[Cause],
     snapshot: &Snapshot<'_>,
     index: usize,
     forces: &mut Forces,
@@ -31,10 +32,10 @@ pub(super) fn add_coupled_forces(
 ) {
     snapshot.forces(index, terms::uniform_on(world.scene(), index, world.time()), forces);
     now.has_forces = true;
-    now.terms.resize_with(Cause::of(world.scene()).count(), Default::default);
+    now.terms.resize_with(causes.len(), Default::default);
     let rest = world.body(index).rest_shape();
     add_labels(rest.len(), &forces.by_cause, now);
-    for (cause, term) in Cause::of(world.scene()).zip(&mut now.terms) {
+    for (&cause, term) in causes.iter().zip(&mut now.terms) {
         term.source = forces.sources[cause as usize];
         std::mem::swap(&mut term.accelerations, &mut forces.by_cause[cause as usize]);
     }
@@ -51,17 +52,23 @@ fn add_labels(count: usize, by_cause: &[Vectors; Cause::ALL.len()], now: &mut Bo
 }
 
 /// Adds the forces on a body in the state of `now`, in a scene that is not coupled, and the labels of its vertices.
-pub(super) fn add_forces(world: &World, index: usize, surroundings: &Surroundings, now: &mut BodyFrame) {
+pub(super) fn add_forces(
+    world: &World,
+    causes: &[Cause],
+    index: usize,
+    surroundings: &Surroundings,
+    now: &mut BodyFrame,
+) {
     now.has_forces = true;
-    now.terms.resize_with(Cause::of(world.scene()).count(), Default::default);
+    now.terms.resize_with(causes.len(), Default::default);
     let mut by_cause: [Vectors; Cause::ALL.len()] = Default::default();
-    for (cause, term) in Cause::of(world.scene()).zip(&mut now.terms) {
+    for (&cause, term) in causes.iter().zip(&mut now.terms) {
         by_cause[cause as usize] = take(&mut term.accelerations);
     }
     let seen: Observed<'_> = world.seen(index, [&now.displacements, &now.velocities], surroundings);
     seen.forces(world.scene().influence.weight, &mut by_cause);
     add_labels(seen.rest.len(), &by_cause, now);
-    for (cause, term) in Cause::of(world.scene()).zip(&mut now.terms) {
+    for (&cause, term) in causes.iter().zip(&mut now.terms) {
         let mut sources = surroundings.sources.iter().filter(|source| source.cause() == cause);
         term.source = match (sources.next(), sources.next()) {
             (Some(source), None) => source.body(),

@@ -136,6 +136,7 @@ impl Simulation for World {
         let snapshot = self.current().filter(|_| want.forces || want.scalars);
         let mut energy = want.scalars.then(|| self.energy_sum()).flatten();
         let (mut surroundings, mut forces) = (Surroundings::default(), Forces::default());
+        let causes: Vec<Cause> = Cause::of(scene).collect();
         for ((index, body), now) in self.bodies().enumerate().zip(&mut frame.bodies) {
             (now.centre, now.rotation) = (body.centre(), body.rotation());
             now.motion = body
@@ -158,7 +159,7 @@ impl Simulation for World {
             }
             if let Some(snapshot) = &snapshot {
                 if want.forces && !(now.is_at_rest && snapshot.is_idle(index)) {
-                    add_coupled_forces(self, snapshot, index, &mut forces, now);
+                    add_coupled_forces(self, &causes, snapshot, index, &mut forces, now);
                 }
                 continue;
             }
@@ -167,7 +168,7 @@ impl Simulation for World {
                 energy.add(&self.seen(index, [&now.displacements, &now.velocities], &surroundings));
             }
             if want.forces && !(now.is_at_rest && surroundings.is_idle()) {
-                add_forces(self, index, &surroundings, now);
+                add_forces(self, &causes, index, &surroundings, now);
             }
         }
         frame.scalars.clear();
@@ -299,7 +300,7 @@ fn own_levels(scene: &Scene) -> OwnLevels {
         level(&law, *[Phase::Merged, Phase::Apart, Phase::Core].get(threshold)?)
     };
     let first = (scene.pairs.clone(), scene.common_law());
-    if !scene.edits.is_empty() {
+    if scene.edits.iter().any(|edit| (edit.numbers().pairs.clone(), edit.numbers().common_law()) != first) {
         let versions = Versions::new(scene, first, |numbers| (numbers.pairs.clone(), numbers.common_law()));
         return OwnLevels::changing(move |threshold, pair, time| of(versions.at(time), threshold, pair));
     }

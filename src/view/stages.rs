@@ -151,13 +151,14 @@ fn frame_of(
     phases_at: f64,
     states: Vec<States>,
 ) -> Frame {
+    let causes: Vec<Cause> = Cause::of(world.scene()).collect();
     let bodies = states.into_iter().enumerate().map(|(index, states)| {
         let surroundings = recomputed.surroundings(index, t, phases_at, &states);
         let States { displacement: displacements, velocity: velocities } = states;
         let centre = recomputed.path(index).position(t);
         let mut now = BodyFrame { centre, displacements, velocities, ..BodyFrame::default() };
         now.displaced(world.body(index).rest_shape());
-        add_forces(world, index, &surroundings, &mut now);
+        add_forces(world, &causes, index, &surroundings, &mut now);
         now
     });
     let bodies: Vec<BodyFrame> = bodies.collect();

@@ -1110,12 +1110,27 @@ impl Run {
             if let Some((displacement, position, label)) = largest {
                 let held = &track.held[frame];
                 let logged = held.texts("Points3D:labels").concat();
-                let (outside, hidden) = logged.split_once("; inside another body: ").unwrap_or((&logged, ""));
+                let (outside, hidden) = logged.split_once("\ninside another body: ").unwrap_or((&logged, ""));
+                let (outside, front) = outside.split_once("\nin front, marked: ").unwrap_or((outside, ""));
+                let marked = match front.split_once(", ") {
+                    Some((vertex, length)) => {
+                        let (name, vertex) = vertex.split_once(':').expect("a vertex");
+                        let index = world.bodies().position(|body| body.scene().name == name).expect("a body");
+                        let (body, vertex) = (world.body(index), vertex.parse().expect("a number"));
+                        let displacement = body.displacement(vertex).length() / body.scene().radius;
+                        assert_eq!(length, format!("{displacement:.3} R"));
+                        let place = positions[index][vertex];
+                        let is_facing = (place - body.centre()).dot(look.eye - place) > 0.0;
+                        assert!(is_facing && !look.is_hidden(index, place, 0.001), "{at}: {logged}");
+                        place
+                    }
+                    None => position,
+                };
                 assert_eq!(outside, label, "step {}", world.steps_taken());
                 let is_complete = of_all == displacement || hidden.ends_with(&format!(", {of_all:.3} R"));
                 assert!(is_complete, "step {}: {logged}, but {of_all}", world.steps_taken());
                 let ends = held.vectors("Points3D:positions");
-                assert_eq!((ends.len(), ends[0]), (2, position.as_vec3()), "step {}", world.steps_taken());
+                assert_eq!((ends.len(), ends[0]), (2, marked.as_vec3()), "step {}", world.steps_taken());
                 let [from, to] = [ends[0], ends[1]].map(|end| end.as_dvec3());
                 assert!(to.z > top.max(from.z) && to.truncate() == from.truncate(), "{ends:?}, below {top}");
                 if !is_counted {
@@ -1126,7 +1141,8 @@ impl Run {
                 on_surface.sort_by(f64::total_cmp);
                 let usual = on_surface[(0.9 * on_surface.len() as f64) as usize];
                 let expected = usual.max(0.3 * displacement).max(0.01);
-                let (end, beyond) = end.split_once(" to ").map_or((end.as_str(), None), |(end, at)| (end, Some(at)));
+                let (end, beyond) =
+                    end.split_once("; up to ").map_or((end.as_str(), None), |(end, at)| (end, Some(at)));
                 let beyond = beyond.map(|text| text.split_once(" on the surface, at ").expect("a vertex"));
                 assert!(
                     beyond.is_none_or(|(_, vertex)| label.contains(&format!(": {vertex}, "))),
@@ -1249,7 +1265,7 @@ impl Run {
             .iter()
             .map(|row| {
                 let labels = row.texts("Points2D:labels");
-                labels.last().and_then(|end| end.split(" to ").next()?.parse().ok()).expect("a number")
+                labels.last().and_then(|end| end.split(';').next()?.parse().ok()).expect("a number")
             })
             .collect();
         for (index, scene) in self.scene.bodies.iter().enumerate() {

@@ -49,8 +49,6 @@ pub struct TimingsPlot {
     pub path: String,
     /// Whether its stages are those of recording.
     pub is_recording: bool,
-    /// Whether the wait for the recorder has a line.
-    pub has_wait: bool,
     pub title: String,
 }
 

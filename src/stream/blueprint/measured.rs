@@ -38,8 +38,6 @@ pub struct Measured<'a> {
     pub durations: Option<[&'a Spread; 2]>,
     /// The largest speed [steps per second]; 0 if there is none.
     pub fastest: f64,
-    /// The longest wait for the recorder [ms per step].
-    pub longest_wait: f64,
     /// How merging changes the volume, if it does.
     pub changed_volume: Option<String>,
     /// The axis of q, if any is plotted.
@@ -75,7 +73,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     let mut layout = Layout::of(recording);
     let root = layout.root(subject, tab);
     layout.finish(root); // already sent; the new ids continue after its own
-    for TimingsPlot { path: plot, is_recording, has_wait, title } in std::mem::take(&mut layout.timings) {
+    for TimingsPlot { path: plot, is_recording, title } in std::mem::take(&mut layout.timings) {
         let Some(durations) = measured.durations.map(|of| of[usize::from(is_recording)]) else { continue };
         let (typical, (longest, _)) = (durations.typical(), durations.largest());
         if typical > 0.0 {
@@ -87,16 +85,10 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
                 end *= HEADROOM;
             }
             let [low, high] = readable([0.0, if is_whole { longest } else { end }]);
-            let mut cut_off = String::new();
             if longest > high {
                 let (count, share) = durations.beyond(high);
-                cut_off = format!("; {} beyond: {:.0} % of stage time", counted(count, "frame"), 100.0 * share);
-            }
-            if measured.longest_wait > high && has_wait {
-                cut_off += &format!("; wait up to {} ms", significant(measured.longest_wait));
-            }
-            if !cut_off.is_empty() {
-                let title = title + &cut_off;
+                let title =
+                    format!("{title}; {} beyond: {:.0} % of stage time", counted(count, "frame"), 100.0 * share);
                 layout.log(&plot, &ViewBlueprint::update_fields().with_display_name(title));
             }
             layout.set_range(&plot, [low, high]);
@@ -252,7 +244,8 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     let ranges: Vec<(String, [f64; 2])> = ranges.filter(|(_, [low, high])| low < high).collect();
     ranges.into_iter().for_each(|(plot, range)| layout.set_range(&plot, range));
     for plot in std::mem::take(&mut layout.plots) {
-        let corner = plot.emptiest_corner(&measured.lines);
+        let opening = measured.focus.as_ref().map(|focus| (focus.time / subject.schema.dt).ceil());
+        let corner = plot.emptiest_corner(&measured.lines, opening);
         if corner != plot.corner {
             layout.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::update_fields().with_corner(corner));
         }

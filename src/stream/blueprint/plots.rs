@@ -9,6 +9,8 @@ use crate::{
 /// plot, in which it scrolls.
 const WIDTH: f64 = 0.3;
 const HEIGHT: f64 = 0.13;
+/// What is at an instant, as a fraction of the width.
+const NEAR: f64 = 0.03;
 
 /// A plot over time whose legend has a corner.
 pub struct Plot {
@@ -40,14 +42,16 @@ impl Plot {
         Some(if has_marks { [low.min(0.0), high.max(0.0)] } else { [low, high] })
     }
 
-    /// The corner in which the legend covers the fewest points of the lines: entities with their outlines. The present one
-    /// if no other is better.
-    pub fn emptiest_corner(&self, lines: &[(&str, &Outline)]) -> Corner2D {
+    /// The corner in which the legend covers the fewest points of the lines: entities with their outlines; none at the step
+    /// `opening` if that can be. The present one if no other is better.
+    pub fn emptiest_corner(&self, lines: &[(&str, &Outline)], opening: Option<f64>) -> Corner2D {
         let shown = || lines.iter().filter(|(entity, of)| !of.points.is_empty() && self.shows(entity));
         let height = f64::min(HEIGHT * (shown().count() + 1) as f64, 0.95); // one more for events
         let points: Vec<(f64, f64)> =
             shown().flat_map(|(_, of)| of.points.iter().map(|&(step, value)| (step as f64, value))).collect();
-        let end = lines.iter().filter_map(|(_, of)| of.points.last()).map(|(step, _)| *step as f64).fold(0.0, f64::max);
+        let ends = lines.iter().filter_map(|(_, of)| of.points.first().zip(of.points.last()));
+        let ends = ends.map(|((first, _), (last, _))| [*first as f64, *last as f64]);
+        let [start, end] = ends.reduce(|[low, high], of| [low.min(of[0]), high.max(of[1])]).unwrap_or_default();
         let [low, high] = self.range.or_else(|| self.values(lines)).unwrap_or_default();
         let covered = |corner: &Corner2D| {
             let (is_left, is_top) = match corner {
@@ -57,11 +61,15 @@ impl Plot {
                 Corner2D::RightBottom => (false, false),
             };
             let is_covered = |&&(step, value): &&(f64, f64)| {
-                let (across, up) = (step / end, (value - low) / (high - low));
+                let (across, up) = ((step - start) / (end - start), (value - low) / (high - low));
                 let (x, y) = (if is_left { across } else { 1.0 - across }, if is_top { 1.0 - up } else { up });
                 x <= WIDTH && (0.0..=height).contains(&y)
             };
-            points.iter().filter(is_covered).count()
+            let is_open =
+                |(step, _): &(f64, f64)| opening.is_some_and(|opening| (step - opening).abs() <= NEAR * (end - start));
+            let covered = points.iter().filter(is_covered);
+            let open = covered.clone().any(is_open);
+            (open, covered.count())
         };
         // the first of equal ones
         let corners = [self.corner, Corner2D::RightBottom, Corner2D::RightTop, Corner2D::LeftBottom, Corner2D::LeftTop];
@@ -85,8 +93,13 @@ mod tests {
         let lines = [("/pairs/a~b/distance", &falling), ("/pairs/a~b/gap", &rising), ("/energy", &rising)];
         assert_eq!(plot(Corner2D::LeftTop).values(&lines), Some([0.0, 100.0]));
         // from the left top to the right bottom
-        assert_eq!(plot(Corner2D::RightBottom).emptiest_corner(&lines), Corner2D::RightTop);
-        assert_eq!(plot(Corner2D::LeftBottom).emptiest_corner(&lines), Corner2D::LeftBottom);
-        assert_eq!(plot(Corner2D::LeftTop).emptiest_corner(&[]), Corner2D::LeftTop);
+        assert_eq!(plot(Corner2D::RightBottom).emptiest_corner(&lines, None), Corner2D::RightTop);
+        assert_eq!(plot(Corner2D::RightTop).emptiest_corner(&lines, Some(1.0)), Corner2D::RightTop);
+        assert_eq!(
+            plot(Corner2D::LeftTop).emptiest_corner(&[("/pairs/a~b/distance", &rising)], Some(95.0)),
+            Corner2D::LeftTop
+        );
+        assert_eq!(plot(Corner2D::LeftBottom).emptiest_corner(&lines, None), Corner2D::LeftBottom);
+        assert_eq!(plot(Corner2D::LeftTop).emptiest_corner(&[], None), Corner2D::LeftTop);
     }
 }

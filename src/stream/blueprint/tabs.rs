@@ -25,7 +25,7 @@ use crate::{
             MERGED, MERGED_SURFACE, MOVES, NAMES, NOT_RECORDED, PAIR_CONTACT, PAIR_DISTANCE, PAIR_GAP, PAIR_NECK,
             PAIR_OVERLAP, PAIR_PHASE, PAIR_SCALAR, PLANE, POINTS, RANKED_DISPLACEMENTS, RANKED_FORCES, RANKED_GROUPS,
             RANKED_PAIRS, RANKED_STAGES, RECENT_NAMES, RECENT_PAIR, RECENT_SPHERES, RESTING, RESULTANT_LABELS,
-            RESULTANTS, SIM_TIME, SPEED, STAGE, STAGES, STEP, STRONGEST, TIMING, TOUCHING, TRAILS, VOLUME, WORLD,
+            RESULTANTS, SIM_TIME, SPEED, STAGE, STAGES, STEP, STRONGEST, TOUCHING, TRAILS, VOLUME, WORLD,
         },
         palette,
         parts::{
@@ -472,15 +472,11 @@ impl Layout {
 
     /// The cost of a step and of its recording, each as stacked stages, and the resulting speed.
     fn timings_tab(&mut self, schema: &Schema) -> Part {
-        let recording = self.stacked(
-            "Recording on its own thread, ms per step: extract makes surfaces, log encodes",
-            schema,
-            true,
-            &[],
-        );
-        let title =
-            "Timings, ms per step: observe copies states, finds touches; line: wait for the recorder".to_owned();
-        let stages = vec![self.stacked(&title, schema, false, &[including(&TIMING.of(&[numbers::WAIT]))]), recording];
+        let stages = [
+            ("Timings, ms per step: observe copies states, finds touches", false),
+            ("Recording on its own thread, ms per step: extract makes surfaces, log encodes", true),
+        ];
+        let stages: Vec<Part> = stages.map(|(title, is_recording)| self.stacked(title, schema, is_recording)).into();
         for plot in &stages {
             // the ranking names the colours
             self.hide_legend(plot);
@@ -494,20 +490,18 @@ impl Layout {
 
     /// Without a legend, which would hide the lines of a small plot.
     fn small_timings(&mut self, schema: &Schema) -> Part {
-        let plot = self.stacked(TIMINGS, schema, false, &[]);
+        let plot = self.stacked(TIMINGS, schema, false);
         self.hide_legend(&plot);
         plot
     }
 
-    /// The stages of a step, or of its recording, and lines `beside` them.
-    fn stacked(&mut self, title: &str, schema: &Schema, is_recording: bool, beside: &[String]) -> Part {
+    /// The stages of a step, or of its recording.
+    fn stacked(&mut self, title: &str, schema: &Schema, is_recording: bool) -> Part {
         let stages = numbers::timings(schema).filter(|stage| numbers::is_work(stage));
         let stages = stages.filter(|stage| numbers::RECORDING.contains(stage) == is_recording);
-        let stages = stages.map(|stage| including(&numbers::stacked(schema, stage)));
-        let contents: Vec<String> = stages.chain(beside.iter().cloned()).collect();
+        let contents: Vec<String> = stages.map(|stage| including(&numbers::stacked(schema, stage))).collect();
         let plot = self.plot(title, "/", &contents, Corner2D::LeftTop);
-        let has_wait = !beside.is_empty();
-        self.timings.push(TimingsPlot { path: plot.path.clone(), is_recording, has_wait, title: title.to_owned() });
+        self.timings.push(TimingsPlot { path: plot.path.clone(), is_recording, title: title.to_owned() });
         plot
     }
 

@@ -38,6 +38,8 @@ pub struct GroupPlots {
     /// The volumes of all surfaces and of the bodies one by one in this frame, if both are known [scene unit³], and the least and
     /// the largest ratio of the two so far.
     sums: Option<[f64; 2]>,
+    /// The volume of all surfaces at first [scene unit³].
+    first: Option<f64>,
     ratios: Option<[f64; 2]>,
     /// Volume of each body at rest [scene unit³].
     at_rest: Vec<f64>,
@@ -110,6 +112,7 @@ impl GroupPlots {
             of_surfaces,
             of_bodies,
             sums: None,
+            first: None,
             ratios: None,
             at_rest,
             volumes,
@@ -168,7 +171,7 @@ impl GroupPlots {
         let [least, largest] = self.ratios?.map(percent);
         match (least.as_str(), largest.as_str()) {
             ("+0.0", "+0.0") => None,
-            _ => Some(format!("merging: {least} to {largest} %")),
+            _ => Some(format!("overlaps and seams: {least} to {largest} %")),
         }
     }
 
@@ -196,6 +199,7 @@ impl GroupPlots {
         if let Some(line) = self.of_bodies {
             series.log(chunks, line, sum, view.at);
             self.sums = (merged.overlapping == 0).then_some([sums[0], sum]);
+            self.first = self.first.or(self.sums.map(|[of_surfaces, _]| of_surfaces));
             let ratio = sums[0] / sum;
             if merged.overlapping == 0 && ratio.is_finite() {
                 let [least, largest] = self.ratios.unwrap_or([ratio; 2]);
@@ -251,9 +255,9 @@ impl GroupPlots {
             let label = format!("{}: {}", view.schema.bodies[body].name, short(volume));
             Row { label, color, marks: vec![(Mark::Bar(volume / largest), color)] }
         }));
-        // what all of it encloses, and how much of that merging has added
-        let all = self.sums.filter(|_| !groups.is_empty()).map(|[of_surfaces, of_bodies]| {
-            let label = format!("all: {}, {} %", short(of_surfaces), percent(of_surfaces / of_bodies));
+        // what all of it encloses, and how that has changed
+        let all = self.sums.zip(self.first).filter(|_| !groups.is_empty()).map(|([of_surfaces, _], first)| {
+            let label = format!("all: {}, {} % since start", short(of_surfaces), percent(of_surfaces / first));
             Row { label, color: SILVER, marks: Vec::new() }
         });
         let rows = all.into_iter().chain(rows);

@@ -11,7 +11,7 @@ use super::{
     FrameView,
     body_forces::MOST_BODIES,
     callout::Callout,
-    labels::BodyLabels,
+    labels::{BodyLabels, Labels},
     ranking::{self, Mark, Ranking, Row, is_ranked},
     recent,
 };
@@ -68,9 +68,12 @@ pub fn place(displacement: f32, end: f64) -> [f32; 2] {
     [0.5 * (displacement / end as f32).min(1.0), 0.5]
 }
 
-/// The colour of a body's line and row: in the view beside them, bodies have the colours of displacements.
-fn line_color(body: usize) -> palette::Rgb {
-    palette::distance(body)
+/// The colour of a body's line and row: its own if the scene gives it one that no other body has.
+fn line_color(schema: &Schema, body: usize) -> palette::Rgb {
+    let of = |body: &BodySchema| body.color;
+    let own = of(&schema.bodies[body])
+        .filter(|own| schema.bodies.iter().enumerate().all(|(other, with)| other == body || of(with) != Some(*own)));
+    own.unwrap_or_else(|| palette::distance(body))
 }
 
 /// Whether the bodies with the largest displacements are labelled with them.
@@ -111,7 +114,7 @@ impl Heat {
         let with_lines = if schema.bodies.len() <= MOST_BODIES { schema.bodies.as_slice() } else { &[] };
         let line = |(index, body): (usize, &BodySchema)| {
             let entity = BODY_DISPLACEMENT.of(&[&body.name]);
-            Series::style(chunks, &entity, &body.name, line_color(index), 1.5, Interpolation::Linear);
+            Series::style(chunks, &entity, &body.name, line_color(schema, index), 1.5, Interpolation::Linear);
             series.line(chunks, &entity, Interpolation::Linear)
         };
         let lines = with_lines.iter().enumerate().map(line).collect();
@@ -133,20 +136,28 @@ impl Heat {
         series: &mut Series,
         chunks: &mut Chunks,
     ) {
-        let Displacements { outside, of_all, end, .. } = displacements;
+        let Displacements { outside, seen, of_all, end, .. } = displacements;
         let exceeding = outside.filter(|largest| largest.displacement > 1.001 * end);
         let mut ticks: Vec<String> = TICKS.map(|share| significant(share * end)).into();
         if let (Some(largest), Some(last)) = (exceeding, ticks.last_mut()) {
-            *last += &format!(" to {} on the surface, at {}", significant(largest.displacement), largest.place(view));
+            *last +=
+                &format!("; up to {} on the surface, at {}", significant(largest.displacement), largest.place(view));
         }
         chunks.push_changed(self.ticks, view.at, &[&ticks]);
         let mark = outside.filter(|largest| largest.displacement > 0.0).map(|outside| {
             let hidden = of_all.filter(|of_all| of_all.displacement > outside.displacement);
-            let hidden = hidden.map(|hidden| format!("; inside another body: {}", hidden.text(view)));
+            let hidden = hidden.map(|hidden| format!("\ninside another body: {}", hidden.text(view)));
+            // the line to a vertex on the far side would seem to end on whatever hides it
+            let (marked, far) = match seen {
+                Some(seen) if seen.displacement < outside.displacement => {
+                    (*seen, format!("\nin front, marked: {}", seen.text(view)))
+                }
+                _ => (outside, String::new()),
+            };
             let height = f64::min(recent::label_height(view), view.top() + ABOVE * view.schema.largest_radius());
-            let end = view.schema.raised(outside.position, f64::max(height, outside.position.dot(view.schema.up)));
-            let label = format!("largest on the surface: {}{}", outside.text(view), hidden.unwrap_or_default());
-            ([outside.position, end], label)
+            let end = view.schema.raised(marked.position, f64::max(height, marked.position.dot(view.schema.up)));
+            let label = format!("largest on the surface: {}{far}{}", outside.text(view), hidden.unwrap_or_default());
+            ([marked.position, end], label)
         });
         self.mark.log(mark, view.at, chunks);
         let largest = |body: usize| view.frame.bodies[body].max_displacement / view.schema.bodies[body].radius;
@@ -169,7 +180,7 @@ impl Heat {
             let rows = ranked.into_iter().filter(|&body| largest(body) > 0.0).map(|body| {
                 let vertex = view.frame.bodies[body].most_displaced().unwrap_or(0);
                 let label = format!("{}:{vertex} {}", view.schema.bodies[body].name, radii(largest(body)));
-                let color = if self.lines.is_empty() { palette::DOT } else { line_color(body) };
+                let color = if self.lines.is_empty() { palette::DOT } else { line_color(view.schema, body) };
                 Row { label, color, marks: vec![(Mark::Bar(largest(body) / longest), color)] }
             });
             ranking.log(rows, "no vertex is displaced", view.at, chunks);
@@ -212,6 +223,8 @@ impl Largest {
 #[derive(Clone, Default)]
 pub struct Displacements {
     outside: Option<Largest>,
+    /// The largest on the surface that is seen from the usual direction of the camera.
+    seen: Option<Largest>,
     of_all: Option<Largest>,
     /// The displacement at the end of the colours [radii].
     end: f64,
@@ -248,20 +261,26 @@ impl Displacements {
                 is_on.into_iter().for_each(|is_on| *is_on = true);
             }
         }
-        let (mut outside, mut of_all): (Option<Largest>, Option<Largest>) = (None, None);
+        let [mut outside, mut seen, mut of_all]: [Option<Largest>; 3] = [None; 3];
         self.lengths.clear();
+        let labels = Labels::new(view);
+        let present = view.bodies().enumerate().filter(|(_, (_, now))| !now.is_absent);
+        let mut by_x: Vec<(f64, usize)> = present.map(|(body, (_, now))| (now.centre.x, body)).collect();
+        by_x.sort_unstable_by(|one, other| one.0.total_cmp(&other.0));
+        let widest = INSIDE * view.schema.largest_radius();
         for (index, (body, now)) in view.bodies().enumerate().filter(|(_, (_, now))| now.max_displacement > 0.0) {
             let reach = body.radius + now.max_displacement;
             let PartOfSurface { number, is_on } = &self.merged[index];
-            let others = view.bodies().enumerate().filter(|&(other, (of, at))| {
-                let are_merged = number.is_some() && self.merged[other].number == *number;
-                other != index
-                    && !are_merged
-                    && !at.is_absent
-                    && at.centre.distance(now.centre) < INSIDE * of.radius + reach
-            });
+            let (x, within) = (now.centre.x, widest + reach);
+            let first = by_x.partition_point(|(other, _)| *other < x - within);
+            let others =
+                by_x[first..].iter().take_while(|(other, _)| *other <= x + within).filter_map(|&(_, other)| {
+                    let are_merged = number.is_some() && self.merged[other].number == *number;
+                    let (at, radius) = (view.frame.bodies[other].centre, INSIDE * view.schema.bodies[other].radius);
+                    (other != index && !are_merged && at.distance(now.centre) < radius + reach).then_some((at, radius))
+                });
             self.near.clear();
-            self.near.extend(others.map(|(_, (of, at))| (at.centre, INSIDE * of.radius)));
+            self.near.extend(others);
             for (vertex, &length) in now.lengths.iter().enumerate() {
                 let position = now.centre + now.positions.get(vertex);
                 let found = Largest { displacement: length / body.radius, body: index, vertex, position };
@@ -275,11 +294,16 @@ impl Displacements {
                     || self.near.iter().any(|&(centre, radius)| centre.distance(position) < radius);
                 if !is_hidden {
                     larger(&mut outside);
+                    if seen.is_none_or(|seen| found.displacement > seen.displacement)
+                        && labels.is_in_front(index, position)
+                    {
+                        seen = Some(found);
+                    }
                     self.lengths.push(found.displacement as f32);
                 }
             }
         }
-        (self.outside, self.of_all) = (outside.or(of_all), of_all);
+        (self.outside, self.seen, self.of_all) = (outside.or(of_all), seen, of_all);
         let largest = self.outside.map_or(0.0, |largest| largest.displacement);
         let rank = (SHARE * self.lengths.len() as f64) as usize;
         let usual = match self.lengths.get(rank) {

@@ -180,6 +180,12 @@ impl<'a> Labels<'a> {
         now.centre + furthest.unwrap_or_default()
     }
 
+    /// Whether a place on a body's surface faces the eye, and no other body is in front of it.
+    pub fn is_in_front(&self, body: usize, place: DVec3) -> bool {
+        let out = place - self.view.frame.bodies[body].centre;
+        out.dot(self.eye - place) > 0.0 && self.is_seen(body, place, 0.0)
+    }
+
     /// Whether no other body is in front of a place, or only by `depth` [its radii].
     fn is_seen(&self, body: usize, place: DVec3, depth: f64) -> bool {
         let distance = self.eye.distance(place);

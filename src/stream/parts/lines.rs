@@ -90,6 +90,11 @@ impl Lines {
         let label = |pair: &PairFrame| format!("{} q = {:.3}", view.schema.pair_name(pair.a, pair.b), pair.q);
         let middle = |a: usize, b: usize| 0.5 * (view.frame.bodies[a].centre + view.frame.bodies[b].centre);
         let mut labels_in_space = Labels::new(view);
+        for point in &view.schema.points {
+            if let Some((centre, reach)) = point.sphere.at(view.at.time) {
+                labels_in_space.take(centre + reach * view.schema.up, &point.label);
+            }
+        }
         if let Some(names) = &mut self.names {
             names.log(view, recent.as_flattened(), &mut labels_in_space, chunks);
         }

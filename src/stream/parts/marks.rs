@@ -16,8 +16,12 @@ use crate::{
 /// The kinds of events that have been marked, whose styles are logged.
 #[derive(Debug, Default)]
 pub struct Marks {
-    styled: Vec<&'static str>,
+    styled: Vec<(&'static str, Rgb)>,
+    count: usize,
 }
+
+/// With more events than this, their marks on the axis are small: they would hide the curves there.
+const FEW: usize = 40;
 
 /// The name of all marks on the axis.
 const ON_AXIS: &str = "phase changes";
@@ -30,8 +34,9 @@ impl Marks {
         let rgb = schema.phases[event.to].color;
         // on the axis with one name: those of all kinds would fill the legends of all plots
         let markers = [(&MARKS_ON_AXIS, ON_AXIS, MarkerShape::Up, 5.0), (&MARKS_AT_Q, event.name, AT_Q.0, AT_Q.1)];
-        if !self.styled.contains(&event.name) {
-            self.styled.push(event.name);
+        self.count += 1;
+        if !self.styled.iter().any(|(name, _)| *name == event.name) {
+            self.styled.push((event.name, rgb));
             for (parent, name, shape, size) in markers {
                 chunks.log_static(&entity(parent, event.name), &style(name, rgb, shape, size));
             }
@@ -40,6 +45,15 @@ impl Marks {
         for ((parent, ..), value) in markers.into_iter().zip([Some(0.0), is_plotted.then_some(event.q)]) {
             let Some(value) = value else { continue };
             chunks.log(&entity(parent, event.name), at, &Scalars::new([value]));
+        }
+    }
+}
+
+impl Marks {
+    /// Ends a run: of many events, the marks on the axis become small.
+    pub fn finish(&self, chunks: &mut Chunks) {
+        for &(event, rgb) in self.styled.iter().filter(|_| self.count > FEW) {
+            chunks.log_static(&entity(&MARKS_ON_AXIS, event), &style(ON_AXIS, rgb, MarkerShape::Up, 2.0));
         }
     }
 }
@@ -79,7 +93,8 @@ pub fn log_near_misses(family: &Entity, schema: &Schema, approaches: &[&Approach
     let mut approaches = approaches.to_vec();
     approaches.sort_by(|x, y| x.time.total_cmp(&y.time));
     for Approach { q, time, .. } in approaches {
-        let at = Instant { step: (time / schema.dt).ceil() as u64, time: *time };
+        // the end of a step, but for rounding, is in it
+        let at = Instant { step: (time / schema.dt - 1e-9).ceil() as u64, time: *time };
         chunks.log(&entity, at, &Scalars::new([*q]));
     }
 }

@@ -104,7 +104,7 @@ pub struct FrameNumbers {
     fastest: f64,
     lag: Option<Duration>,
     lag_track: TrackId,
-    /// Total duration of all stages on the simulation thread, and of those of recording.
+    /// The total durations of steps on the simulation thread, and of those of recording.
     totals: [Spread; 2],
 }
 
@@ -116,6 +116,8 @@ struct ScalarLine {
     id: LineId,
     of: ScalarOf,
     value: f64,
+    /// The value of the last frame.
+    last: f64,
     label: &'static str,
     color: Rgb,
     /// Its first value.
@@ -170,10 +172,11 @@ impl FrameNumbers {
             let before = schema.scalars[..i].iter().filter(|before| before.plot == scalar.plot).count();
             // those in a ranking all have different colours
             let ranked = energies.iter().find_map(|(_, ranked)| ranked.iter().position(|of| *of == i));
-            let color = palette::line(ranked.unwrap_or(before));
+            let color = palette::energy(scalar.label).unwrap_or_else(|| palette::line(ranked.unwrap_or(before)));
             Series::style(chunks, &entity, scalar.label, color, 1.5, shape);
             let id = series.line(chunks, &entity, shape);
-            ScalarLine { id, of: scalar.of, value: 0.0, label: scalar.label, color, first: None, has_occurred: false }
+            let (first, of, label) = (None, scalar.of, scalar.label);
+            ScalarLine { id, of, value: 0.0, last: 0.0, label, color, first, has_occurred: false }
         });
         let scalars = scalars.collect();
         let energies = energies.into_iter().enumerate();
@@ -241,12 +244,13 @@ impl FrameNumbers {
         for (line, &of_state) in self.scalars.iter_mut().zip(&view.frame.scalars) {
             let value = if line.of == ScalarOf::State { of_state } else { std::mem::take(&mut line.value) };
             series.log(chunks, line.id, value, view.at);
+            line.last = value;
             line.first.get_or_insert(value);
             line.has_occurred |= value != 0.0;
         }
         for (ranking, scalars) in &self.energies {
-            let lines = scalars.iter().map(|&index| (&self.scalars[index], view.frame.scalars[index]));
-            let rows = energy_rows(lines.filter(|(line, _)| line.has_occurred).collect());
+            let lines = scalars.iter().map(|&index| &self.scalars[index]);
+            let rows = energy_rows(lines.filter(|line| line.has_occurred).collect());
             ranking.log(rows.into_iter(), "all are 0", view.at, chunks);
         }
         for (&line, &value) in self.of_bodies.iter().zip(&view.frame.body_scalars) {
@@ -286,11 +290,6 @@ impl FrameNumbers {
     /// The largest speed of the run [steps per second]; 0 if there were no two frames.
     pub fn fastest(&self) -> f64 {
         self.fastest
-    }
-
-    /// The longest wait for the recorder [ms per step].
-    pub fn longest_wait(&self) -> f64 {
-        self.timings.iter().find(|timing| !is_work(timing.name)).map_or(0.0, |wait| wait.spread.largest().0)
     }
 
     /// The durations of steps, and of their recordings.
@@ -405,17 +404,17 @@ impl Spread {
 
 /// Bars to the left of the middle are of negative values; what rounding leaves of the largest is 0. The first row also has its
 /// value at the start.
-fn energy_rows(mut lines: Vec<(&ScalarLine, f64)>) -> Vec<Row> {
+fn energy_rows(mut lines: Vec<&ScalarLine>) -> Vec<Row> {
     while lines.len() > ranking::ROWS {
-        let least = (0..lines.len()).min_by(|&one, &other| lines[one].1.abs().total_cmp(&lines[other].1.abs()));
+        let least = (0..lines.len()).min_by(|&one, &other| lines[one].last.abs().total_cmp(&lines[other].last.abs()));
         lines.remove(least.unwrap_or(0));
     }
-    let longest = lines.iter().map(|(_, value)| value.abs()).fold(f64::MIN_POSITIVE, f64::max);
-    let row = |(number, (line, value)): (usize, (&ScalarLine, f64))| {
+    let longest = lines.iter().map(|line| line.last.abs()).fold(f64::MIN_POSITIVE, f64::max);
+    let row = |(number, line): (usize, &ScalarLine)| {
         let name = line.label.split(" [").next().unwrap_or(line.label);
         let first = line.first.filter(|first| number == 0 && *first != 0.0);
         let first = first.map_or(String::new(), |first| format!(", at first {}", short(first)));
-        let value = if value.abs() < f64::EPSILON * longest { 0.0 } else { value };
+        let value = if line.last.abs() < f64::EPSILON * longest { 0.0 } else { line.last };
         let share = if value.is_finite() { value / longest } else { 0.0 };
         let marks = vec![(Mark::Tick(0.5), SILVER), (Mark::Signed(share), line.color)];
         Row { label: format!("{name} {}{first}", short(value)), color: line.color, marks }

@@ -205,6 +205,7 @@ impl PairPlots {
 
     /// Marks the events of the pairs whose lines are drawn, if not all are.
     pub fn log_events_of_told(&self, schema: &Schema, told: &Told, chunks: &mut Chunks) {
+        self.marks.finish(chunks);
         if told.left_out == 0 {
             return;
         }
@@ -493,11 +494,16 @@ impl PairPlot {
         Series::style(chunks, &entity(&PAIR_DISTANCE), &format!("q {name}"), rgb, 2.0, Interpolation::Linear);
         let thresholds = schema.thresholds.iter().enumerate().filter_map(|(index, threshold)| {
             let entity = PAIR_LEVEL.of(&[&name, threshold.name]);
-            let name = match schema.level(index, [a, b], 0.0) {
-                _ if schema.own_levels.is_changing() => threshold.label.to_owned(),
-                level => format!("{} {}", threshold.label, level?),
-            };
-            Series::style(chunks, &entity, &name, threshold.color, 1.0, Interpolation::Step);
+            let level = |time: f64| schema.level(index, [a, b], time);
+            let first = level(0.0)?;
+            let mut label = format!("{} {first}", threshold.label);
+            if let Some(last) = level(schema.steps as f64 * schema.dt).filter(|last| *last != first) {
+                label += &format!(", then {last}");
+            }
+            if first != threshold.level {
+                label += &format!(" ({name})");
+            }
+            Series::style(chunks, &entity, &label, threshold.color, 1.0, Interpolation::Step);
             Some((series.line(chunks, &entity, Interpolation::Step), index))
         });
         let thresholds = thresholds.collect();

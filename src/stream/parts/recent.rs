@@ -130,10 +130,11 @@ impl Recent {
         self.events.iter().map(|event| event.pair)
     }
 
-    /// Logs the events of a step at their exact times, each with the bodies of its pair after the step.
+    /// Logs the last events of a step at their exact times: those of which `pairs` has the bodies after the step.
     pub fn events(&mut self, schema: &Schema, events: &[PairEvent], pairs: &[[BodyFrame; 2]], chunks: &mut Chunks) {
         let most = if self.alone.is_some() { 1 } else { MOST };
-        for (number, (event, bodies)) in events.iter().zip(pairs).enumerate() {
+        let first = events.len() - pairs.len();
+        for (number, (event, bodies)) in (first..).zip(events[first..].iter().zip(pairs)) {
             let mut label = titled(event.name, &schema.pair_name(event.a, event.b));
             if events.len() > most {
                 label += &format!(", {} of {} in step {}", number + 1, events.len(), event.step);
