@@ -62,8 +62,10 @@ fn parse_reason(text: &str) -> Result<String, String> {
 struct Script {
     experiment: Arc<dyn Experiment>,
     golden: PathBuf,
-    /// The name used in reports.
+    /// The name used in reports: that of its file, with its folder if another file has the same.
     name: String,
+    /// The name of its comparison, without an extension.
+    comparison: String,
 }
 
 /// Checks the scenes, or blesses them.
@@ -87,13 +89,9 @@ fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
     let progress = Progress::new("", Work::Units("scene", Some(scripts.len() as u64)));
     let results: Vec<_> = scripts
         .par_iter()
-        .enumerate()
-        .map(|(i, script)| match script.golden.exists() {
+        .map(|script| match script.golden.exists() {
             true => {
-                // scenes in different folders may have the same name
-                let number = scripts.iter().take(i).filter(|other| other.name == script.name).count();
-                let number = if number > 0 { format!("-{}", number + 1) } else { String::new() };
-                let comparison = folder.join(format!("{}{number}.check.rrd", script.name));
+                let comparison = folder.join(format!("{}.check.rrd", script.comparison));
                 golden::check(&*script.experiment, &script.golden, Some(&comparison)).map(Some)
             }
             false => Ok(None),
@@ -390,15 +388,29 @@ fn scripts(program: Program<'_>, paths: &[PathBuf]) -> Result<Vec<Script>, Failu
         let help = "give scene files, or folders of them";
         return Err(Failure::Input(format!("there is no scene {}: {help}", file.display())));
     }
+    let stem = |file: &PathBuf| file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let stems: Vec<String> = files.iter().map(stem).collect();
+    // scenes in different folders may have the same name
+    let mut taken: HashSet<String> = stems.iter().cloned().collect();
     files
         .into_iter()
-        .map(|file| {
-            let name = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        .enumerate()
+        .map(|(index, file)| {
+            let name = stems[index].clone();
+            let is_first = !stems[..index].contains(&name);
+            let mut numbered = (2..).map(|number| format!("{name}-{number}"));
+            let comparison = if is_first {
+                name.clone()
+            } else {
+                numbered.find(|name| taken.insert(name.clone())).unwrap_or_default()
+            };
             let subject = match program {
                 Program::Scenes => Subject::Scene(Box::new(super::load::read(&file)?)),
                 Program::Own(_) => program.subject(&name, &Overrides::default())?,
             };
-            Ok(Script { experiment: subject.experiment(None), golden: file.with_extension("rrd"), name })
+            let is_alone = stems.iter().filter(|other| **other == name).count() == 1;
+            let name = if is_alone { name } else { file.with_extension("").display().to_string() };
+            Ok(Script { experiment: subject.experiment(None), golden: file.with_extension("rrd"), name, comparison })
         })
         .collect()
 }

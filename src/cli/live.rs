@@ -68,6 +68,7 @@ pub(super) fn live(program: Program<'_>, arguments: Arguments) -> Result<(), Fai
         scene
             .and_then(|scene| scene.rewritten(&arguments.scene))
             .map_err(|error| Failure::Input(format!("--set: {error}")))
+            .and_then(load::fitting)
     };
     let first = match program {
         Program::Scenes => experiment(overridden(load::scene(&arguments.scene)?)?),
@@ -87,15 +88,20 @@ pub(super) fn live(program: Program<'_>, arguments: Arguments) -> Result<(), Fai
     if !is_loopback {
         say("Whoever has this address can change the scene, and save files here; nothing is encrypted.");
     }
+    let mut reported = String::new();
     while !interrupt::STOP.load(Ordering::Relaxed) {
         std::thread::sleep(CHECK_INTERVAL);
-        match arguments.watch.then(|| run::changed(&mut text, path)).flatten() {
-            Some(Ok(scene)) => match overridden(scene) {
-                Ok(scene) => live.replace(experiment(scene)),
-                Err(failure) => live.report(Problem::new(failure.to_string())),
-            },
-            Some(Err(why)) => live.report(Problem::new(why)),
-            None => (),
+        let Some(changed) = arguments.watch.then(|| run::changed(&mut text, path)).flatten() else { continue };
+        match changed.and_then(|scene| overridden(scene).map_err(|failure| failure.to_string())) {
+            Ok(scene) => {
+                reported.clear();
+                live.replace(experiment(scene));
+            }
+            Err(why) if why == reported => (),
+            Err(why) => {
+                reported.clone_from(&why);
+                live.report(Problem::new(why));
+            }
         }
     }
     Ok(())

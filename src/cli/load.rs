@@ -9,6 +9,7 @@ use super::{
 use crate::{
     recording::existing::Existing,
     scene::{Scene, builtin},
+    sim::memory,
     text::did_you_mean,
 };
 
@@ -19,7 +20,13 @@ pub fn read(path: &Path) -> Result<Scene, Failure> {
         progress.stage(format!("reading {mesh}"));
         progress.set_share(share);
     });
-    loaded.map_err(Failure::input)
+    loaded.map_err(Failure::input).and_then(fitting)
+}
+
+/// Refuses a scene whose shapes do not fit into memory.
+pub fn fitting(scene: Scene) -> Result<Scene, Failure> {
+    memory::check_shapes(&scene).map_err(Failure::input)?;
+    Ok(scene)
 }
 
 /// The built-in scene with this name, or the scene in this file.

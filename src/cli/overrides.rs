@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::Failure;
+use super::{Failure, load};
 use crate::{
     models,
     observe::{Experiment, Refusal},
@@ -42,7 +42,7 @@ impl Overrides {
         let mut scene = with(scene, &self.set, file)?;
         scene.integrator = self.integrator.unwrap_or(scene.integrator);
         scene.model = self.model.unwrap_or(scene.model);
-        Ok(scene)
+        load::fitting(scene)
     }
 }
 

@@ -83,7 +83,7 @@ use std::sync::Arc;
 use crate::{
     observe::{Experiment, InvalidVariation, Parameter, Refusal, Schema, Simulation, Variation},
     scene::{Body, Integrator, Model, Scene, template::Override},
-    sim::{Options, World},
+    sim::{Options, World, memory},
     text::did_you_mean,
     view,
 };
@@ -201,6 +201,7 @@ pub fn read(name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experim
     let set = set.map(|one| Override::parse(one.as_str().unwrap_or_default())).collect::<Result<Vec<_>, _>>();
     let set = set.map_err(|error| Refusal::Run(format!("a key that its settings set: {error}")))?;
     let mut scene = scene.with(&set, name).map_err(|error| Refusal::Run(error.to_string()))?;
+    memory::check_shapes(&scene).map_err(|error| Refusal::Run(error.to_string()))?;
     let positive = |key: &str| {
         let number = run.get(key).and_then(toml::Value::as_float).filter(|number| Scene::POSITIVE.contains(number));
         number.ok_or_else(|| Refusal::Run(format!("the settings have no usable {key}")))

@@ -90,14 +90,22 @@ impl Scene {
             let limit = LARGEST_FILE >> 20;
             return Err(rejected(format!("\"{shown}\" is larger than {limit} MiB, the limit for scene files")));
         }
-        let text = std::str::from_utf8(&bytes).map_err(|error| {
+        parse_beside(Scene::text_of(&bytes, path)?, path, watch)
+    }
+
+    /// The text of a scene file.
+    ///
+    /// # Errors
+    /// It is not UTF-8.
+    pub fn text_of<'a>(bytes: &'a [u8], path: &std::path::Path) -> Result<&'a str, SceneError> {
+        std::str::from_utf8(bytes).map_err(|error| {
             let offset = error.valid_up_to();
             let valid = String::from_utf8_lossy(&bytes[..offset]);
             let message = format!("not UTF-8: found the byte 0x{:02x} at offset {offset}", bytes[offset]);
-            SceneError { place: Some(Place::of(&valid, offset)), ..rejected(message) }
+            let place = Some(Place::of(&valid, offset));
+            SceneError { place, ..SceneError::plain(&path.display().to_string(), message) }
                 .with_help("save the file as UTF-8")
-        })?;
-        parse_beside(text, path, watch)
+        })
     }
 
     /// Parses `text` as [`Scene::load`] would from the file at `path`: meshes are read from files, relative to its

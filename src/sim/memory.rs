@@ -6,7 +6,11 @@ use std::{
     time::{Duration, Instant},
 };
 
-use crate::{geometry::Shape, scene::Scene, text::bytes};
+use crate::{
+    geometry::Shape,
+    scene::Scene,
+    text::{bytes, counted},
+};
 
 /// State of a vertex: displacement and velocity, three doubles each [bytes].
 const STATE_BYTES: u64 = 48;
@@ -54,18 +58,20 @@ impl TooLarge {
     fn reason(&self) -> String {
         let TooLarge { bodies, vertices, needed, available, .. } = self;
         let (needs, has) = (bytes(*needed), bytes(*available));
+        let (bodies, vertices) = (counted(*bodies, "body"), counted(*vertices, "vertex"));
+        let (have, need) = if self.bodies == 1 { ("has", "needs") } else { ("have", "need") };
         let is_memory = !fits(*needed, *available);
         match self.pairs {
             Some(pairs) if is_memory => format!(
-                " for this machine: {bodies} bodies with more than {pairs} pairs near each other need more than {needs}, and {has} \
+                " for this machine: {bodies} with more than {pairs} pairs near each other {need} more than {needs}, and {has} \
                  are available; move bodies apart, lower `reach`, or use fewer bodies"
             ),
             Some(pairs) => format!(
-                ": {bodies} bodies have more than {pairs} pairs near each other at the start, more than can be stepped; move \
+                ": {bodies} {have} more than {pairs} pairs near each other at the start, more than can be stepped; move \
                  bodies apart, lower `reach`, or use fewer bodies"
             ),
             None => format!(
-                " for this machine: {bodies} bodies with {vertices} vertices need about {needs}, and {has} are available; lower \
+                " for this machine: {bodies} with {vertices} {need} about {needs}, and {has} are available; lower \
                  `stacks` and `slices` of the shapes, or use fewer bodies"
             ),
         }
@@ -77,21 +83,16 @@ fn fits(needed: u64, available: u64) -> bool {
     needed / 9 * 10 <= available
 }
 
+/// The memory for all different rest shapes [bytes].
+fn shapes(scene: &Scene) -> u64 {
+    let mut seen = HashSet::new();
+    let different = scene.bodies.iter().map(|body| &body.shape).filter(|shape| seen.insert(*shape));
+    let per_vertex = |shape: &Shape| if matches!(shape, Shape::Mesh(_)) { MESH_BYTES } else { SHAPE_BYTES };
+    different.map(|shape| shape.vertex_count().saturating_mul(per_vertex(shape))).fold(0, u64::saturating_add)
+}
+
 /// An upper estimate of the memory for simulating and observing the scene, with every vertex awake [bytes].
 pub fn needed(scene: &Scene) -> u64 {
-    let mut seen = HashSet::new();
-    let shapes: u64 = scene
-        .bodies
-        .iter()
-        .filter(|body| seen.insert(&body.shape))
-        .map(|body| {
-            body.shape.vertex_count().saturating_mul(if matches!(body.shape, Shape::Mesh(_)) {
-                MESH_BYTES
-            } else {
-                SHAPE_BYTES
-            })
-        })
-        .fold(0, u64::saturating_add);
     let (per_vertex, per_body) = match (scene.is_coupled(), scene.planes.is_empty()) {
         (false, _) => (STATE_BYTES, BODY_BYTES),
         (true, true) => (STATE_BYTES + COUPLED_BYTES, BODY_BYTES + COUPLED_BODY_BYTES),
@@ -104,7 +105,7 @@ pub fn needed(scene: &Scene) -> u64 {
         .saturating_add(largest.saturating_mul(OBSERVE_BYTES))
         .saturating_add((scene.bodies.len() as u64).saturating_mul(per_body))
         .saturating_add((scene.bodies.len() * scene.points.len()) as u64 * PAIR_BYTES)
-        .saturating_add(shapes)
+        .saturating_add(shapes(scene))
         .saturating_add(3 * scene.source.len() as u64) // kept by the scene, by the schema, and for the recording
 }
 
@@ -137,6 +138,16 @@ fn recently_available() -> u64 {
 pub fn check(scene: &Scene) -> Result<Budget, TooLarge> {
     let needed = needed(scene);
     within(scene, needed, if needed < SMALL { recently_available() } else { available() })
+}
+
+/// Rejects a scene whose shapes alone do not fit, whatever its model: those are built before all else.
+pub fn check_shapes(scene: &Scene) -> Result<(), TooLarge> {
+    let shapes = shapes(scene);
+    let available = if shapes < SMALL { recently_available() } else { available() };
+    if fits(shapes, available) {
+        return Ok(());
+    }
+    Err(Budget { needed: needed(scene), available }.exceeded(scene, None))
 }
 
 /// Rejects a scene that has grown, as [`check`] does. What it has allocated since the cached value was read is part of

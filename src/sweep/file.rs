@@ -426,7 +426,7 @@ fn parse(text: &str, file: &str, home: Home<'_>) -> Result<Sweep, SceneError> {
         color,
         jumps,
     };
-    try_values(&sweep, &axis_tables, &set_tables)?;
+    try_values(&sweep, &root, &axis_tables, &set_tables)?;
     Ok(sweep)
 }
 
@@ -522,7 +522,7 @@ fn read_jumps(value: Option<Value<'_>>, measures: Measures) -> Result<Vec<(Strin
 }
 
 /// Rejects values that make the scene invalid, and sweeps with too many runs, before anything runs.
-fn try_values(sweep: &Sweep, axes: &[Table<'_>], sets: &[Table<'_>]) -> Result<(), SceneError> {
+fn try_values(sweep: &Sweep, root: &Table<'_>, axes: &[Table<'_>], sets: &[Table<'_>]) -> Result<(), SceneError> {
     let template = if sweep.experiment.is_none() { Some(sweep.template()?) } else { None };
     let design = &sweep.design;
     let first: Vec<Setting> = design.axes.iter().map(|axis| axis.sample(0)).collect();
@@ -592,7 +592,9 @@ fn try_values(sweep: &Sweep, axes: &[Table<'_>], sets: &[Table<'_>]) -> Result<(
             let product = || design.axes.iter().map(|axis| axis.sample_count() as f64).product::<f64>();
             let runs = count.map_or_else(|| format!("{:e}", product()), thousands);
             let time = count.map_or_else(product, |count| count as f64) * seconds;
-            Err(axes[0].error("count", format!("{runs} runs would take {} on this machine", duration(time))).with_help(
+            // of samples, the count is at the top
+            let counted = if root.get("count").is_some() { root } else { &axes[0] };
+            Err(counted.error("count", format!("{runs} runs would take {} on this machine", duration(time))).with_help(
                 format!(
                     "lower the counts: a sweep has at most {} runs, and --refine finds boundaries",
                     thousands(MOST_ROWS)

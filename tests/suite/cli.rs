@@ -1135,6 +1135,12 @@ fn only_regular_files_are_watched() {
     // and back again
     replace(&|| fs::write(&scene, format!("# back\n{SCENE}")).expect("disk space"));
     wait_for_line(&lines, "small.toml has changed: restarting");
+    // what is no text is told, too, and after it the same text is new again
+    replace(&|| fs::write(&scene, b"\xff").expect("disk space"));
+    let why = lines.iter().find(|line| line.contains("continuing")).expect("a reason");
+    assert!(why.contains("small.toml:1:1: not UTF-8"), "{why}");
+    replace(&|| fs::write(&scene, format!("# back\n{SCENE}")).expect("disk space"));
+    wait_for_line(&lines, "small.toml has changed: restarting");
     running.signal("INT");
     std::thread::sleep(Duration::from_millis(1100)); // a second interrupt, not an echo of the first
     running.signal("INT");
@@ -1655,5 +1661,25 @@ fn a_replay_may_have_another_duration() {
     for (duration, steps) in [("1", "60 steps"), ("6", "360 steps")] {
         let ran = run(&dir, &["replay", "two.rrd", "--set", &format!("duration={duration}")]);
         assert!(ran.status == 0 && ran.out.contains(steps), "{ran:?}");
+    }
+}
+
+/// A shape too large for the machine is refused before it is built, whatever the command and the model.
+#[test]
+fn shapes_that_do_not_fit_are_refused() {
+    let dir = scene_dir();
+    let shape =
+        "radius = 1.0\nshape = { sphere = { stacks = 65535, slices = 65535 } }\nmotion = { fixed = [0, 0, 0] }\n";
+    fs::write(dir.file("large.toml"), format!("duration = 0.05\n[[body]]\nname = \"a\"\n{shape}")).expect("disk space");
+    for arguments in [
+        &["live", "large.toml", "--bind", "127.0.0.1:0"][..],
+        &["check", "large.toml", "--bless", "a test"],
+        &["bench", "models", "large.toml"],
+        &["run", "large.toml", "--model", "metaballs"],
+        &["run", "large.toml", "--model", "lattice"],
+        &["export", "large.toml", "--set", "model=fem", "--events", "e.csv"],
+    ] {
+        let error = run(&dir, arguments).failed(2);
+        assert!(error.contains("too large for this machine") && error.contains("stacks"), "{arguments:?}: {error}");
     }
 }

@@ -933,6 +933,26 @@ fn check_runs_every_scene_once() {
     assert_eq!(names, ["one", "two"], "{output}");
 }
 
+/// Scenes of the same name, in several folders, have their own comparisons and are told apart.
+#[test]
+fn check_tells_scenes_of_the_same_name_apart() {
+    let dir = Dir::new();
+    let files = ["x/a.toml", "y/a.toml", "x/a-2.toml"];
+    for folder in ["x", "y"] {
+        fs::create_dir(dir.file(folder)).expect("disk space");
+    }
+    let write = |text: &str| files.map(|file| fs::write(dir.file(file), text).expect("disk space"));
+    write(builtin::ALL[1].text);
+    succeeds(&dir, &["check", "x", "y", "--bless", "first of all"]);
+    write(&builtin::ALL[1].text.replace("merge_at = 1.05", "merge_at = 1.06"));
+    let output = fails(&dir, 1, &["check", "x", "y", "--out", "out"]);
+    for name in ["x/a", "a-2", "y/a"] {
+        assert!(output.lines().any(|line| line == format!("{name}: DIFFERENT")), "{name}: {output}");
+    }
+    let written = fs::read_dir(dir.file("out")).expect("a folder").count();
+    assert_eq!(written, 3, "{output}");
+}
+
 /// A file that is said to be replaced is replaced.
 #[test]
 fn a_file_is_said_to_be_replaced_once_its_path_is_claimed() {

@@ -156,18 +156,24 @@ impl Changes {
     }
 }
 
-/// The scene in a file, if its text has changed since it was `text`, which is updated.
+/// The scene in a file, if its text has changed since it was `text`, which is updated. While the file is none that can be read,
+/// the reason, at every call.
 pub fn changed(text: &mut String, path: &Path) -> Option<Result<Scene, String>> {
     // a missing file may be about to be written; anything but a regular file may be endless or block forever
     let metadata = std::fs::metadata(path).ok()?;
-    if !metadata.is_file() {
-        return Some(Err(format!("{} is no longer a file", path.display())));
-    }
-    if metadata.len() > Scene::LARGEST_TEXT {
-        return Some(Err(format!("{} now exceeds the size limit of a scene", path.display())));
-    }
     let mut bytes = Vec::new();
-    File::open(path).ok()?.take(Scene::LARGEST_TEXT).read_to_end(&mut bytes).ok()?;
+    let unreadable = if !metadata.is_file() {
+        Some(format!("{} is no longer a file", path.display()))
+    } else if metadata.len() > Scene::LARGEST_TEXT {
+        Some(format!("{} now exceeds the size limit of a scene", path.display()))
+    } else {
+        File::open(path).ok()?.take(Scene::LARGEST_TEXT).read_to_end(&mut bytes).ok()?;
+        Scene::text_of(&bytes, path).err().map(|error| error.to_string())
+    };
+    if let Some(why) = unreadable {
+        text.clear(); // what it was before is new again
+        return Some(Err(why));
+    }
     let read = String::from_utf8(bytes).ok()?;
     // an editor may truncate a file before writing it
     if read == *text || read.is_empty() {
