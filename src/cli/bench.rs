@@ -9,7 +9,7 @@ use std::{
 use rayon::prelude::*;
 
 use super::{
-    Failure, is_marked,
+    Failure, is_marked, is_quiet,
     load::scene,
     may_save,
     overrides::Overrides,
@@ -281,6 +281,13 @@ fn oscillators(scenes: Vec<Scene>, what: &str) -> Result<Vec<Scene>, Failure> {
 /// What an SVG file of this program has near its beginning.
 const DRAWN: &str = "<desc>meldscope</desc>";
 
+/// Says that a file is there, unless only errors and warnings are wanted.
+fn say_written(path: &Path) {
+    if !is_quiet() {
+        say(&format!("wrote {}", path.display()));
+    }
+}
+
 /// The files of a benchmark: begun before anything is measured, so that "permission denied" is reported at once instead
 /// of after minutes, and put in place at the end.
 #[derive(Default)]
@@ -316,12 +323,12 @@ impl Claimed {
         print(&machine.to_string());
         if let Some((path, table)) = self.csv {
             report::write(table, report, machine).map_err(|error| Failure::Run(error.to_string()))?;
-            say(&format!("wrote {}", path.display()));
+            say_written(&path);
         }
         if let (Some((path, mut file)), Some(chart)) = (self.svg, &report.chart) {
             let written = file.write_all(chart.svg().as_bytes()).and_then(|()| file.commit());
             written.map_err(|error| unwritable(&path, &error))?;
-            say(&format!("wrote {}", path.display()));
+            say_written(&path);
         }
         report.failure.as_ref().map_or(Ok(()), |failure| Err(Failure::Run(failure.clone())))
     }

@@ -80,11 +80,7 @@ pub fn check(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> 
 fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
     let folder = arguments.out.clone().unwrap_or_default();
     if !folder.as_os_str().is_empty() {
-        let failed = |error| {
-            let remedy = atomic::remedy(&folder, &error);
-            Failure::Run(format!("cannot create the folder {}: {error}; {remedy}", folder.display()))
-        };
-        fs::create_dir_all(&folder).map_err(failed)?;
+        fs::create_dir_all(&folder).map_err(|error| Failure::folder("create", &folder, &error))?;
     }
     let progress = Progress::new("", Work::Units("scene", Some(scripts.len() as u64)));
     let results: Vec<_> = scripts

@@ -219,10 +219,7 @@ impl Folder<'_> {
 
     /// Creates the folder. Fails if it would have to replace files that this program did not write.
     fn prepare(&self, is_wanted: impl Fn(u64) -> bool) -> Result<(), Failure> {
-        let failed = |what: &str, error: std::io::Error| {
-            let remedy = atomic::remedy(self.path, &error);
-            Failure::Run(format!("cannot {what} the folder {}: {error}; {remedy}", self.path.display()))
-        };
+        let failed = |what: &str, error: std::io::Error| Failure::folder(what, self.path, &error);
         fs::create_dir_all(self.path).map_err(|error| failed("create", error))?;
         for entry in fs::read_dir(self.path).map_err(|error| failed("read", error))? {
             let path = entry.map_err(|error| failed("read", error))?.path();

@@ -41,6 +41,7 @@ use clap::{
 };
 
 use crate::{
+    atomic,
     observe::{Experiment, Schema},
     recording::{
         ReadError,
@@ -133,6 +134,15 @@ impl From<ReadError> for Failure {
 impl Failure {
     fn input(error: impl fmt::Display) -> Failure {
         Failure::Input(error.to_string())
+    }
+
+    /// A folder cannot be created, or read: `what`.
+    fn folder(what: &str, path: &Path, error: &io::Error) -> Failure {
+        let text = format!("cannot {what} the folder {}: {error}; {}", path.display(), atomic::remedy(path, error));
+        match error.kind() {
+            io::ErrorKind::AlreadyExists | io::ErrorKind::NotADirectory => Failure::Input(text),
+            _ => Failure::Run(text),
+        }
     }
 }
 
@@ -336,9 +346,9 @@ fn say(line: &str) {
     let _ = writeln!(io::stderr(), "{}", printable(line));
 }
 
-/// Prints a note to standard error, if there is one.
+/// Prints a note to standard error, if there is one, unless only errors and warnings are wanted.
 fn say_note(note: Option<String>) {
-    if let Some(note) = note {
+    if let Some(note) = note.filter(|_| !is_quiet()) {
         say(&format!("note: {note}"));
     }
 }
