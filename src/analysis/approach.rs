@@ -27,7 +27,7 @@ pub struct Approach {
 
 /// A pair whose q falls by less does not approach [–].
 const STILL: f64 = 1e-4;
-/// Number of places in a step at which the distance of a pair is looked at.
+/// Number of instants in a step at which a pair's distance is sampled.
 const LOOKS: usize = 8;
 
 /// How far a body is at `time` from the cubic through the ends of a step [s, scene unit]; 0 unless it is on a path.
@@ -41,28 +41,82 @@ fn beside_cubic(simulation: &dyn Simulation, body: usize, ends: [f64; 2], time: 
     now - Hermite::new(ends, time).vector([from, to], [rate, last_rate])
 }
 
+/// Where in a step an instant is.
+fn at(k: usize) -> f64 {
+    k as f64 / LOOKS as f64
+}
+
+/// Index of the least value.
+fn least(looks: &[f64; LOOKS + 1]) -> usize {
+    (0..=LOOKS).min_by(|&i, &j| looks[i].total_cmp(&looks[j])).unwrap_or(0)
+}
+
 impl NearPair {
     /// Time [s] and distance [scene unit] of an extremum of the centre distance within the step of a simulation from
     /// this state to `next`: of its minimum, or of its maximum. Bodies on paths are where their paths are; the motion of
     /// others is interpolated by a cubic from their velocities at both ends.
     pub fn extremum(&self, next: &NearPair, simulation: &dyn Simulation, ends: [f64; 2], is_maximum: bool) -> [f64; 2] {
-        let h = ends[1] - ends[0];
         let sign = if is_maximum { -1.0 } else { 1.0 };
-        let distance = |z: f64| {
-            let time = ends[0] + z * h;
-            let apart = match [self.a, self.b].map(|body| simulation.on_path(body, time)) {
-                [Some([a, _]), Some([b, _])] => b - a,
-                _ => {
-                    let [a, b] = [self.a, self.b].map(|body| beside_cubic(simulation, body, ends, time));
-                    Hermite::new(ends, time).vector([self.apart, next.apart], [self.rate, next.rate]) + b - a
-                }
-            };
-            sign * apart.length()
+        let looks = self.looks(next, simulation, ends).map(|apart| sign * apart.length());
+        let [time, least] = self.golden_section(next, simulation, ends, sign, &looks);
+        [time, sign * least]
+    }
+
+    /// Time [s] and distance [scene unit] of the minimum within the step, like [`NearPair::extremum`]; `None` if it is at one
+    /// of the step's ends, or is not below `limit` [scene unit].
+    fn minimum_below(
+        &self,
+        limit: f64,
+        next: &NearPair,
+        simulation: &dyn Simulation,
+        ends: [f64; 2],
+    ) -> Option<[f64; 2]> {
+        if !self.may_be_nearer(next, simulation, ends, limit) {
+            return None;
+        }
+        let places = self.looks(next, simulation, ends);
+        let looks = places.map(|apart| apart.length());
+        let is_excluded = match least(&looks) {
+            0 => self.apart.dot(self.rate) > 0.0,
+            LOOKS => next.apart.dot(next.rate) < 0.0,
+            k => {
+                // between two instants the pair comes nearer by less than it moves
+                let hop = |k: usize| places[k].distance(places[k + 1]);
+                looks[k] - f64::max(hop(k - 1), hop(k)) > limit
+            }
         };
-        let at = |k: usize| k as f64 / LOOKS as f64;
-        let looks: [f64; LOOKS + 1] = std::array::from_fn(|k| distance(at(k)));
-        let least = (0..=LOOKS).min_by(|&i, &j| looks[i].total_cmp(&looks[j])).unwrap_or(0);
-        // golden section about the least
+        let found = (!is_excluded).then(|| self.golden_section(next, simulation, ends, 1.0, &looks));
+        found.filter(|[_, distance]| *distance < limit)
+    }
+
+    /// The centre of the second body as seen from that of the first at a time within the step [scene unit].
+    fn apart_at(&self, next: &NearPair, simulation: &dyn Simulation, ends: [f64; 2], time: f64) -> DVec3 {
+        match [self.a, self.b].map(|body| simulation.on_path(body, time)) {
+            [Some([a, _]), Some([b, _])] => b - a,
+            _ => {
+                let [a, b] = [self.a, self.b].map(|body| beside_cubic(simulation, body, ends, time));
+                Hermite::new(ends, time).vector([self.apart, next.apart], [self.rate, next.rate]) + b - a
+            }
+        }
+    }
+
+    /// [`NearPair::apart_at`] at evenly spaced instants.
+    fn looks(&self, next: &NearPair, simulation: &dyn Simulation, ends: [f64; 2]) -> [DVec3; LOOKS + 1] {
+        std::array::from_fn(|k| self.apart_at(next, simulation, ends, ends[0] + at(k) * (ends[1] - ends[0])))
+    }
+
+    /// Time [s] and value of the minimum of `sign` times the distance, by golden section about the least of `looks`.
+    fn golden_section(
+        &self,
+        next: &NearPair,
+        simulation: &dyn Simulation,
+        ends: [f64; 2],
+        sign: f64,
+        looks: &[f64; LOOKS + 1],
+    ) -> [f64; 2] {
+        let h = ends[1] - ends[0];
+        let distance = |z: f64| sign * self.apart_at(next, simulation, ends, ends[0] + z * h).length();
+        let least = least(looks);
         let share = 0.5 * (5f64.sqrt() - 1.0);
         let (mut low, mut high) = (at(least.saturating_sub(1)), at((least + 1).min(LOOKS)));
         let (mut best, mut best_at) = (looks[least], at(least));
@@ -76,7 +130,7 @@ impl NearPair {
             }
             if of_one < of_other { high = other } else { low = one }
         }
-        [ends[0] + best_at * h, sign * best]
+        [ends[0] + best_at * h, best]
     }
 
     /// Whether the distance may be below `nearest` [scene unit] in the step to `next`.
@@ -101,16 +155,89 @@ impl NearPair {
     }
 }
 
-/// The closest approaches of all pairs that came within reach and stayed in their first phase. They are found in the
-/// motion of every step, so they do not depend on which frames are recorded.
+/// Follows the pairs near each other from step to step.
 #[derive(Clone, Debug, Default)]
-pub struct Approaches {
-    pairs: BTreeMap<(usize, usize), Watched>,
+pub struct Follower {
     /// The pairs after the last step, and the time then [s].
     before: Vec<NearPair>,
     time: f64,
     /// Scratch storage, reused.
     now: Vec<NearPair>,
+}
+
+/// A near pair in the last step.
+pub struct Followed<'a> {
+    /// The pair after the step.
+    pub pair: NearPair,
+    /// Its centre distance over the sum of the radii after the step [–].
+    pub q: f64,
+    /// Whether it is within reach after the step.
+    pub is_within_reach: bool,
+    /// Sum of the radii [scene unit].
+    radii: f64,
+    reach: f64,
+    before: Option<NearPair>,
+    /// The times at which the step starts and ends [s].
+    pub ends: [f64; 2],
+    simulation: &'a dyn Simulation,
+}
+
+impl Follower {
+    /// Hands over the near pairs of the last step, or of the start, in ascending order, given the radii of bodies [scene
+    /// unit].
+    pub fn step(
+        &mut self,
+        simulation: &dyn Simulation,
+        radius: impl Fn(usize) -> f64,
+        mut each: impl FnMut(&Followed<'_>),
+    ) {
+        simulation.near(&mut self.now);
+        let ends = [self.time, simulation.time()];
+        let mut before = self.before.iter().peekable();
+        for pair in &self.now {
+            let key = (pair.a, pair.b);
+            while before.next_if(|before| (before.a, before.b) < key).is_some() {}
+            let before = before.next_if(|before| (before.a, before.b) == key).copied();
+            let (radii, reach) = (radius(pair.a) + radius(pair.b), simulation.reach(pair.a, pair.b));
+            let q = pair.apart.length() / radii;
+            let is_within_reach = pair.phase != 0 || q <= reach;
+            each(&Followed { pair: *pair, q, is_within_reach, before, ends, simulation, radii, reach });
+        }
+        (self.before, self.now, self.time) = (take(&mut self.now), take(&mut self.before), ends[1]);
+    }
+}
+
+impl Followed<'_> {
+    /// Time [s] and q of the closest approach within the step, if it is within reach and below `limit` [–]; that at the ends
+    /// of the step is not searched for. `acceleration` bounds that of b as seen from a [scene unit/s²]; infinite if unknown.
+    pub fn closest_below(&self, limit: f64, acceleration: f64) -> Option<[f64; 2]> {
+        let Followed { pair, ends, simulation, .. } = self;
+        let limit = if self.is_within_reach { limit } else { limit.min(self.reach) };
+        // the least rate with which it cannot have turned in the step
+        let steady = 0.5 * acceleration * (ends[1] - ends[0]);
+        if -pair.apart.dot(pair.rate) >= steady * pair.apart.length() {
+            return None; // it is nearest at the end
+        }
+        let on_paths = || {
+            let [a, b] = [pair.a, pair.b].map(|body| simulation.on_path(body, ends[0]));
+            let ([from, rate], [to, other_rate]) = (a?, b?);
+            Some(NearPair { apart: to - from, rate: other_rate - rate, ..*pair })
+        };
+        let before = self.before.or_else(on_paths).filter(|_| ends[0] < ends[1])?;
+        if before.apart.dot(before.rate) >= steady * before.apart.length() {
+            return None; // it is nearest at the start
+        }
+        let [time, distance] = before.minimum_below(limit * self.radii, pair, *simulation, *ends)?;
+        Some([time, distance / self.radii])
+    }
+}
+
+/// The closest approaches of all pairs that came within reach and stayed in their first phase. They are found in the
+/// motion of every step, so they do not depend on which frames are recorded.
+#[derive(Clone, Debug, Default)]
+pub struct Approaches {
+    pairs: BTreeMap<(usize, usize), Watched>,
+    follower: Follower,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -133,53 +260,46 @@ impl Approaches {
 
     /// Adds the last step of a simulation, given its phase changes.
     pub fn step(&mut self, simulation: &dyn Simulation, schema: &Schema, changes: &[PairEvent]) {
-        let mut now = take(&mut self.now);
-        simulation.near(&mut now);
-        let time = simulation.time();
         for change in changes {
             if let Some(watched) = self.pairs.get_mut(&(change.a, change.b)) {
                 watched.has_changed = true;
             }
         }
-        let mut before = self.before.iter().peekable();
-        for pair in &now {
-            let key = (pair.a, pair.b);
-            while before.next_if(|before| (before.a, before.b) < key).is_some() {}
-            let before = before.next_if(|before| (before.a, before.b) == key);
-            let has_changed = pair.phase != 0 || changes.iter().any(|change| (change.a, change.b) == key);
-            let radii = schema.bodies[pair.a].radius + schema.bodies[pair.b].radius;
-            let closest = Approach { a: pair.a, b: pair.b, q: pair.apart.length() / radii, time };
-            let is_full = self.pairs.len() >= MAX_PAIRS;
-            let watched = match self.pairs.get_mut(&key) {
-                Some(watched) => watched,
-                None if is_full => continue,
-                None => {
-                    // a pair that came within reach because a body was deformed did not come nearer
-                    let is_still = pair.rate.length() * (time - self.time) < STILL * radii;
-                    let first = if is_still { closest.q } else { f64::INFINITY };
-                    self.pairs.entry(key).or_insert(Watched { closest, first, has_changed })
+        let (start, time) = (self.follower.time, simulation.time());
+        let pairs = &mut self.pairs;
+        self.follower.step(
+            simulation,
+            |body| schema.bodies[body].radius,
+            |followed| {
+                let Followed { pair, q, radii, .. } = *followed;
+                let key = (pair.a, pair.b);
+                let has_changed = pair.phase != 0 || changes.iter().any(|change| (change.a, change.b) == key);
+                let known = pairs.get(&key).copied();
+                if known.is_none() && pairs.len() >= MAX_PAIRS {
+                    return;
                 }
-            };
-            watched.has_changed |= has_changed;
-            if watched.has_changed {
-                continue;
-            }
-            if closest.q < watched.closest.q {
-                watched.closest = closest;
-            }
-            let nearest = watched.closest.q * radii * (1.0 - 1e-12);
-            if let Some(before) = before
-                && before.may_be_nearer(pair, simulation, [self.time, time], nearest)
-            {
-                let [time, distance] = before.extremum(pair, simulation, [self.time, time], false);
-                if distance / radii < watched.closest.q {
+                let mut closest =
+                    known.map_or(Approach { q: f64::INFINITY, time, a: pair.a, b: pair.b }, |known| known.closest);
+                if followed.is_within_reach && q < closest.q {
+                    (closest.q, closest.time) = (q, time);
+                }
+                let has_changed = has_changed || known.is_some_and(|known| known.has_changed);
+                if !has_changed
+                    && let Some([time, q]) = followed.closest_below(closest.q * (1.0 - 1e-12), f64::INFINITY)
+                {
                     // a distance below the threshold would have been an event: what is left is interpolation
-                    let q = f64::max(distance / radii, schema.level(0, [pair.a, pair.b], time).unwrap_or(0.0));
-                    (watched.closest.q, watched.closest.time) = (q.min(watched.closest.q), time);
+                    let q = f64::max(q, schema.level(0, [pair.a, pair.b], time).unwrap_or(0.0));
+                    (closest.q, closest.time) = (q.min(closest.q), time);
                 }
-            }
-        }
-        (self.before, self.now, self.time) = (now, take(&mut self.before), time);
+                // a pair that came within reach because a body was deformed did not come nearer
+                let is_still = || pair.rate.length() * (time - start) < STILL * radii;
+                let first = || if is_still() { closest.q } else { f64::INFINITY };
+                if closest.q < f64::INFINITY || has_changed {
+                    let first = known.map_or_else(first, |known| known.first);
+                    pairs.insert(key, Watched { closest, first, has_changed });
+                }
+            },
+        );
     }
 
     /// The closest approaches, the nearest first; not of pairs that stay as far apart as they begin or move apart, unless
@@ -240,6 +360,29 @@ mod tests {
         );
         let [found] = found[..] else { panic!("one pair") };
         assert!((found.q - 1.11).abs() < 1e-9 && (found.time - 0.25).abs() < 1e-6, "{found:?}");
+    }
+
+    /// b passes a in a straight line, out of reach at the ends of all steps: q = 1 in the middle of its way.
+    #[test]
+    fn a_near_miss_is_found_between_steps_out_of_reach() {
+        for speed in [150, 200, 250, 300, 350, 400] {
+            let (found, _) = closest(&format!(
+                "duration = 0.2\n[influence]\nmerge_at = 0.9\nsplit_at = 1.3\n[[body]]\nname = 'a'\nradius = 1.0\n\
+                 motion = {{ fixed = [0, 0, 0] }}\n[[body]]\nname = 'b'\nradius = 1.0\n\
+                 motion = {{ line = {{ from = [-10.5, 2.0, 0], velocity = [{speed}, 0, 0] }} }}\n"
+            ));
+            assert!(found.len() == 1 && (found[0].q - 1.0).abs() < 1e-9, "{speed}: {found:?}");
+        }
+    }
+
+    /// b passes a in a straight line at a distance of 3: never within reach.
+    #[test]
+    fn a_pair_out_of_reach_is_not_listed() {
+        let (found, _) = closest(
+            "duration = 2.0\n[[body]]\nname = 'a'\nradius = 1.0\nmotion = { fixed = [0, 0, 0] }\n[[body]]\n\
+             name = 'b'\nradius = 1.0\nmotion = { line = { from = [-2, 3, 0], velocity = [2, 0, 0] } }\n",
+        );
+        assert_eq!(found, []);
     }
 
     /// b passes a at a distance of 2.14 in a straight line: q = 1.07 at t = 2.8 s, between two steps.

@@ -393,6 +393,11 @@ impl Simulation for SideBySideRun {
         }
     }
 
+    fn reach(&self, a: usize, b: usize) -> f64 {
+        let part = self.parts.iter().find(|part| part.place.has(a));
+        part.map_or(f64::INFINITY, |Part { simulation, place, .. }| simulation.reach(a - place.first, b - place.first))
+    }
+
     fn on_path(&self, body: usize, time: f64) -> Option<[DVec3; 2]> {
         let Part { simulation, place, .. } = self.parts.iter().find(|part| part.place.has(body))?;
         let [position, velocity] = simulation.on_path(body - place.first, time)?;

@@ -59,8 +59,9 @@ pub trait Simulation {
     /// Writes the requested parts of the state to `frame` (reused).
     fn observe(&self, want: Want, frame: &mut Frame);
 
-    /// Writes the pairs of [`Frame::pairs`], with the motion of their centres, to `pairs` (reused). Called after every
-    /// step. The default observes a frame, and knows no velocities.
+    /// Writes the pairs of [`Frame::pairs`], with the motion of their centres, to `pairs` (reused), and those that may have
+    /// been within [`reach`](Simulation::reach) in the last step; in ascending order. Called after every step. The default
+    /// observes a frame, and knows no velocities.
     fn near(&self, pairs: &mut Vec<NearPair>) {
         let mut frame = Frame::default();
         self.observe(Want::default(), &mut frame);
@@ -71,6 +72,13 @@ pub trait Simulation {
             let rate = velocity(other) - velocity(one);
             NearPair { a, b, phase, apart: other.centre - one.centre, rate }
         }));
+    }
+
+    /// The q up to which bodies `a` and `b` can interact [–]; by default, all pairs that [`near`](Simulation::near) writes
+    /// can.
+    fn reach(&self, a: usize, b: usize) -> f64 {
+        let _ = (a, b);
+        f64::INFINITY
     }
 
     /// Position and velocity of the centre of a body at a time within the last step [s, scene unit], if it is on a path.

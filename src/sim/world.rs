@@ -319,16 +319,26 @@ impl World {
     /// near enough to merge, or that are not apart; in ascending order of their bodies. All other pairs are apart and
     /// do not interact.
     pub fn pairs(&self) -> impl Iterator<Item = PairView> + '_ {
-        let prescribed = self.solver.prescribed().into_iter().flat_map(Prescribed::phases);
-        let coupled = self.solver.coupled().into_iter().flat_map(Coupled::pairs);
-        let coupled = coupled.map(|pair| (pair.a as usize, pair.b as usize, pair.phase));
-        prescribed
-            .chain(coupled)
+        self.near_pairs()
             .map(|(a, b, phase)| {
                 let [q, rate] = self.q_and_rate(a, b);
                 PairView { a, b, q, rate, phase }
             })
             .filter(|pair| pair.phase != Phase::Apart || pair.q <= self.reach_of(pair.a, pair.b))
+    }
+
+    /// The pairs of [`World::pairs`], and others that may have been among them within the last step, with their phases; in
+    /// ascending order of their bodies.
+    pub(crate) fn near_pairs(&self) -> impl Iterator<Item = (usize, usize, Phase)> + '_ {
+        let prescribed = self.solver.prescribed().into_iter().flat_map(Prescribed::phases);
+        let coupled = self.solver.coupled().into_iter().flat_map(Coupled::pairs);
+        prescribed.chain(coupled.map(|pair| (pair.a as usize, pair.b as usize, pair.phase)))
+    }
+
+    /// A bound on the acceleration of a body's centre in the last step, which has these ends [scene unit/s², s]; infinite if
+    /// there is none, or if it is unknown.
+    pub(crate) fn acceleration_within(&self, body: usize, ends: [f64; 2]) -> f64 {
+        self.solver.prescribed().map_or(f64::INFINITY, |prescribed| prescribed.acceleration_within(body, ends))
     }
 
     /// Centre distance over the sum of the radii [–], and the rate at which it changes [1/s].
@@ -341,7 +351,7 @@ impl World {
 
     /// The q up to which one of two bodies can have vertices inside the other's influence sphere, or the two can merge
     /// [–].
-    fn reach_of(&self, a: usize, b: usize) -> f64 {
+    pub(crate) fn reach_of(&self, a: usize, b: usize) -> f64 {
         let vertices = |i: usize| match &self.solver {
             Solver::Prescribed(prescribed) => prescribed.extent(i),
             Solver::Coupled(coupled) => coupled.member(i).extent,

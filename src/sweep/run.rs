@@ -37,10 +37,13 @@ use super::{
 };
 use crate::{
     Scene, World,
-    analysis::touch::Touches,
+    analysis::{
+        approach::{Followed, Follower},
+        touch::Touches,
+    },
     model::phase::Phase,
     models,
-    observe::{Frame, NearPair, Simulation as _, StepSummary, Want, surface::Finding},
+    observe::{Frame, Simulation as _, StepSummary, Want, surface::Finding},
     scene::{
         Motion, Path,
         template::{Setting, Template},
@@ -190,8 +193,6 @@ struct Pair {
     merged: Option<[DVec3; 2]>,
     /// Position and velocity of b relative to a at the last split.
     split: Option<[DVec3; 2]>,
-    /// Its last state, and the time of that [s].
-    last: Option<(f64, NearPair)>,
 }
 
 /// A run in progress.
@@ -199,6 +200,7 @@ struct Run<'a> {
     world: World,
     sweep: &'a Sweep,
     pairs: BTreeMap<(usize, usize), Pair>,
+    follower: Follower,
     /// Names of the events, in order; their times are in `times`.
     events: String,
     times: Vec<f64>,
@@ -224,6 +226,7 @@ impl<'a> Run<'a> {
             world,
             sweep,
             pairs: BTreeMap::new(),
+            follower: Follower::default(),
             events: String::new(),
             times: Vec::new(),
             counts: [0; 3],
@@ -337,26 +340,29 @@ impl<'a> Run<'a> {
 
     /// Records the distances of pairs.
     fn record_distances(&mut self) {
-        let time = self.world.time();
-        for view in self.world.pairs() {
-            let relative @ [apart, rate] = self.relative(view.a, view.b);
-            let scene = self.world.scene();
-            let (dt, radii) = (scene.dt, scene.bodies[view.a].radius + scene.bodies[view.b].radius);
-            let pair = self.pairs.entry((view.a, view.b)).or_insert_with(|| {
-                let is_merged = view.phase != Phase::Apart;
-                Pair { is_merged, merged: is_merged.then_some(relative), ..Pair::met(relative, time) }
-            });
-            let now = NearPair::new([view.a, view.b], view.phase as usize, apart, rate);
-            let before = pair.last.replace((time, now));
-            let turns = before.filter(|(start, before)| {
-                time - start < 1.5 * dt && before.apart.dot(before.rate) < 0.0 && apart.dot(rate) >= 0.0
-            });
-            let nearest = turns.map(|(start, before)| before.extremum(&now, &self.world, [start, time], false));
-            let [time, distance] = nearest.unwrap_or([time, apart.length()]);
-            if self.closest.is_none_or(|(known, _)| distance / radii < known) {
-                self.closest = Some((distance / radii, time));
-            }
-        }
+        let Run { world, pairs, follower, closest, .. } = self;
+        let (bodies, time) = (&world.scene().bodies, world.time());
+        let mut least = closest.map_or(f64::INFINITY, |(q, _)| q);
+        follower.step(
+            &*world,
+            |body| bodies[body].radius,
+            |followed| {
+                let Followed { pair, q, is_within_reach, ends, .. } = *followed;
+                if is_within_reach {
+                    pairs.entry((pair.a, pair.b)).or_insert_with(|| {
+                        let (relative, is_merged) = ([pair.apart, pair.rate], pair.phase != Phase::Apart as usize);
+                        Pair { is_merged, merged: is_merged.then_some(relative), ..Pair::met(relative, time) }
+                    });
+                }
+                let acceleration = world.acceleration_within(pair.a, ends) + world.acceleration_within(pair.b, ends);
+                let nearest = followed.closest_below(least, acceleration);
+                for [time, q] in nearest.into_iter().chain(is_within_reach.then_some([time, q])) {
+                    if q < least {
+                        (least, *closest) = (q, Some((q, time)));
+                    }
+                }
+            },
+        );
     }
 
     /// Records the largest displacement.
@@ -465,7 +471,7 @@ impl<'a> Run<'a> {
 
 impl Pair {
     fn met(relative: [DVec3; 2], time: f64) -> Pair {
-        Pair { is_merged: false, since: time, met: relative, merged: None, split: None, last: None }
+        Pair { is_merged: false, since: time, met: relative, merged: None, split: None }
     }
 }
 

@@ -193,16 +193,15 @@ impl Simulation for World {
 
     fn near(&self, pairs: &mut Vec<NearPair>) {
         pairs.clear();
-        pairs.extend(self.pairs().map(|pair| {
-            let (a, b) = (self.body(pair.a), self.body(pair.b));
-            NearPair {
-                a: pair.a,
-                b: pair.b,
-                phase: pair.phase as usize,
-                apart: b.centre() - a.centre(),
-                rate: b.centre_velocity() - a.centre_velocity(),
-            }
+        pairs.extend(self.near_pairs().map(|(a, b, phase)| {
+            let (one, other) = (self.body(a), self.body(b));
+            let rate = other.centre_velocity() - one.centre_velocity();
+            NearPair { a, b, phase: phase as usize, apart: other.centre() - one.centre(), rate }
         }));
+    }
+
+    fn reach(&self, a: usize, b: usize) -> f64 {
+        self.reach_of(a, b)
     }
 
     fn on_path(&self, body: usize, time: f64) -> Option<[DVec3; 2]> {

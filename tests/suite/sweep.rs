@@ -58,6 +58,15 @@ fn succeeds(dir: &Dir, arguments: &str) -> String {
     output
 }
 
+/// A number of a row without its run time.
+fn number(columns: &[Column], cells: &[Cell], name: &str) -> f64 {
+    let mut columns = columns.iter().filter(|column| column.name != RUN_TIME);
+    let at = columns.position(|column| column.name == name).unwrap();
+    // the row is no cell
+    let Cell::Float(number) = cells[at - 1] else { panic!("{name}: {cells:?}") };
+    number
+}
+
 /// All rows in a folder, without their run times.
 fn rows(folder: &Path, columns: &[Column]) -> BTreeMap<u64, Vec<Cell>> {
     let columns: Vec<Column> = columns.iter().filter(|column| column.name != RUN_TIME).cloned().collect();
@@ -209,16 +218,11 @@ fn the_closest_approach_and_the_time_merged_are_exact() {
              [[set]]\nkey = 'influence.merge_at'\nvalue = 1.05\n[[set]]\nkey = 'influence.split_at'\nvalue = 1.2\n"
         ));
         succeeds(&dir, "s.toml --out out");
-        let columns: Vec<Column> = of(&dir).into_iter().filter(|column| column.name != RUN_TIME).collect();
-        let rows = rows(&dir.file("out"), &of(&dir));
+        let columns = of(&dir);
+        let rows = rows(&dir.file("out"), &columns);
         assert_eq!(rows.len(), 3);
         for cells in rows.values() {
-            let number = |name: &str| {
-                let at = columns.iter().position(|column| column.name == name).unwrap();
-                // the row is no cell
-                let Cell::Float(number) = cells[at - 1] else { panic!("{name}: {cells:?}") };
-                number
-            };
+            let number = |name: &str| number(&columns, cells, name);
             let speed = number("body.b.motion.line.velocity[0]");
             let from_middle = |q: f64| (4.0 * q * q - 4.0).sqrt() / speed;
             let split = 4.0 / speed + from_middle(1.2);
@@ -227,6 +231,34 @@ fn the_closest_approach_and_the_time_merged_are_exact() {
             assert!((number("closest") - 1.0).abs() < 1e-12, "{until}, {speed}: {cells:?}");
             assert!((number("closest_time") - 4.0 / speed).abs() < 1e-7, "{until}, {speed}: {cells:?}");
         }
+    }
+}
+
+/// b passes at q = 1 between two steps at whose ends it is out of reach, or swings to q = 1.05 and back within each step.
+#[test]
+fn the_closest_approach_is_found_within_a_step() {
+    let dir = folder(
+        "scene = 'passing.toml'\n[[axis]]\nkey = 'body.b.motion.line.velocity[0]'\nvalues = [150, 200, 250, 300, 350, 400]\n\
+         [[set]]\nkey = 'duration'\nvalue = 0.4\n[[set]]\nkey = 'body.b.motion.line.from[0]'\nvalue = -10.5\n\
+         [[set]]\nkey = 'influence.merge_at'\nvalue = 0.9\n",
+    );
+    let swinging = PASSING.replace("dt = 0.05", "dt = 0.1").replace(
+        "line = { from = [-4.0, 2.0, 0], velocity = [2.0, 0, 0] }",
+        "sine = { center = [2.4, 0, 0], amplitude = [0.3, 0, 0], frequency = 11.0, phase = 3.0 }",
+    );
+    fs::write(dir.file("swinging.toml"), swinging).unwrap();
+    let over_phases = "scene = 'swinging.toml'\n[[axis]]\nkey = 'body.b.motion.sine.phase'\nfrom = 0.0\nto = 6.0\ncount = 13\n\
+                       [[set]]\nkey = 'duration'\nvalue = 0.3\n[[set]]\nkey = 'influence.merge_at'\nvalue = 0.9\n";
+    for (closest, count) in [(1.0, 6), (1.05, 13)] {
+        succeeds(&dir, "s.toml --out out");
+        let columns = of(&dir);
+        let rows = rows(&dir.file("out"), &columns);
+        assert_eq!(rows.len(), count);
+        for cells in rows.values() {
+            assert!((number(&columns, cells, "closest") - closest).abs() < 1e-9, "{cells:?}");
+        }
+        fs::remove_dir_all(dir.file("out")).unwrap();
+        fs::write(dir.file("s.toml"), over_phases).unwrap();
     }
 }
 

@@ -391,6 +391,10 @@ impl Simulation for Metaballs {
         self.world.near(pairs);
     }
 
+    fn reach(&self, a: usize, b: usize) -> f64 {
+        self.world.reach(a, b)
+    }
+
     fn on_path(&self, body: usize, time: f64) -> Option<[DVec3; 2]> {
         self.world.on_path(body, time)
     }

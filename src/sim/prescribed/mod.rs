@@ -516,6 +516,16 @@ impl Prescribed {
         BodyView { body, mesh: &self.bodies[index].mesh, centre: path.position(now.time()), solved }
     }
 
+    /// A bound on the acceleration of a body's centre in the last step, which has these ends [scene unit/s², s]; infinite if
+    /// a derivative of its path jumps there.
+    pub fn acceleration_within(&self, index: usize, ends: [f64; 2]) -> f64 {
+        let breaks = self.tracks.breaks(index as u32);
+        if breaks.partition_point(|at| *at < ends[0]) < breaks.partition_point(|at| *at <= ends[1]) {
+            return f64::INFINITY;
+        }
+        self.tracks.bounds(index).map_or(0.0, |bounds| bounds.acceleration)
+    }
+
     /// A bound on the distance of a body's vertices from its centre, now and later if nothing else acts [scene unit].
     pub fn extent(&self, index: usize) -> f64 {
         self.bodies[index].radius + self.active(index).map_or(0.0, Active::amplitude)
