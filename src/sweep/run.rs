@@ -273,14 +273,14 @@ impl<'a> Run<'a> {
                 self.world.observe(Want::default(), frame);
                 touches.step_and_take(&self.world, frame, &summary.events, &mut found);
                 for found in found.drain(..) {
-                    if let Finding::Phase { measures, .. } = found.what
-                        && self.surfaces[0].len() < MAX_EVENTS
-                    {
+                    if let Finding::Phase { measures, .. } = found.what {
                         let of =
                             measures.map_or([f64::NAN; 3], |measures| [measures.gap, measures.share, measures.neck]);
                         self.surfaces.iter_mut().zip(of).for_each(|(list, value)| list.push(value));
                     }
                 }
+                // only the first changes of a step are measured
+                self.surfaces.iter_mut().for_each(|list| list.resize(self.times.len(), f64::NAN));
             }
             if self.sweep.until == Until::Certain && self.is_certain() {
                 break;

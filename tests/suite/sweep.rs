@@ -262,6 +262,39 @@ fn the_closest_approach_is_found_within_a_step() {
     }
 }
 
+/// b swings to and fro 30 times in the first step: more changes than the surfaces are compared at.
+#[test]
+fn the_measures_of_surfaces_belong_to_their_events() {
+    let dir =
+        folder("scene = 'swinging.toml'\nmeasures = ['surfaces']\n[[axis]]\nkey = 'influence.alpha'\nvalues = [0.0]\n");
+    let keys: Vec<String> =
+        (0..60).map(|k| format!("[{}, {}, 0, 0]", f64::from(k) / 600.0, 2.4 - 0.5 * f64::from(k % 2))).collect();
+    let path = format!(
+        "keyframes = {{ interpolation = 'linear', keys = [{}, [0.15, 2.4, 0, 0], [0.25, 1.9, 0, 0]] }}",
+        keys.join(", ")
+    );
+    let line = "line = { from = [-4.0, 2.0, 0], velocity = [2.0, 0, 0] }";
+    let swinging = PASSING.replace("dt = 0.05", "dt = 0.1").replace("4.0\n", "0.3\n").replace(line, &path);
+    fs::write(dir.file("swinging.toml"), swinging).unwrap();
+    succeeds(&dir, "s.toml --out out");
+    let columns = of(&dir);
+    let rows = rows(&dir.file("out"), &columns);
+    let list = |name: &str| {
+        let mut columns = columns.iter().filter(|column| column.name != RUN_TIME);
+        let at = columns.position(|column| column.name == name).unwrap();
+        let Cell::List(list) = &rows[&0][at - 1] else { panic!("{name}") };
+        list.clone()
+    };
+    let times = list("event_times");
+    let of_step = times.iter().filter(|&&time| time < 0.1).count();
+    assert!(of_step > 20 && times.len() > of_step, "{times:?}");
+    for name in ["gaps", "overlaps", "necks"] {
+        let is_known: Vec<bool> = list(name).iter().map(|value| value.is_finite()).collect();
+        let expected: Vec<bool> = (0..times.len()).map(|k| k < 16 || k >= of_step).collect();
+        assert_eq!(is_known, expected, "{name}");
+    }
+}
+
 #[test]
 fn shards_refinement_and_a_plain_run_have_the_same_rows() {
     let dir = folder(OVER_OFFSETS);
