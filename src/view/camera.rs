@@ -107,22 +107,47 @@ fn affected_bodies(scene: &Scene) -> Vec<(DVec3, f64)> {
     let pairs_of = if bodies.len() > MAX_BODIES { 0 } else { bodies.len() };
     let movers: Vec<usize> = (0..pairs_of).filter(|&i| bodies[i].path().is_none_or(|path| !path.is_fixed())).collect();
     let all: Vec<usize> = (0..pairs_of).collect();
+    let mut is_whole = vec![false; pairs_of];
     for (k, centres) in positions.into_iter().enumerate() {
+        is_whole.fill(false);
         // pairs of fixed bodies are examined only at the first instant
         for &b in if k == 0 { &all } else { &movers } {
             for a in (0..pairs_of).filter(|&a| a != b) {
                 let reach = |from: usize, to: usize| bodies[from].sphere_radius() + bodies[to].radius;
-                if centres[a].distance(centres[b]) < f64::max(reach(a, b), reach(b, a)) {
+                if centres[a].distance(centres[b]) >= f64::max(reach(a, b), reach(b, a)) {
+                    continue;
+                }
+                for (i, other) in [(a, b), (b, a)] {
+                    if is_whole[i] {
+                        continue; // with all that other pairs show of it
+                    }
                     // of a body that is much larger than the other, only the side towards the other
-                    let shown = |i: usize, other: usize| {
-                        let radius = f64::min(bodies[i].radius, MAX_SHOWN * bodies[other].radius);
-                        let towards = (centres[other] - centres[i]).normalize_or_zero();
-                        (centres[i] + (bodies[i].radius - radius) * towards, SIZE * radius)
-                    };
-                    acted_on.extend([shown(a, b), shown(b, a)]);
+                    let radius = f64::min(bodies[i].radius, MAX_SHOWN * bodies[other].radius);
+                    is_whole[i] = radius == bodies[i].radius;
+                    let towards = (centres[other] - centres[i]).normalize_or_zero();
+                    acted_on.push((centres[i] + (bodies[i].radius - radius) * towards, SIZE * radius));
                 }
             }
         }
     }
     if acted_on.is_empty() { all_spheres(scene) } else { acted_on }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::bounds;
+
+    #[test]
+    fn a_body_is_framed_once_at_each_instant_however_many_reach_it() {
+        let text = "duration = 0.05\n[influence]\nreach = 20.0\n[[grid]]\nname = 'g'\nradius = 1.0\ncount = [5, 5, 5]\n\
+                    spacing = [2.5, 2.5, 2.5]\nshape = { sphere = { stacks = 2, slices = 3 } }\n\
+                    motion = { line = { from = [0, 0, 0], velocity = [1, 0, 0] } }\n";
+        let scene = Scene::parse(text, "crowd.toml").unwrap();
+        let spheres = framing(&scene, true);
+        assert_eq!(spheres.len(), instants(&scene).count() * scene.bodies.len());
+        let centres = scene.bodies.iter().filter_map(|body| Some(body.path()?.position(0.0)));
+        let [low, high] = bounds(centres.map(|centre| (centre, 1.15)));
+        assert_eq!(bounds(spheres.iter().copied()), [low, high + DVec3::new(0.05, 0.0, 0.0)]);
+    }
 }
