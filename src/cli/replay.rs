@@ -23,7 +23,7 @@ use crate::{
         machine,
         pipeline::PipelineEnd,
         settings::{DETAILS, Detail, Frames, Settings, application},
-        sinks::{Destinations, Sinks},
+        sinks::{Complete, Destinations, Sinks},
     },
     text::{bytes, counted, thousands, vector},
 };
@@ -291,6 +291,8 @@ struct Saver {
     pipeline: Option<Pipeline>,
     /// From the last of them on, or the last of the replay.
     end: Option<PipelineEnd>,
+    /// The last step recorded.
+    last: u64,
     failure: Option<String>,
 }
 
@@ -324,7 +326,7 @@ impl Saver {
             around: recorded.settings.around.clone(),
             ..Settings::for_bodies(schema.bodies.len(), schema.steps)
         };
-        Ok(Saver { settings, steps, sinks, pipeline: None, end: None, failure: None })
+        Ok(Saver { settings, steps, sinks, pipeline: None, end: None, last: 0, failure: None })
     }
 
     /// Records a step; returns `false` if the replay need not continue.
@@ -340,6 +342,9 @@ impl Saver {
                 Ok(pipeline) => self.pipeline = Some(pipeline),
                 Err(failure) => self.failure = Some(failure),
             }
+        }
+        if is_recording && self.pipeline.is_some() {
+            self.last = step;
         }
         if !is_recording || step == *self.steps.end() {
             self.end(run);
@@ -364,20 +369,23 @@ impl Saver {
         }
     }
 
-    /// Finishes the file and says what it holds.
+    /// Finishes the file and says what it holds. There is none of a replay that failed before the first step to record.
     fn finish(self) -> Result<(), Failure> {
-        let (sinks, frames) = match (self.end, self.sinks) {
-            (Some(PipelineEnd { recorder, sinks, .. }), _) => (sinks, recorder.written()),
-            (None, Some(sinks)) => (sinks, 0),
-            (None, None) => return Ok(()),
-        };
+        if let Some(sinks) = self.sinks {
+            let (_, file) = sinks.complete();
+            file.into_iter().for_each(Complete::discard);
+            print(&format!("nothing is saved: the replay ended before step {}", self.steps.start()));
+            return Ok(());
+        }
+        let Some(PipelineEnd { recorder, sinks, .. }) = self.end else { return Ok(()) };
         let finished = sinks.finish().map_err(sink_failure)?;
         if let Some(saved) = finished.save {
-            let range = format!("steps {} to {}", self.steps.start(), self.steps.end());
             print(&format!(
-                "saved {}: {range}, {}, {}",
+                "saved {}: steps {} to {}, {}, {}",
                 saved.path.display(),
-                counted(frames, "frame"),
+                self.steps.start(),
+                self.last,
+                counted(recorder.written(), "frame"),
                 bytes(saved.bytes)
             ));
         }

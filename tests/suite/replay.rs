@@ -355,8 +355,16 @@ fn a_replay_that_ends_early_is_saved_with_its_end() {
     let output = fails(&dir, 1, &varied);
     let failed = Recorded::open(&dir.file("failed.rrd")).expect("a whole recording");
     assert!(failed.last() < 20, "{}", failed.last());
+    assert!(output.contains(&format!("saved failed.rrd: steps 0 to {}, ", failed.last())), "{output}");
     let cause = failed.failure.expect("why it ended");
     assert!(output.contains(&cause), "{cause}: {output}");
+    let before = fs::read(dir.file("failed.rrd")).unwrap();
+    for save in ["failed.rrd", "none.rrd"] {
+        let output = fails(&dir, 1, &[&varied[..7], &[save, "--from", "20"]].concat());
+        assert!(output.contains("nothing is saved: the replay ended before step 20"), "{output}");
+    }
+    assert_eq!(fs::read(dir.file("failed.rrd")).unwrap(), before);
+    assert!(!dir.file("none.rrd").exists() && !dir.file("none.rrd.partial").exists());
     let output = succeeds(&dir, &["replay", "failed.rrd"]);
     assert!(output.contains("and it fails as it did: "), "{output}");
 }
