@@ -71,8 +71,24 @@ fn load(uri: &str, path: &Path) -> Result<Vec<u8>, String> {
     if uri.contains("://") {
         return Err("it is not on this machine".to_owned());
     }
-    let file = path.parent().unwrap_or(Path::new("")).join(uri);
-    super::read(&file).map_err(|error| format!("{}: {error}", file.display()))
+    let read = |name: &str| {
+        let file = path.parent().unwrap_or(Path::new("")).join(name);
+        super::read(&file).map_err(|error| format!("{}: {error}", file.display()))
+    };
+    // not all programs encode names, so a name with % may be meant as it is
+    read(uri).or_else(|error| read(&decoded(uri).ok_or(error)?))
+}
+
+/// A URI without its percent-encoding; `None` if it has none.
+fn decoded(uri: &str) -> Option<String> {
+    let mut parts = uri.split('%');
+    let mut bytes = parts.next()?.as_bytes().to_vec();
+    let start = bytes.len();
+    for part in parts {
+        bytes.push(u8::from_str_radix(part.get(..2)?, 16).ok()?);
+        bytes.extend(&part.as_bytes()[2..]);
+    }
+    String::from_utf8(bytes).ok().filter(|_| start < uri.len())
 }
 
 fn array(value: &Value) -> &[Value] {

@@ -266,6 +266,26 @@ fn every_flaw_is_reported() {
     assert!(matches!(flat, Flaw::Massless { count: 8, .. }), "{flat}");
 }
 
+/// glTF names files by URIs.
+#[test]
+fn the_names_of_buffers_may_be_percent_encoded() {
+    let folder = std::env::temp_dir().join(format!("meldscope-buffers-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let (bytes, json) = gltf_parts();
+    for (uri, name) in
+        [("my%20cub%C3%A9.bin", "my cubé.bin"), ("my%20own.bin", "my%20own.bin"), ("100%.bin", "100%.bin")]
+    {
+        std::fs::write(folder.join(name), &bytes).unwrap();
+        let json = json.replace("URI", &format!(",\"uri\":\"{uri}\""));
+        let soup = gltf::parse(json.as_bytes(), &folder.join("x.gltf")).unwrap();
+        assert_eq!(soup.positions.len(), 8, "{uri}");
+    }
+    let error =
+        gltf::parse(json.replace("URI", ",\"uri\":\"no%20file\"").as_bytes(), &folder.join("x.gltf")).unwrap_err();
+    assert!(error.contains("no file"), "{error}");
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
 #[test]
 fn only_regular_files_are_read() {
     for path in ["/dev/zero", "/dev/null", "/", "/nowhere/x.obj"] {
