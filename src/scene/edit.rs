@@ -83,16 +83,18 @@ impl Edit {
         self.time < time - ROUNDING * dt
     }
 
-    /// Adds a last body.
-    pub(super) fn add_body(&mut self, body: &super::Body) {
+    /// Appends a body, in the group of body `like` if there is one.
+    fn add_body(&mut self, body: &super::Body, like: Option<usize>) {
         let numbers = Arc::make_mut(&mut self.numbers);
+        numbers.pairs.add_body(like);
         numbers.materials.push(body.material);
         numbers.reaches.push(body.reach);
     }
 
     /// Removes a body; the indices of later bodies decrease by one.
-    pub(super) fn remove_body(&mut self, index: usize) {
+    fn remove_body(&mut self, index: usize) {
         let numbers = Arc::make_mut(&mut self.numbers);
+        numbers.pairs.remove_body(index);
         if index < numbers.materials.len() {
             numbers.materials.remove(index);
             numbers.reaches.remove(index);
@@ -102,11 +104,11 @@ impl Edit {
 }
 
 impl Scene {
-    /// Adds a last body, with what the scene lists by body.
+    /// Appends a body, with what the scene lists by body.
     pub(crate) fn add_body(&mut self, body: super::Body) {
         let known = self.bodies.iter().position(|other| body.group.is_some() && other.group == body.group);
         self.pairs.add_body(known);
-        self.edits.iter_mut().for_each(|edit| edit.add_body(&body));
+        self.edits.iter_mut().for_each(|edit| edit.add_body(&body, known));
         self.bodies.push(body);
     }
 

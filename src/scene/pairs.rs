@@ -74,7 +74,7 @@ impl PairLaws {
         Ok(laws)
     }
 
-    /// Adds a last body, in the group of body `like` if there is one. A group of its own has no law yet.
+    /// Appends a body, in the group of body `like` if there is one. A group of its own has no law yet.
     pub(super) fn add_body(&mut self, like: Option<usize>) {
         if !self.is_empty() {
             self.group_of.push(like.and_then(|body| self.group_of(body)));

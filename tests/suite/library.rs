@@ -207,6 +207,31 @@ fn changes_in_place_act_as_if_in_the_scene() {
 }
 
 #[test]
+fn an_added_body_has_the_law_of_its_group_after_an_edit() {
+    let body = |name: &str, group: &str, x: f64| {
+        format!(
+            "[[body]]\nname = '{name}'\ngroup = '{group}'\nradius = 1.0\nmotion = {{ free = {{ from = [{x}, 0, 0] }} }}\n"
+        )
+    };
+    let scene = |bodies: &[String]| {
+        let text = format!(
+            "duration = 2.0\n{}[[pair]]\nbodies = ['g', 'h']\nbeta = 200.0\n[[edit]]\ntime = 0.1\nset = {{ 'influence.alpha' = 90.0 }}\n",
+            bodies.concat()
+        );
+        Scene::parse(&text, "groups.toml").expect("a scene")
+    };
+    let [a, b, c] = [body("a", "g", 0.0), body("b", "h", -9.0), body("c", "h", 2.3)];
+    let whole = scene(&[a.clone(), b.clone(), c]);
+    let last = whole.bodies[2].clone();
+    let mut known = World::new(whole).expect("enough memory");
+    let mut added = World::new(scene(&[a, b])).expect("enough memory");
+    added.add(last).expect("a new name");
+    known.run(60).expect("it runs");
+    added.run(60).expect("it runs");
+    assert_eq!(added.checksum(), known.checksum());
+}
+
+#[test]
 fn a_body_at_rest_wakes_for_a_force() {
     let text = BALLS.replace("gravity = [0, 0, -4]", "gravity = [0, 0, 0]").replace("velocity = [-0.2, 0, 0]", "");
     let mut world = World::new(Scene::parse(&text.replace("1.7", "9.7"), "rest.toml").expect("a scene")).unwrap();
