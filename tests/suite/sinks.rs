@@ -453,6 +453,28 @@ fn a_viewer_and_a_file_both_get_everything() {
     assert_eq!(viewer.messages().len(), 302);
 }
 
+/// What a failed file no longer takes, a viewer still gets.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_viewer_gets_the_messages_after_a_file_has_failed() {
+    let viewer = Viewer::start();
+    let destinations = Destinations { connect: Some(viewer.url()), ..to_file(Path::new("/dev/full")) };
+    let mut sinks = Sinks::open(&destinations).expect("a viewer and a device");
+    let mut sent = 0;
+    while !sinks.failed() {
+        std::thread::sleep(Duration::from_millis(1));
+        sinks.send(step(sent, 1_000)).ok();
+        sent += 1;
+        assert!(sent < 10_000, "no error");
+    }
+    for _ in 0..3 {
+        assert!(sinks.send(step(sent, 1_000)).is_err());
+        sent += 1;
+    }
+    rejected(sinks.finish());
+    assert_eq!(viewer.messages().len() as i64, sent);
+}
+
 #[test]
 fn a_missing_viewer_is_an_error_only_without_another_destination() {
     let dir = Dir::new();

@@ -266,13 +266,13 @@ impl Sinks {
     /// As for [`Sinks::send`].
     pub fn send_to(&mut self, audience: Audience, msg: LogMsg) -> Result<(), SinkError> {
         let parcel = Parcel::new(msg);
+        let mut written = Ok(());
         if audience != Audience::Viewers {
             // one that has failed leaves the others complete
-            let sent = self.writers.iter_mut().map(|writer| writer.send(parcel.clone()));
-            sent.fold(Ok(()), Result::and)?;
+            written = self.writers.iter_mut().map(|writer| writer.send(parcel.clone())).fold(written, Result::and);
         }
         if audience == Audience::Files {
-            return Ok(());
+            return written;
         }
         let mut gone = None;
         for viewer in &self.viewers {
@@ -282,8 +282,8 @@ impl Sinks {
             gone = server.send(parcel).err().or(gone);
         }
         match gone {
-            Some(err) if !self.is_any_left() => Err(err),
-            _ => Ok(()),
+            Some(err) if !self.is_any_left() => written.and(Err(err)),
+            _ => written,
         }
     }
 
