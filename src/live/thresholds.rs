@@ -82,8 +82,10 @@ enum Outcome {
 
 /// `None` if the result is no longer needed.
 fn outcome(experiment: &dyn Experiment, variation: &Variation, is_current: &dyn Fn() -> bool) -> Option<Outcome> {
-    let Ok(varied) = experiment.varied(variation) else { return Some(Outcome::None) };
-    let Ok(mut simulation) = varied.start() else { return Some(Outcome::None) };
+    // what else is asked for interrupts a run, which then fails
+    let none = || is_current().then_some(Outcome::None);
+    let Ok(varied) = experiment.varied(variation) else { return none() };
+    let Ok(mut simulation) = varied.start() else { return none() };
     let (steps, mut events, mut summary) = (simulation.schema().steps, Vec::new(), StepSummary::default());
     while simulation.steps_taken() < steps {
         if !is_current() {
@@ -93,8 +95,40 @@ fn outcome(experiment: &dyn Experiment, variation: &Variation, is_current: &dyn 
         simulation.step(&mut summary);
         events.append(&mut summary.events);
         if summary.failure.is_some() {
-            return Some(Outcome::None);
+            return none();
         }
     }
     Some(Outcome::Ended(outcome_of(events.iter().map(|event| event.name))))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::{
+        cell::Cell,
+        sync::atomic::{AtomicBool, Ordering},
+    };
+
+    use super::*;
+    use crate::{Scene, models::SceneRun, sim::Options};
+
+    static INTERRUPT: AtomicBool = AtomicBool::new(false);
+
+    /// Something else is asked for while the last step of all runs is taken.
+    #[test]
+    fn a_search_that_is_interrupted_at_its_end_finds_nothing() {
+        let text = "duration = 0.05\n[[body]]\nname = 'a'\nradius = 1.0\nmotion = { free = { from = [0, 0, 0] } }\n\
+                    [[body]]\nname = 'b'\nradius = 1.0\nmotion = { free = { from = [2.3, 0, 0] } }\n";
+        let options = Options { interrupt: Some(&INTERRUPT), ..Options::default() };
+        let run = SceneRun { scene: Scene::parse(text, "pair.toml").unwrap(), options };
+        let (looks, last) = (Cell::new(0), Cell::new(usize::MAX));
+        let is_current = || {
+            looks.set(looks.get() + 1);
+            INTERRUPT.store(looks.get() >= last.get(), Ordering::Relaxed);
+            looks.get() <= last.get()
+        };
+        let find = || find(&run, &Variation::default(), "influence.alpha", &is_current).is_some();
+        assert!(find());
+        last.set(looks.replace(0));
+        assert!(!find());
+    }
 }
