@@ -17,6 +17,8 @@ const CURVES: usize = 16;
 const CANDIDATES: usize = 4096;
 /// Largest number of instants at which thresholds that change are looked up.
 const MAX_LEVELS: u64 = 2000;
+/// Upper limit on the events that are sent: the first.
+const MAX_EVENTS: usize = 2000;
 /// Largest number of values in a curve.
 const POINTS: u64 = 2000;
 
@@ -90,9 +92,10 @@ impl Outline {
     /// has changed meanwhile.
     pub fn answer(&self, number: u64, contacts: Option<&[SurfaceEvent]>, of_file: Option<Problem>) -> Value {
         let schema = &self.schema;
-        let events = rows(&self.events, contacts.unwrap_or_default(), &self.bodies).into_iter().map(|row| {
+        let rows = rows(&self.events, contacts.unwrap_or_default(), &self.bodies);
+        let events = rows.iter().take(MAX_EVENTS).map(|row| {
             let pair = row.pair().map(|([a, b], _)| schema.pair_name(a, b));
-            let (color, whom) = match &row {
+            let (color, whom) = match row {
                 EventRow::Phase(event, _) => (schema.phases[event.to].color, pair.as_deref()),
                 EventRow::Contact(_) => (colors::SILVER, pair.as_deref()),
                 EventRow::Body(event) => (colors::SILVER, Some(&*schema.bodies[event.body].name)),
@@ -148,6 +151,7 @@ impl Outline {
             // whether the events include those of surfaces, which take longer to find
             "is_measured": contacts.is_some(),
             "events": events,
+            "event_count": rows.len(),
             "levels": levels,
             "plots": pairs.into_iter().map(plot).collect::<Vec<Value>>(),
             "problem": self.failure.clone().map(Problem::new).or_else(|| self.problem.clone()).or(of_file),
@@ -169,5 +173,28 @@ pub fn outcome_of<'e>(names: impl Iterator<Item = &'e str>) -> String {
     match &counts[..] {
         [] => "no event".to_owned(),
         _ => counts.iter().map(|(name, count)| format!("{count} {name}")).collect::<Vec<String>>().join(", "),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        Scene,
+        observe::{Experiment as _, Instant, surface::Finding},
+    };
+
+    #[test]
+    fn the_first_of_many_events_are_sent() {
+        let mut outline = Outline::new(Scene::builtin("two").unwrap().schema(), None);
+        let at = |time: f64| Instant { step: 0, time };
+        let merge = |k: i32| PairEvent::new("merge", at(f64::from(k) + 0.5), [0, 1], 1.0, [0, 1]);
+        outline.events.extend((0..40_000).map(merge));
+        let touch = |k: i32| SurfaceEvent { what: Finding::Touch, time: f64::from(k), step: 0, a: 0, b: 1, q: 1.0 };
+        let contacts: Vec<SurfaceEvent> = (0..40_000).map(touch).collect();
+        let answer = outline.answer(1, Some(&contacts), None);
+        let events = answer["events"].as_array().unwrap();
+        assert_eq!((events.len(), answer["event_count"].as_u64()), (MAX_EVENTS, Some(80_000)));
+        assert_eq!((&events[1]["event"], &answer["outcome"]), (&json!("merge a~b"), &json!("40000 merge")));
     }
 }

@@ -65,7 +65,8 @@ impl EventRow<'_> {
 /// that touch at the instant of a phase change come first.
 pub fn rows<'a>(phases: &'a [PairEvent], surfaces: &'a [SurfaceEvent], bodies: &'a [BodyEvent]) -> Vec<EventRow<'a>> {
     let contacts = surfaces.iter().filter(|event| event.is_contact()).map(EventRow::Contact);
-    let remark = |event: &PairEvent| surfaces.iter().find(|found| found.is_on(event)).and_then(SurfaceEvent::findings);
+    let remarks: Vec<&SurfaceEvent> = surfaces.iter().filter(|event| !event.is_contact()).collect();
+    let remark = |event: &PairEvent| remarks.iter().find(|found| found.is_on(event)).and_then(|found| found.findings());
     let phases = phases.iter().map(|event| EventRow::Phase(event, remark(event)));
     let mut rows: Vec<EventRow<'a>> = contacts.chain(phases).chain(bodies.iter().map(EventRow::Body)).collect();
     rows.sort_by(|x, y| x.time().total_cmp(&y.time()));

@@ -429,6 +429,8 @@ function differenceOf({ event, old, isCompared, isGone }) {
 
 function showEvents() {
   $("against").textContent = pinned ? `against run ${pinned.number} (pinned)` : before ? `against run ${before.number}` : "";
+  const left = run.event_count - run.events.length;
+  $("more").textContent = left > 0 ? `and ${left} more events after these` : "";
   $("events").replaceChildren(
     ...matched().map((row) => {
       const [kind, words] = differenceOf(row);
