@@ -9,6 +9,7 @@ use super::{
     events::{self, Change},
     existing::{self, Existing},
     quantities::Deviation,
+    recorded::RecordedEvent,
 };
 use crate::{
     analysis::worst::Worst,
@@ -190,7 +191,7 @@ impl Comparison {
             chunks.log(EVENTS.path, at, &TextLog::new(line).with_color(color(ERROR)));
         }
         let mut comparison = Comparison { chunks, sinks, shown, pairs, worst, radius, frames: 0 };
-        plan.changes.iter().for_each(|change| comparison.change(schema, change));
+        plan.changes.iter().for_each(|change| comparison.change(change));
         comparison.send()?;
         Ok(comparison)
     }
@@ -275,9 +276,9 @@ impl Comparison {
     }
 
     /// Logs a difference between the events of the two runs.
-    fn change(&mut self, schema: &Schema, change: &Change) {
-        let time = change.event().time;
-        let at = Instant { step: (time / schema.dt).ceil().max(0.0) as u64, time };
+    fn change(&mut self, change: &Change) {
+        let &RecordedEvent { step, time, .. } = change.event();
+        let at = Instant { step, time };
         let rgb = match change {
             Change::Vanished(_) => COLORS[0],
             Change::Appeared(_) => COLORS[1],

@@ -800,6 +800,22 @@ fn diff_compares_two_runs_of_a_scene() {
     assert!(is_there("s earlier: merge a~b at t = ") && is_there("gap of a~b: "), "{events:?}");
 }
 
+/// b jumps to a at the end of step 3, which is after 0.3 s in floating point.
+#[test]
+fn a_comparison_has_an_event_at_the_end_of_its_step() {
+    let dir = Dir::new();
+    let text = "duration = 0.6\ndt = 0.1\n[[body]]\nname = 'a'\nradius = 1.0\nmotion = { fixed = [0, 0, 0] }\n[[body]]\n\
+                name = 'b'\nradius = 1.0\nmotion = { keyframes = { interpolation = 'hold', keys = [[0, 4, 0, 0], \
+                [0.30000000000000004, 2, 0, 0]] } }\n";
+    fs::write(dir.file("jump.toml"), text).expect("disk space");
+    succeeds(&dir, &["run", "jump.toml", "--quiet", "--save", "a.rrd"]);
+    succeeds(&dir, &["run", "jump.toml", "--quiet", "--set", "influence.merge_at=0.5", "--save", "b.rrd"]);
+    fails(&dir, 1, &["diff", "a.rrd", "b.rrd", "--save", "d.rrd"]);
+    let events = Recording::open(&dir.file("d.rrd")).rows(&"/events".into());
+    let merge = events.iter().find(|(_, row)| row.text("TextLog:text").contains("vanished: merge a~b"));
+    assert_eq!(merge.map(|(_, row)| row.step), Some(3), "{events:?}");
+}
+
 /// The frames of a flight recorder are those of the whole run.
 #[test]
 fn diff_reads_the_frames_of_a_flight_recorder() {
