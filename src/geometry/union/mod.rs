@@ -182,7 +182,7 @@ fn attempt_union<'a, 'b>(
     if is_done(&placement) {
         return Ok((union, Vec::new()));
     }
-    // whether or not pairs are asked for: the union does not depend on it
+    // whether or not pairs are asked for: except through the budget, the union does not depend on it
     let is_shared = (3..=FEW).contains(&bodies.len());
     if !is_shared {
         placement.bury(&meetings); // a third body hides nothing of a pair
