@@ -3,6 +3,8 @@
 //! Starting from the state before a step and the events in it, every interval between two jumps is integrated again
 //! with the components that the step itself uses. Of a step of free bodies, the states at its events are shown.
 
+use std::collections::BTreeSet;
+
 use super::frames::add_forces;
 use crate::{
     model::phase::Phase,
@@ -56,9 +58,10 @@ fn events_of_free_bodies(ends: [&Frame; 2], world: &World, max: usize, stages: &
     let all: Vec<usize> = (0..world.body_count()).collect();
     let mut pairs = ends[0].pairs.clone();
     for event in events.iter().take(max) {
-        let is_its = |pair: &&mut PairFrame| [pair.a, pair.b] == [event.a as usize, event.b as usize];
-        if let Some(pair) = pairs.iter_mut().find(is_its) {
-            (pair.phase, pair.q) = (event.to as usize, event.q);
+        let now = PairFrame::new(event.a as usize, event.b as usize, event.q, event.to as usize);
+        match pairs.binary_search_by_key(&(now.a, now.b), |pair| (pair.a, pair.b)) {
+            Ok(index) => (pairs[index].phase, pairs[index].q) = (now.phase, now.q),
+            Err(index) => pairs.insert(index, now), // it came within reach in this step
         }
         let mut frame = Frame { pairs: pairs.clone(), ..Frame::default() };
         state_within(world, &schema, ends, event.time, &all, &mut frame);
@@ -162,7 +165,9 @@ fn frame_of(
         now
     });
     let bodies: Vec<BodyFrame> = bodies.collect();
-    let pairs = before.pairs.iter().map(|&PairFrame { a, b, .. }| {
+    let events = world.report().events.iter().map(|event| (event.a as usize, event.b as usize));
+    let pairs: BTreeSet<(usize, usize)> = before.pairs.iter().map(|pair| (pair.a, pair.b)).chain(events).collect();
+    let pairs = pairs.into_iter().map(|(a, b)| {
         let radii = world.scene().bodies[a].radius + world.scene().bodies[b].radius;
         let q = bodies[a].centre.distance(bodies[b].centre) / radii;
         PairFrame::new(a, b, q, recomputed.phase(a, b, phases_at) as usize)
@@ -349,5 +354,28 @@ mod tests {
             }
         }
         assert_eq!(events, 6);
+    }
+
+    /// b comes from out of reach and merges with a in one step.
+    #[test]
+    fn a_pair_that_comes_within_reach_has_its_stage() {
+        for motion in [
+            "free = { from = [5, 0, 0], velocity = [-240, 0, 0] }",
+            "line = { from = [5, 0, 0], velocity = [-240, 0, 0] }",
+        ] {
+            let text = format!(
+                "duration = 1.0\n[[body]]\nname = 'a'\nradius = 1.0\nmotion = {{ fixed = [0, 0, 0] }}\n[[body]]\n\
+                 name = 'b'\nradius = 1.0\nmotion = {{ {motion} }}\n"
+            );
+            let mut world = World::new(Scene::parse(&text, "fast.toml").unwrap()).unwrap();
+            let mut before = Frame::default();
+            world.observe(WANT, &mut before);
+            assert_eq!((before.pairs.len(), world.step().events.is_empty()), (0, false));
+            let event = world.report().events[0];
+            let stages = inside(&before, &world);
+            let stage = stages.iter().find(|stage| stage.name.starts_with("merge a~b")).unwrap();
+            let [pair] = &stage.frame.pairs[..] else { panic!("{motion}: {}", stage.frame.pairs.len()) };
+            assert_eq!((pair.phase, (pair.q - event.q).abs() < 1e-9), (event.to as usize, true), "{motion}");
+        }
     }
 }

@@ -49,11 +49,7 @@ impl Touching {
             let names = touching().filter(|(a, _)| a / size == number);
             let names: Vec<String> =
                 names.map(|(a, b)| format!("{}~{}", schema.plain_name(a), schema.plain_name(b))).collect();
-            let state = match names.len() {
-                0 => NONE.to_owned(),
-                1..=MOST_NAMED if self.known.len() < MOST_STATES => names.join(", "),
-                pairs => counted(pairs as u64, "pair"),
-            };
+            let state = state(&names, &self.known);
             if *last == state {
                 continue;
             }
@@ -78,5 +74,31 @@ impl Touching {
             schema.variants.iter().for_each(|of| chunks.log_static(&TOUCHING.of(&[of.name]), &states));
         }
         changed.iter().for_each(|(lane, state)| chunks.log(lane, view.at, &StateChange::single(state.as_str())));
+    }
+}
+
+/// The state in which these pairs touch.
+fn state(names: &[String], known: &[String]) -> String {
+    if names.is_empty() {
+        return NONE.to_owned();
+    }
+    let named = names.join(", ");
+    match names.len() <= MOST_NAMED && (known.len() < MOST_STATES || known.contains(&named)) {
+        true => named,
+        false => counted(names.len() as u64, "pair"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_known_state_keeps_its_name_among_many() {
+        let known: Vec<String> = (0..MOST_STATES).map(|k| format!("a~{k}")).collect();
+        assert_eq!(state(&["a~1".to_owned()], &known), "a~1");
+        assert_eq!(state(&["b~1".to_owned()], &known), "1 pair");
+        assert_eq!(state(&["b~1".to_owned()], &known[1..]), "b~1");
+        assert_eq!(state(&[], &known), NONE);
     }
 }
