@@ -103,7 +103,7 @@ struct Wanted {
     bodies: Vec<usize>,
     vertices: Vec<(usize, usize)>,
     pairs: Vec<[usize; 2]>,
-    /// Whether nothing is named: an overview.
+    /// Whether no body, vertex or pair is named: then an overview is printed.
     is_default: bool,
 }
 

@@ -85,7 +85,7 @@ enum Command {
     Explain(explain::Arguments),
     /// Compare two recordings of the same scene.
     Diff(diff::Arguments),
-    /// Write the surfaces of a run to mesh files, for other programs.
+    /// Write the surfaces of a run to mesh files, or its numbers to tables, for other programs.
     Export(export::Arguments),
     /// Run a scene at every point of a grid over its parameters: rows in Parquet, and a map of their outcomes.
     Sweep(sweep::Arguments),

@@ -166,7 +166,7 @@ pub fn sweep(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> 
         print(&format!(
             "level {level}: {}, {} of them in shard {}/{}",
             counted(plan.len(), "row"),
-            thousands(plan.of(shard)),
+            thousands(plan.row_count(shard)),
             shard.index,
             shard.count
         ));
@@ -255,7 +255,7 @@ struct RunningSweep<'a> {
 impl RunningSweep<'_> {
     /// Runs a shard of a level; does not return if interrupted.
     fn level(&self, level: u32, plan: &Plan, shard: Shard) -> Result<(), Failure> {
-        let progress = Progress::new(format!("level {level}"), Work::Units("run", Some(plan.of(shard))));
+        let progress = Progress::new(format!("level {level}"), Work::Units("run", Some(plan.row_count(shard))));
         let ended = level::run(&self.runner, self.store, (level, plan, shard), &STOP, &|rows| progress.add(rows));
         drop(progress);
         match ended? {

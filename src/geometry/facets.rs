@@ -5,7 +5,7 @@ use glam::DVec3;
 /// The vertices and triangles with which a mesh is drawn if its faces are flat.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Facets {
-    /// The vertices of which copies follow those of the mesh.
+    /// The vertices whose copies follow the mesh's own.
     copies: Vec<u32>,
     /// The triangles of the mesh; no two share a vertex.
     triangles: Vec<[u32; 3]>,

@@ -67,8 +67,8 @@ impl Mesh {
         Mesh { positions: directions, directions: None, normals: None, triangles, shares, facets: None }
     }
 
-    /// The mesh with flat faces and sharp edges, instead of the smooth surface as which it is drawn otherwise. Nothing else
-    /// changes. Not for bodies that tear.
+    /// The mesh with flat faces and sharp edges, instead of being drawn as a smooth surface. Nothing else changes. Not for
+    /// bodies that tear.
     pub fn faceted(self) -> Mesh {
         let facets = Some(Facets::new(self.vertex_count(), &self.triangles));
         Mesh { facets, ..self }

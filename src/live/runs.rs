@@ -69,7 +69,7 @@ struct Wanted {
     number: u64,
     /// Whether it has begun.
     has_begun: bool,
-    /// What is to be saved, in the order of the requests, each with the change that it had on the page.
+    /// What is to be saved, in the order of the requests, each with the change that the page showed.
     saves: VecDeque<(Save, Arc<dyn Experiment>, Change)>,
     /// Whether it is being saved: changes wait.
     is_saving: bool,
@@ -161,7 +161,7 @@ impl Runs {
         self.want(|wanted| wanted.change = change)
     }
 
-    /// Continues with another experiment and the same changes, as far as its parameters have them.
+    /// Continues with another experiment and the same changes, where its parameters have them.
     pub fn replace(&self, experiment: Arc<dyn Experiment>) {
         let (parameters, bodies) = (experiment.parameters(), bodies_to_poke(&*experiment));
         let scene = scene_of(&*experiment, &bodies);
@@ -190,7 +190,7 @@ impl Runs {
     /// Asks for a file of what is asked for now.
     ///
     /// # Errors
-    /// As many are waiting as somebody would ask for.
+    /// `MAX_SAVES` files are waiting already.
     pub fn save(&self, what: Save) -> Result<(), Problem> {
         let mut wanted = lock(&self.wanted);
         if wanted.saves.len() >= MAX_SAVES {
@@ -307,7 +307,7 @@ impl Runs {
     }
 
     /// Runs an experiment twice: for its events and curves, which are sent at once, and to record it. Runs are
-    /// reproducible to the bit, and the first is short: nothing is drawn. An outdated run ends early. If it
+    /// reproducible to the bit, and the first is quick, because nothing is drawn. An outdated run ends early. If it
     /// stands in for a change that is invalid, pages show that `problem` beside it.
     fn run(
         &self,

@@ -4,7 +4,7 @@
 //! precision of about 1e-7 of a radius. A recording without surfaces is run again.
 //!
 //! The events are phase changes, and surfaces that touch or part. Near misses are not compared: they are extrema of a
-//! distance, so all runs that differ at all differ in them.
+//! distance, so any two runs that differ, differ in them.
 
 use std::{
     collections::{BTreeMap, BTreeSet},

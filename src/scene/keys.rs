@@ -246,7 +246,14 @@ const LAW: PairLaw = PairLaw::DEFAULT;
 
 pub(super) static TOP: [Key; 7] = [
     key("name", Kind::Text(SCENE_NAME), Else("file name without extension"), "Name of the scene and of its recording."),
-    number("dt", POSITIVE, "s", [1e-3, 0.1], Written(1.0 / 60.0, "1/60"), "Step: the time between two frames."),
+    number(
+        "dt",
+        POSITIVE,
+        "s",
+        [1e-3, 0.1],
+        Written(1.0 / 60.0, "1/60"),
+        "Step Δt; a recording has a frame after every step unless --every says otherwise.",
+    ),
     number("duration", POSITIVE, "s", [0.5, 20.0], Required, "Simulated time."),
     key(
         "integrator",

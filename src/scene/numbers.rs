@@ -30,7 +30,7 @@ pub struct Number {
     pub usual: [f64; 2],
 }
 
-/// The numbers of a scene, in the order of its tables. A missing number is listed if it has a value all the same: its
+/// The numbers of a scene, in the order of its tables. A number that the file omits is listed if it still has a value: its
 /// default, or that of the table from which it is inherited. None of a scene that was not parsed.
 pub fn numbers(scene: &Scene) -> Vec<Number> {
     let Ok(document) = scene.source.parse::<Table>() else { return Vec::new() };

@@ -20,7 +20,7 @@ impl Scene {
         self.overrides_after(0, steps)
     }
 
-    /// Like [`Scene::overrides`], of a scene of which a run has entered some edits.
+    /// Like [`Scene::overrides`], for a scene some of whose edits a run has entered.
     pub(crate) fn overrides_after(&self, edits: usize, steps: Option<u64>) -> Result<String, String> {
         if self.source.is_empty() {
             return Ok(String::new());

@@ -48,7 +48,7 @@ impl Scene {
         let no_step = (self.steps() == 0).then(|| {
             let Scene { duration, dt, .. } = self;
             format!(
-                "duration = {duration} is less than half of dt = {dt}: of itself, the scene has no step; raise duration or lower dt"
+                "duration = {duration} is less than half of dt = {dt}: on its own, the scene has no steps; raise duration or lower dt"
             )
         });
         no_step.into_iter().chain(of_pairs).chain(of_bodies).chain(self.placement_warning()).collect()

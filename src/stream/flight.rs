@@ -138,7 +138,7 @@ impl FlightRecorder {
         self.held.keys().map(plain)
     }
 
-    /// After a gap, the state at the first frame that is kept, as far as that frame does not have it.
+    /// After a gap, the state at the first frame that is kept, where that frame lacks it.
     pub fn state_after_gap(&self) -> Option<State> {
         let (at, chunks) = self.frames.front().filter(|_| self.has_gap)?;
         let mut present: BTreeSet<(&EntityPath, ComponentIdentifier)> = BTreeSet::new();

@@ -19,7 +19,7 @@ pub const MOST_PAIRS_OF_MANY: usize = 5;
 pub enum Detail {
     /// Surfaces, spheres, pairs, events, timings and diagnostics.
     Surface,
-    /// `Surface`, plus force arrows by cause, pairs in space, and values of single vertices.
+    /// `Surface`, plus force arrows by cause, and values of single vertices.
     Forces,
     /// `Forces`, plus the stages inside a range of steps.
     Stages {

@@ -617,7 +617,7 @@ fn in_words(error: &SceneError) -> String {
 pub fn duration(seconds: f64) -> String {
     const UNITS: [(&str, f64); 5] =
         [("years", 365.25 * 86_400.0), ("days", 86_400.0), ("hours", 3600.0), ("minutes", 60.0), ("seconds", 1.0)];
-    let unit = UNITS.iter().find(|(_, metadata)| seconds >= 2.0 * metadata).unwrap_or(&UNITS[4]);
+    let unit = UNITS.iter().find(|(_, length)| seconds >= 2.0 * length).unwrap_or(&UNITS[4]);
     let number = seconds / unit.1;
     if number >= 1e6 {
         format!("{number:.1e} {}", unit.0)

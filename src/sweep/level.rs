@@ -53,13 +53,13 @@ impl Plan {
     }
 
     /// Number of rows of a shard.
-    pub fn of(&self, shard: Shard) -> u64 {
+    pub fn row_count(&self, shard: Shard) -> u64 {
         (self.len() + shard.count - 1 - shard.index) / shard.count
     }
 
     /// Rows of a block of a shard.
     fn block(&self, shard: Shard, block: u64) -> Vec<u64> {
-        let indices = block * BLOCK..((block + 1) * BLOCK).min(self.of(shard));
+        let indices = block * BLOCK..((block + 1) * BLOCK).min(self.row_count(shard));
         indices.map(|index| self.row(shard.index + shard.count * index)).collect()
     }
 }
@@ -106,10 +106,10 @@ pub fn run(
     progress: &(dyn Fn(u64) + Sync),
 ) -> Result<Ended, StoreError> {
     let done = store.blocks(level, shard)?;
-    let blocks = plan.of(shard).div_ceil(BLOCK);
+    let blocks = plan.row_count(shard).div_ceil(BLOCK);
     if (0..blocks).all(|block| done.contains(&block)) {
         store.clean(level, shard)?; // a process killed just before this point left its files behind
-        progress(plan.of(shard));
+        progress(plan.row_count(shard));
         return Ok(Ended::Complete);
     }
     let mut kept = store.journals(level, shard)?;

@@ -242,7 +242,7 @@ fn log_along(
     measures: &[&str],
 ) -> Result<(), StoreError> {
     let design = &sweep.design;
-    let find = |axis: &super::design::Axis| design.axes.iter().position(|other| other.key == axis.key);
+    let find = |axis: &Axis| design.axes.iter().position(|other| other.key == axis.key);
     let Some(first) = map.axes.first().and_then(find).filter(|_| map.is_grid) else { return Ok(()) };
     let second = map.axes.get(1).and_then(find);
     let last = second.and_then(|axis| design.axes[axis].count(0)).unwrap_or(1) - 1;

@@ -22,7 +22,7 @@
 //!   move apart and each body is out of reach of the other's sphere, even if its vertices were displaced by one and a half
 //!   times the distance that their energy allows.
 //!
-//! While a pair is merged, the run goes on. Scenes of more than eight bodies run to the end. All measures are over the
+//! A run continues while any pair is merged. Scenes of more than eight bodies run to the end. All measures are over the
 //! steps taken.
 
 use std::{collections::BTreeMap, sync::atomic::AtomicBool, time::Instant};

@@ -17,7 +17,7 @@ const ABOVE: f64 = 40.0;
 const RIGHT: f64 = 30.0;
 const HEADER: f64 = 80.0;
 const LEGEND: f64 = 250.0;
-/// Letters in a line of the legend.
+/// Characters in a line of the legend.
 const LINE: usize = 30;
 /// Radius of a threshold [px].
 const THRESHOLD: f64 = 2.6;

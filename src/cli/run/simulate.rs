@@ -22,7 +22,7 @@ use crate::{
     },
 };
 
-/// The clock is looked at only every few steps.
+/// The clock is read only every few steps.
 const STEPS_BETWEEN_CHECKS: u64 = 16;
 
 /// The result of a run.

@@ -14,7 +14,7 @@ use super::{
 const SAMPLE: u64 = 64;
 /// Bodies this far apart are apart in a union, too [radii]; …
 const APART: f64 = 1e-6;
-/// … and this fraction of that for every unit of their coordinates.
+/// … plus this fraction of it per unit of their coordinates.
 const SCENE: f64 = 1e-3;
 
 /// Where two bodies were nearest to each other, as the starting point of a search in a later frame. Does not affect

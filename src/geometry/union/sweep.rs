@@ -78,7 +78,7 @@ pub fn sweep<E>(
 mod tests {
     use super::*;
 
-    /// Boxes that all overlap have n² pairs: what counts them can end the search.
+    /// Boxes that all overlap have n² pairs: the callback can end the search.
     #[test]
     fn a_sweep_ends_where_a_pair_fails() {
         let boxes = vec![Aabb { min: glam::DVec3::ZERO, max: glam::DVec3::ONE }; 100];

@@ -6,7 +6,7 @@
 //! | `/world/bodies/NAME`, `…/surface` | [`bodies`] |
 //! | `/world/resting/SHAPE`, `/world/deforming/surface` | [`batch`] |
 //! | `/world/influence` | [`spheres`] |
-//! | `/world/forces/TERM`, `…/net_force`, `…/torque` | [`forces`] |
+//! | `/world/forces/CAUSE`, `…/net_force`, `…/torque` | [`forces`] |
 //! | `/forces/NAME/CAUSE`, `/strongest/…`, `/world/resultants/…` | [`body_forces`] |
 //! | `/ranking/pairs` | [`changes`] |
 //! | style of `/ranking/…` and `/timings/ranking` | [`ranking`] |

@@ -10,8 +10,8 @@ use tokio_stream::{Stream, wrappers::WatchStream};
 /// Parts as they become known.
 pub(crate) type Parts = Pin<Box<dyn Stream<Item = Bytes> + Send>>;
 
-/// Parts that `look` finds, one by one: it is called again after each part, and when there are news after it has found none
-/// yet. They end when it says so, or when there will be no more news.
+/// Parts that `look` finds, one by one: it is called again after each part, and whenever there is news after it found none.
+/// They end when it says so, or when there will be no more news.
 pub(crate) fn follow(
     news: watch::Receiver<()>,
     look: impl FnMut() -> Poll<Option<Bytes>> + Send + Unpin + 'static,
