@@ -346,9 +346,9 @@ fn say(line: &str) {
     let _ = writeln!(io::stderr(), "{}", printable(line));
 }
 
-/// Prints a note to standard error, if there is one, unless only errors and warnings are wanted.
+/// Prints a note to standard error, if there is one.
 fn say_note(note: Option<String>) {
-    if let Some(note) = note.filter(|_| !is_quiet()) {
+    if let Some(note) = note {
         say(&format!("note: {note}"));
     }
 }

@@ -296,8 +296,20 @@ impl<'a> Run<'a> {
         [b.centre() - a.centre(), b.centre_velocity() - a.centre_velocity()]
     }
 
+    /// The same just before an instant of the last step [s]: between that and the end of the step, paths may turn.
+    fn relative_before(&self, a: usize, b: usize, time: f64) -> [DVec3; 2] {
+        let [from, to] = [a, b].map(|body| {
+            let body = self.world.body(body);
+            let velocity = body.centre_velocity();
+            let of_path = body.scene().path().map(|path| path.before(time));
+            of_path.map_or([body.centre() - velocity * (self.world.time() - time), velocity], |then| {
+                [then.position, then.velocity]
+            })
+        });
+        [to[0] - from[0], to[1] - from[1]]
+    }
+
     fn take_events(&mut self) {
-        let end = self.world.time();
         let events: Vec<Event> = self.world.report().events.clone();
         let is_single = self.world.body_count() == 2;
         for event in events {
@@ -314,8 +326,7 @@ impl<'a> Run<'a> {
                 self.times.push(event.time);
             }
             self.energy += event.energy;
-            let [position, velocity] = self.relative(a, b);
-            let then = [position - velocity * (end - event.time), velocity];
+            let then = self.relative_before(a, b, event.time);
             let pair = self.pairs.entry((a, b)).or_insert_with(|| Pair::met(then, event.time));
             match (event.from, event.to) {
                 (Phase::Apart, Phase::Apart) => {}

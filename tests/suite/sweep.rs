@@ -536,3 +536,19 @@ fn a_change_at_the_end_of_a_step_counts_whenever_a_run_ends() {
         assert!(output.contains("outcomes: merged 3\n"), "{until}: {output}");
     }
 }
+
+/// A path that turns in the step in which a pair splits has not turned yet when it does: the bodies have passed each other,
+/// whatever the step.
+#[test]
+fn the_outcome_does_not_depend_on_where_a_path_turns_within_a_step() {
+    let scene = "duration = 2.0\n[[body]]\nname = 'a'\nradius = 1.0\nmotion = { fixed = [0, 0, 0] }\n\
+                 [[body]]\nname = 'b'\nradius = 1.0\nmotion = { keyframes = { interpolation = 'linear', \
+                 keys = [[0.0, -3, 0.3, 0], [0.95, 2.5, 0.3, 0], [2.0, 2.4, 0.3, 0]] } }\n";
+    let dir = folder("scene = 'turn.toml'\n[[axis]]\nkey = 'dt'\nvalues = [0.25, 0.05, 0.01]\n");
+    fs::write(dir.file("turn.toml"), scene).unwrap();
+    succeeds(&dir, "s.toml --out out");
+    let columns = of(&dir);
+    for cells in rows(&dir.file("out"), &columns).values() {
+        assert!(cells.iter().any(|cell| matches!(cell, Cell::Text(text) if text == "passed")), "{cells:?}");
+    }
+}
