@@ -25,8 +25,8 @@ use crate::{
         blueprint,
         chunks::Chunks,
         contract::{
-            ABOUT, COMPARED_DISTANCE, COMPARED_ERROR, COMPARED_EVENTS, COMPARED_SURFACE, COMPARED_WORST, DIFFERENCE,
-            EVENTS, LOG_DIFFERENCE, NAMES, RECORDING_INFO, WORLD,
+            ABOUT, COMPARED_DISTANCE, COMPARED_ERROR, COMPARED_EVENTS, COMPARED_LEVEL, COMPARED_SURFACE,
+            COMPARED_WORST, DIFFERENCE, EVENTS, LOG_DIFFERENCE, NAMES, RECORDING_INFO, WORLD,
         },
         extract::Extractor,
         instant::Instant,
@@ -59,6 +59,8 @@ pub const MAX_PAIRS: usize = 4;
 const FEW: usize = 5;
 /// The two runs, in the names of entities.
 const SIDES: [&str; 2] = ["a", "b"];
+/// Upper limit on the changes of scenes at which thresholds are compared.
+const MAX_CHANGES: usize = 256;
 
 /// What a comparison shows, known before it is written.
 #[derive(Clone, Debug)]
@@ -71,10 +73,21 @@ pub struct Plan<'a> {
     pub bodies: Vec<usize>,
     /// The pairs whose events differ, at most [`MAX_PAIRS`].
     pub pairs: Vec<[usize; 2]>,
+    /// The schema of the second run.
+    pub second: &'a Schema,
     /// Vertices to be listed with the events, and what they are. The viewer opens at the instant of the first.
     pub listed: Vec<(Worst, &'static str)>,
     /// Differences up to this size are ignored [radii].
     pub tolerance: f64,
+}
+
+/// The line of a threshold of a pair in one of the runs.
+struct Level {
+    entity: String,
+    /// 0 or 1: the first or the second run.
+    run: usize,
+    threshold: usize,
+    pair: [usize; 2],
 }
 
 /// Writes a comparison while the two runs are stepped through.
@@ -83,6 +96,10 @@ pub struct Comparison {
     sinks: Sinks,
     shown: Vec<(usize, String, Arc<Mesh>)>,
     pairs: Vec<(String, [usize; 2])>,
+    /// The thresholds of these pairs that differ between the runs: entities, and the level of each run over time.
+    levels: Vec<Level>,
+    /// The schema of the second run.
+    second: Schema,
     /// The vertex that differs most.
     worst: Callout,
     /// Radius of the largest body shown [scene unit].
@@ -144,7 +161,8 @@ impl Comparison {
                 ""
             } else {
                 " Below it, q of each pair whose events differ: \
-                 the first run thick and blue, the second thin and orange; diamonds are events that differ."
+                 the first run thick and blue, the second thin and orange; diamonds are events that differ, level lines \
+                 thresholds that do."
             },
             differ_most(plan.changes),
         );
@@ -183,6 +201,27 @@ impl Comparison {
                 chunks.log_static(&COMPARED_EVENTS.of(&[side, pair]), &marks);
             }
         }
+        let mut levels = Vec::new();
+        for (name, pair) in &pairs {
+            for (index, threshold) in schema.thresholds.iter().enumerate() {
+                let both = |time: f64| [schema, plan.second].map(|of| of.level(index, *pair, time));
+                // levels change where the scene changes something
+                let changes = [schema, plan.second].into_iter().flat_map(|of| &of.scheduled).take(MAX_CHANGES);
+                let differs = |time: f64| both(time)[0] != both(time)[1];
+                if plan.second.bodies.len() != schema.bodies.len()
+                    || !(differs(0.0) || changes.map(|of| of.time + schema.dt).any(differs))
+                {
+                    continue;
+                }
+                for (run, level) in both(0.0).into_iter().enumerate() {
+                    let entity = COMPARED_LEVEL.of(&[SIDES[run], name, threshold.name]);
+                    let level = level.map_or(String::new(), |level| format!(" {level}"));
+                    let label = format!("{}{level}", threshold.label);
+                    Series::style(&mut chunks, &entity, &label, COLORS[run], 1.0, Interpolation::Linear);
+                    levels.push(Level { entity, run, threshold: index, pair: *pair });
+                }
+            }
+        }
         // in another colour than the arrows: the line to the label is no difference
         let worst = Callout::new(COMPARED_WORST.path, SILVER, &mut chunks);
         for (Worst { step, time, body, vertex, difference, .. }, what) in &plan.listed {
@@ -190,7 +229,8 @@ impl Comparison {
             let at = Instant { step: *step, time: *time };
             chunks.log(EVENTS.path, at, &TextLog::new(line).with_color(color(ERROR)));
         }
-        let mut comparison = Comparison { chunks, sinks, shown, pairs, worst, radius, frames: 0 };
+        let second = plan.second.clone();
+        let mut comparison = Comparison { chunks, sinks, shown, pairs, levels, second, worst, radius, frames: 0 };
         plan.changes.iter().for_each(|change| comparison.change(change));
         comparison.send()?;
         Ok(comparison)
@@ -244,6 +284,11 @@ impl Comparison {
                 let (Some(from), Some(to)) = (centres.get(*a), centres.get(*b)) else { continue };
                 let q = f64::from(from.distance(*to)) / (schema.bodies[*a].radius + schema.bodies[*b].radius);
                 self.chunks.log(&COMPARED_DISTANCE.of(&[side, pair]), at, &Scalars::single(q));
+            }
+        }
+        for Level { entity, run, threshold, pair } in &self.levels {
+            if let Some(level) = [schema, &self.second][*run].level(*threshold, *pair, at.time) {
+                self.chunks.log(entity, at, &Scalars::single(level));
             }
         }
         let above = |index: usize, radii: f32| {

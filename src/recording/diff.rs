@@ -315,8 +315,16 @@ pub fn save(
         let pair = change.event().pair.split_once('~').and_then(|(a, b)| Some([schema.body(a)?, schema.body(b)?]));
         pairs.extend(pair.filter(|pair| pairs.len() < MAX_PAIRS && !pairs.contains(pair)));
     }
+    // the first to differ is shown first
+    let first = |&[a, b]: &[usize; 2]| {
+        let pair = schema.pair_name(a, b);
+        let of_pair = difference.events.iter().map(|change| change.event()).filter(|event| event.pair == pair);
+        of_pair.map(|event| event.time).fold(f64::INFINITY, f64::min)
+    };
+    pairs.sort_by(|one, other| first(one).total_cmp(&first(other)));
     let plan = Plan {
         changes: &difference.events,
+        second: &recorded[1].schema,
         pairs,
         labels: [[recorded[0], recorded[1]], [recorded[1], recorded[0]]].map(|[recorded, other]| {
             let name = recorded.path.file_name().unwrap_or_default().to_string_lossy();

@@ -473,6 +473,7 @@ fn show(
     }
     let plan = Plan {
         changes: &difference.events,
+        second: schema,
         labels: ["the golden recording".to_owned(), "this run".to_owned()],
         listed: worst.map(|worst| (worst.clone(), "largest")).into_iter().collect(),
         bodies,

@@ -254,6 +254,8 @@ entities! {
         "In a comparison: q in the first or the second run, of the first 4 pairs whose events differ.";
     COMPARED_EVENTS = "/q/events/SIDE/A~B" ["Scalars, SeriesPoints"]
         "In a comparison: the events of these pairs that differ, as markers at q.";
+    COMPARED_LEVEL = "/q/levels/SIDE/A~B/THRESHOLD" ["Scalars"]
+        "In a comparison: the thresholds of these pairs that differ.";
     DIFFERENCE = "/difference/NAME" ["Scalars"]
         "In a comparison: the largest difference of a body [radii], and the tolerance.";
     LOG_DIFFERENCE = "/log10/difference/NAME" ["Scalars"]

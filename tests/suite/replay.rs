@@ -811,9 +811,17 @@ fn a_comparison_has_an_event_at_the_end_of_its_step() {
     succeeds(&dir, &["run", "jump.toml", "--quiet", "--save", "a.rrd"]);
     succeeds(&dir, &["run", "jump.toml", "--quiet", "--set", "influence.merge_at=0.5", "--save", "b.rrd"]);
     fails(&dir, 1, &["diff", "a.rrd", "b.rrd", "--save", "d.rrd"]);
-    let events = Recording::open(&dir.file("d.rrd")).rows(&"/events".into());
+    let compared = Recording::open(&dir.file("d.rrd"));
+    let events = compared.rows(&"/events".into());
     let merge = events.iter().find(|(_, row)| row.text("TextLog:text").contains("vanished: merge a~b"));
     assert_eq!(merge.map(|(_, row)| row.step), Some(3), "{events:?}");
+    // the thresholds that differ are drawn, and no others
+    for (side, level) in [("a", 1.05), ("b", 0.5)] {
+        let rows = |threshold: &str| compared.rows(&format!("/q/levels/{side}/a~b/{threshold}").as_str().into());
+        let merge_at = rows("merge_at");
+        assert!(merge_at.len() > 1 && merge_at.iter().all(|(_, row)| row.scalar() == Some(level)), "{merge_at:?}");
+        assert!(rows("split_at").is_empty());
+    }
 }
 
 /// The frames of a flight recorder are those of the whole run.

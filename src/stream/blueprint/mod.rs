@@ -43,7 +43,8 @@ use crate::{
     },
     stream::{
         contract::{
-            ABOUT, COMPARED_DISTANCE, COMPARED_EVENTS, EVENTS, LOG_DIFFERENCE, MAP, MEASURE, SLICE, STEP, WORLD,
+            ABOUT, COMPARED_DISTANCE, COMPARED_EVENTS, COMPARED_LEVEL, EVENTS, LOG_DIFFERENCE, MAP, MEASURE, SLICE,
+            STEP, WORLD,
         },
         palette,
         settings::{Detail, Settings},
@@ -120,9 +121,13 @@ pub fn of_comparison(
     let (mut parts, mut shares) = (vec![plot, events], vec![1.5, 1.0]);
     if !pairs.is_empty() {
         let mut plot = |pair: &String| {
-            let lines =
-                [&COMPARED_DISTANCE, &COMPARED_EVENTS].map(|of| sides.map(|side| including(&of.of(&[side, pair]))));
-            let plot = layout.time_series(&format!("q of {pair}"), "/", lines.as_flattened(), Corner2D::RightBottom);
+            let mut lines: Vec<String> = Vec::new();
+            for side in sides {
+                lines.extend([&COMPARED_DISTANCE, &COMPARED_EVENTS].map(|of| including(&of.of(&[side, pair]))));
+                let levels = schema.thresholds.iter().map(|of| COMPARED_LEVEL.of(&[side, pair, of.name]));
+                lines.extend(levels.map(|level| including(&level)));
+            }
+            let plot = layout.time_series(&format!("q of {pair}"), "/", &lines, Corner2D::RightBottom);
             // it would cover a third of the lines, whose colours are those of the surfaces
             layout.hide_legend(&plot);
             plot
