@@ -80,7 +80,7 @@ impl NearPair {
             0 => self.apart.dot(self.rate) > 0.0,
             LOOKS => next.apart.dot(next.rate) < 0.0,
             k => {
-                // between two instants the pair comes nearer by less than it moves
+                // between two instants the pair hardly comes nearer than by how far it is from one to the next
                 let hop = |k: usize| places[k].distance(places[k + 1]);
                 looks[k] - f64::max(hop(k - 1), hop(k)) > limit
             }

@@ -80,8 +80,9 @@ impl KeyPath {
             }
             parts.push(Part::Name(name.to_owned()));
             while let Some(opened) = rest.strip_prefix('[') {
-                let (index, after) = opened.split_once(']').ok_or_else(expected)?;
-                let quoted = index.strip_prefix('"').and_then(|name| name.strip_suffix('"'));
+                let in_quotes = opened.strip_prefix('"').and_then(|name| name.split_once("\"]"));
+                let quoted = in_quotes.map(|(name, _)| name);
+                let (index, after) = in_quotes.or_else(|| opened.split_once(']')).ok_or_else(expected)?;
                 parts.push(match (quoted, index.parse()) {
                     (Some(name), _) if !name.is_empty() => Part::Name(name.to_owned()),
                     (None, Ok(index)) if index <= MAX_INDEX => Part::Index(index),

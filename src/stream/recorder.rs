@@ -457,7 +457,10 @@ impl Recorder {
         if let Some(parts) = &mut self.parts {
             parts.log(view, self.frames, &mut self.chunks);
             let displaced = view.bodies().enumerate().filter(|(_, (_, now))| !now.is_absent);
-            let displaced = displaced.map(|(body, (of, now))| (body, now.max_displacement / of.radius, now.centre));
+            let displaced = displaced.map(|(body, (of, now))| {
+                let is_finite = now.lengths.iter().sum::<f64>().is_finite();
+                (body, if is_finite { now.max_displacement / of.radius } else { f64::INFINITY }, now.centre)
+            });
             self.worst = displaced.max_by(|one, other| one.1.total_cmp(&other.1));
             if self.flight.is_some() {
                 let [low, high] = view.bounds();
@@ -482,11 +485,14 @@ impl Recorder {
         /// A body that is displaced further is what failed, or shows it best [radii].
         const FAR: f64 = 1.0;
         if let (Some(parts), Some((body, displacement, centre))) = (&mut self.parts, self.worst)
-            && !(displacement <= FAR)
+            && displacement > FAR
             && centre.is_finite()
         {
             let of = &self.schema.bodies[body];
-            let text = format!("failed; largest displacement: {}, {} R", of.name, significant(displacement));
+            let text = match displacement.is_finite() {
+                true => format!("failed; largest displacement: {}, {} R", of.name, significant(displacement)),
+                false => format!("failed: {} is not finite", of.name),
+            };
             // above the body: at its centre are other labels
             let place = centre + 1.3 * of.radius * self.schema.up;
             self.chunks.log(NOT_RECORDED.path, self.at, &notice(place, &text));

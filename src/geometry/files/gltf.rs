@@ -85,7 +85,8 @@ fn decoded(uri: &str) -> Option<String> {
     let mut bytes = parts.next()?.as_bytes().to_vec();
     let start = bytes.len();
     for part in parts {
-        bytes.push(u8::from_str_radix(part.get(..2)?, 16).ok()?);
+        let digits = part.get(..2).filter(|digits| digits.bytes().all(|digit| digit.is_ascii_hexdigit()))?;
+        bytes.push(u8::from_str_radix(digits, 16).ok()?);
         bytes.extend(&part.as_bytes()[2..]);
     }
     String::from_utf8(bytes).ok().filter(|_| start < uri.len())

@@ -30,6 +30,8 @@ use crate::{
 pub const OF_LIMIT: f64 = 0.7;
 /// Upper limit on the cells of finite elements that a body evaluates in a step; they take far longer than springs.
 const MAX_CELLS: f64 = 1e7;
+/// How often finite elements that rub on a plane are solved in a step, about.
+const RUBBING: f64 = 10.0;
 /// A body whose nodes are farther away than this has diverged [radii].
 const DIVERGED: f64 = 1e6;
 
@@ -172,8 +174,9 @@ pub fn max_memory(scene: &Scene, across: u32, vertices: u64, is_new: bool) -> u6
         _ => Lattice::most_memory(across, scene.lattice.tear == TearMode::Split),
     };
     // per node, those of `Body` and of its matter
-    let vectors = if scene.model == Model::Fem { 11 } else { 6 };
-    own + nodes * vectors * 24 + vertices * 100 + 4096
+    let vectors = if scene.model == Model::Fem { 15 } else { 11 };
+    // per vertex, with a contact
+    own + nodes * vectors * 24 + vertices * 400 + 4096
 }
 
 impl Body {
@@ -214,7 +217,10 @@ impl Body {
                         let element = Element::new(&cells, radius, mass, &held, of, interrupt);
                         let element = element.ok_or("interrupted while the stiffness was assembled")?;
                         let divided = shared.divided;
-                        if divided as f64 * cells.cell_count() as f64 > MAX_CELLS {
+                        // friction takes a few solutions more
+                        let has_friction = scene.planes.iter().any(|plane| plane.friction > 0.0);
+                        let solutions = if has_friction { RUBBING } else { 1.0 };
+                        if divided as f64 * cells.cell_count() as f64 * solutions > MAX_CELLS {
                             return Err(format!(
                                 "scene \"{}\": the forces on body \"{}\" would need {divided} sub-steps per step, \
                                 which would take too long; lower `dt`, `alpha`, `beta` or the `stiffness` of planes",

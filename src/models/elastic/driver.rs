@@ -544,6 +544,13 @@ impl Body {
         let motion = &springs.motion;
         let (half, centre) = (0.5 * h, around.courses[self.index].at(t, ends[1]));
         let contacts = self.rubbing(around.scene, centre.position, &motion.positions);
+        if contacts.is_empty() {
+            self.acted.rubbed = DVec3::ZERO;
+            if let Matter::Lattice(springs) = &mut self.matter {
+                springs.motion.friction.clear();
+            }
+            return;
+        }
         let without = |free: &Free| free.velocity + (free.acceleration - self.acted.rubbed) * half;
         let moving = self.free.as_ref().map_or(centre.velocity, without);
         let now = self.free.as_ref().map_or(centre.velocity, |free| free.velocity);
@@ -566,7 +573,7 @@ impl Body {
         guess: (&[DVec3], DVec3),
         without: (&[DVec3], DVec3),
     ) -> (Vec<DVec3>, DVec3) {
-        if contacts.is_empty() {
+        if contacts.is_empty() || self.free.is_some() && self.free_mass() == 0.0 {
             return (Vec::new(), DVec3::ZERO);
         }
         let (masses, held) = (self.masses(), self.held());

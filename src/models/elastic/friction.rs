@@ -16,13 +16,16 @@ use super::body::Body;
 use crate::scene::{Plane, Scene};
 
 /// Iterations for the root.
-const ITERATIONS: usize = 6;
+const ITERATIONS: usize = 4;
 /// Relative change of the root at which they end.
 const SAME_ROOT: f64 = 0.05;
-/// Iterations of conjugate gradients, each of which only takes energy away.
-const GRADIENTS: usize = 24;
+/// Iterations of conjugate gradients. They start from impulses that add no energy, and each takes some away: friction that
+/// has not converged is dissipative, too.
+const GRADIENTS: usize = 12;
 /// Relative residual at which they end.
 const RESIDUAL: f64 = 1e-3;
+/// Upper limit on velocity by impulse: friction that is weaker is none.
+const MOST: f64 = 1e200;
 
 /// A vertex below a plane.
 pub struct Contact<'a> {
@@ -91,7 +94,8 @@ impl Body {
         mut found: impl FnMut(Contact<'a>),
     ) {
         let planes = self.planes(scene, centre);
-        if planes.is_empty() {
+        // of a body that has lost all its cells, nothing is left to touch
+        if planes.is_empty() || self.torn.is_some() && self.surface.exposed.is_empty() {
             return;
         }
         let mut touch = |corners: [u32; 8], weights: [f64; 8], mass: f64, place: DVec3| {
@@ -116,11 +120,11 @@ impl Body {
         }
     }
 
-    /// The contacts with planes that have friction.
+    /// The contacts with friction.
     pub fn rubbing<'a>(&self, scene: &'a Scene, centre: DVec3, positions: &[DVec3]) -> Vec<Contact<'a>> {
         let mut contacts = Vec::new();
         if scene.planes.iter().any(|plane| plane.friction > 0.0) {
-            let has_friction = |contact: &Contact<'_>| contact.plane.friction > 0.0;
+            let has_friction = |contact: &Contact<'_>| (contact.mass * contact.rate(0.0)).is_normal();
             self.contacts(scene, centre, positions, |contact| contacts.extend(Some(contact).filter(has_friction)));
         }
         contacts
@@ -154,8 +158,11 @@ pub fn impulses(
     let mut found: Vec<DVec3> = Vec::new();
     for iteration in 0..ITERATIONS {
         let speeds: Vec<f64> = now.iter().map(|now| now.length()).collect();
-        let yields: Vec<f64> =
-            contacts.iter().zip(&speeds).map(|(contact, &v)| 1.0 / (h * contact.mass * contact.rate(v))).collect();
+        let yields: Vec<f64> = contacts
+            .iter()
+            .zip(&speeds)
+            .map(|(contact, &v)| f64::min(1.0 / (h * contact.mass * contact.rate(v)), MOST))
+            .collect();
         if iteration == 0 {
             found = now.iter().zip(&yields).map(|(now, yields)| *now * (-1.0 / yields)).collect();
         }
@@ -166,8 +173,12 @@ pub fn impulses(
         let scales: Vec<f64> =
             contacts.iter().zip(&yields).map(|(contact, yields)| 1.0 / (yields + contact.mobility(masses))).collect();
         let scaled = |of: &[DVec3]| -> Vec<DVec3> { of.iter().zip(&scales).map(|(of, scale)| *of * *scale).collect() };
-        let mut left: Vec<DVec3> =
-            apply(&found).into_iter().zip(&without).map(|(now, without)| -*without - now).collect();
+        let mut applied = apply(&found);
+        if !(0.5 * dot(&found, &applied) + dot(&found, &without) <= 0.0) {
+            found.fill(DVec3::ZERO);
+            applied.fill(DVec3::ZERO);
+        }
+        let mut left: Vec<DVec3> = applied.iter().zip(&without).map(|(now, without)| -*without - *now).collect();
         let mut way = scaled(&left);
         let mut size = dot(&left, &way);
         for _ in 0..GRADIENTS {
@@ -176,6 +187,9 @@ pub fn impulses(
             }
             let changed = apply(&way);
             let by = size / dot(&way, &changed);
+            if !by.is_finite() {
+                break;
+            }
             for (i, found) in found.iter_mut().enumerate() {
                 *found += way[i] * by;
                 left[i] -= changed[i] * by;

@@ -248,18 +248,27 @@ impl Elastic {
         self.bodies[body].free.as_ref().map_or_else(path, |free| free.velocity)
     }
 
+    fn radii(&self, a: usize, b: usize) -> f64 {
+        self.bodies[a].radius + self.bodies[b].radius
+    }
+
+    /// The distance up to which two bodies, as deformed as they are, can act on each other, touch or merge [scene unit].
+    fn reach_of(&self, a: usize, b: usize) -> f64 {
+        let extent = |body: usize| self.bodies[body].extent.max(self.bodies[body].radius);
+        let sphere = |body: usize| self.scene.bodies[body].sphere_radius();
+        let of_spheres = f64::max(sphere(a) + extent(b), sphere(b) + extent(a));
+        let merge_at = self.scene.law(a, b).thresholds.merge_at;
+        of_spheres.max(extent(a) + extent(b)).max(merge_at * self.radii(a, b))
+    }
+
     /// The pairs that can act on each other, are near enough to merge, or are not apart.
     fn near_pairs(&self, pairs: &mut Vec<PairFrame>) {
         for pair in self.near_each_other() {
             let [a, b] = pair.map(|body| body as usize);
-            let [one, other] = [a, b].map(|body| &self.scene.bodies[body]);
-            let (apart, radii) = (self.centre(b) - self.centre(a), one.radius + other.radius);
-            let (distance, merge_at) = (apart.length(), self.scene.law(a, b).thresholds.merge_at);
+            let (apart, radii) = (self.centre(b) - self.centre(a), self.radii(a, b));
+            let distance = apart.length();
             let phase = self.phases.get(&pair).copied().unwrap_or(Phase::Apart);
-            let extents = [a, b].map(|body| self.bodies[body].extent.max(self.scene.bodies[body].radius));
-            let reach =
-                (one.sphere_radius() + extents[1]).max(other.sphere_radius() + extents[0]).max(extents[0] + extents[1]);
-            if phase != Phase::Apart || distance <= reach.max(merge_at * radii) {
+            if phase != Phase::Apart || distance <= self.reach_of(a, b) {
                 let rate = apart.normalize_or_zero().dot(self.velocity(b) - self.velocity(a)) / radii;
                 pairs.push(PairFrame::new(a, b, distance / radii, phase as usize).with_rate(rate));
             }
@@ -466,13 +475,17 @@ impl Simulation for Elastic {
     }
 
     fn near(&self, pairs: &mut Vec<NearPair>) {
-        let mut found = Vec::new();
-        self.near_pairs(&mut found);
         pairs.clear();
-        pairs.extend(found.iter().map(|&PairFrame { a, b, phase, .. }| {
-            let apart = self.centre(b) - self.centre(a);
-            NearPair { a, b, phase, apart, rate: self.velocity(b) - self.velocity(a) }
+        pairs.extend(self.near_each_other().into_iter().map(|pair| {
+            let [a, b] = pair.map(|body| body as usize);
+            let phase = self.phases.get(&pair).copied().unwrap_or(Phase::Apart) as usize;
+            let (apart, rate) = (self.centre(b) - self.centre(a), self.velocity(b) - self.velocity(a));
+            NearPair { a, b, phase, apart, rate }
         }));
+    }
+
+    fn reach(&self, a: usize, b: usize) -> f64 {
+        self.reach_of(a, b) / self.radii(a, b)
     }
 
     fn on_path(&self, body: usize, time: f64) -> Option<[DVec3; 2]> {

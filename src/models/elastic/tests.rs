@@ -666,3 +666,41 @@ fn friction_does_not_depend_on_the_step() {
         assert!((coarse / fine - 1.0).abs() < 0.01, "{model}: {coarse} {fine}");
     }
 }
+
+/// However strong friction is, it adds no energy; where nothing presses, there is none.
+#[test]
+fn friction_takes_energy() {
+    let largest = |model, friction: f64, stiffness: f64| {
+        let lines = format!(
+            "[material]\nomega = 40.0\ndamping = 1.0\n[[plane]]\nnormal = [0, 0, 1]\noffset = 0.6\nfriction = {friction:?}\n\
+             stiffness = {stiffness:?}"
+        );
+        let mut simulation = start(&free(model, &lines, "velocity = [1, 0, 0]"));
+        let after_step = (0..30).map(|_| {
+            run(&mut simulation, 1);
+            scalar(&simulation, "energy")
+        });
+        after_step.fold(0.0, f64::max)
+    };
+    for model in [Model::Lattice, Model::Fem] {
+        let without = largest(model, 0.0, 4000.0);
+        for friction in [1.0, 1e3, 1e5, 1e15] {
+            let with = largest(model, friction, 4000.0);
+            assert!(with <= 1.01 * without, "{model}: friction {friction}: {with}, {without} without it");
+        }
+        assert_eq!(largest(model, 0.5, 0.0), largest(model, 0.0, 0.0), "{model}");
+    }
+}
+
+/// A body of which all cells are cut is no longer touched by anything.
+#[test]
+fn friction_ends_with_the_last_cell() {
+    let text = "duration = 0.5\nmodel = 'lattice'\ngravity = [0, 0, -9]\n[material]\nomega = 8.0\n\
+                [lattice]\ncells = 3\ntear = 'cut'\nlimit = 0.02\n[[plane]]\nnormal = [0, 0, 1]\noffset = -0.52\n\
+                friction = 0.3\n[[body]]\nname = 'a'\nradius = 0.5\n\
+                motion = { free = { from = [0, 0, 0], velocity = [1, 0, -3] } }\n";
+    let mut simulation = start(&Scene::parse(text, "cut.toml").unwrap());
+    run(&mut simulation, 30);
+    assert_eq!(scalar(&simulation, "volume_lost"), 1.0);
+    assert!(simulation.bodies[0].free.as_ref().unwrap().centre.is_finite());
+}

@@ -112,7 +112,7 @@ fn editable(name: &str, value: &Value<'_>) -> Result<KeyPath, SceneError> {
     const TABLES: [&str; 8] = ["influence", "material", "gravity", "body", "grid", "pair", "plane", "point"];
     if names.len() == 1 && TABLES.contains(&names[0]) && !value.is_number() {
         let help = format!(
-            "quote the whole path of the number: \"{name}.KEY\" = VALUE; on a command line, edit[0].set[\"{name}.KEY\"]=VALUE"
+            "quote the whole path of the number: \"{name}.KEY\" = VALUE, or \"{name}[0].KEY\" of a list; on a command line, edit[0].set[\"{name}.KEY\"]=VALUE"
         );
         return Err(value.error(format!("expected the path of a number, found {name}")).with_help(help));
     }

@@ -523,7 +523,7 @@ impl Prescribed {
         if breaks.partition_point(|at| *at < ends[0]) < breaks.partition_point(|at| *at <= ends[1]) {
             return f64::INFINITY;
         }
-        self.tracks.bounds(index).map_or(0.0, |bounds| bounds.acceleration)
+        self.tracks.path(index).bounds(ends[0], ends[1]).acceleration
     }
 
     /// A bound on the distance of a body's vertices from its centre, now and later if nothing else acts [scene unit].

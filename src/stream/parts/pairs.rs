@@ -106,6 +106,8 @@ const FEW_LANES: usize = 5;
 const FIRST_EVENTS: f64 = 0.25;
 /// Upper limit on the known phase changes of a pair: a run need not end.
 const MOST_CHANGES: usize = 1024;
+/// Upper limit on the instants at which the levels of a pair are looked up for its legend.
+const MOST_LEVELS: usize = 16;
 
 /// The pairs that have plots worth a look, as `A~B`; where none has, all of them. Of many, some that change phase at the
 /// instant at which the viewer opens and throughout the run.
@@ -492,15 +494,19 @@ impl PairPlot {
         let name = schema.pair_name(a, b);
         let entity = |family: &Entity| family.of(&[&name]);
         Series::style(chunks, &entity(&PAIR_DISTANCE), &format!("q {name}"), rgb, 2.0, Interpolation::Linear);
+        // levels change at these instants, if they do
+        let changes = schema.scheduled.iter().filter(|_| schema.own_levels.is_changing()).take(MOST_LEVELS);
+        let instants: Vec<f64> = [0.0].into_iter().chain(changes.map(|of| of.time + schema.dt)).collect();
         let thresholds = schema.thresholds.iter().enumerate().filter_map(|(index, threshold)| {
             let entity = PAIR_LEVEL.of(&[&name, threshold.name]);
-            let level = |time: f64| schema.level(index, [a, b], time);
-            let first = level(0.0)?;
-            let mut label = format!("{} {first}", threshold.label);
-            if let Some(last) = level(schema.steps as f64 * schema.dt).filter(|last| *last != first) {
-                label += &format!(", then {last}");
+            let mut levels: Vec<Option<f64>> = instants.iter().map(|time| schema.level(index, [a, b], *time)).collect();
+            levels.dedup();
+            let known: Vec<String> = levels.iter().flatten().map(f64::to_string).collect();
+            if known.is_empty() {
+                return None; // the pair does not have it
             }
-            if first != threshold.level {
+            let mut label = format!("{} {}", threshold.label, known.join(", then "));
+            if levels[0] != Some(threshold.level) {
                 label += &format!(" ({name})");
             }
             Series::style(chunks, &entity, &label, threshold.color, 1.0, Interpolation::Step);
