@@ -36,7 +36,7 @@ use crate::{
     sim::{
         self, Cause, Energy, Event, Failure, Stage, States, World,
         free::{Forces, Snapshot},
-        terms::Surroundings,
+        terms::{Surroundings, oscillator},
     },
     text::{change, short},
 };
@@ -175,9 +175,18 @@ impl Simulation for World {
         if want.scalars {
             let conserved = snapshot.as_ref().map(Snapshot::conserved).unwrap_or_default();
             let of_coupled = snapshot.as_ref().map(|snapshot| Energy::of(&conserved, snapshot.reached()));
+            let mut energy = energy.map(|energy| energy.sum).or(of_coupled).unwrap_or_default();
+            if snapshot.is_some() && scene.bodies.iter().all(|body| body.path().is_some()) {
+                // as where there are no planes: without masses
+                let moving = frame.bodies.iter().zip(&scene.bodies).filter(|(now, _)| !now.is_at_rest);
+                let energies =
+                    moving.map(|(now, body)| oscillator::energy(body.material, &now.displacements, &now.velocities));
+                [energy.kinetic, energy.elastic] =
+                    energies.fold([0.0; 2], |[kinetic, elastic], of| [kinetic + of[0], elastic + of[1]]);
+            }
             let state = StateNumbers {
                 scene,
-                energy: energy.map(|energy| energy.sum).or(of_coupled).unwrap_or_default(),
+                energy,
                 bodies: &frame.bodies,
                 resting: self.resting_count(),
                 conserved,

@@ -67,7 +67,7 @@ pub fn scalars(scene: &Scene) -> impl Iterator<Item = &'static OfWorld> {
     let (first, last, momenta): (&[OfWorld], &[OfWorld], &[OfWorld]) = match (has_free, scene.is_coupled()) {
         (true, _) => (TOTAL_OF_FREE, CONSERVED, &MOMENTA),
         (false, false) => (DEFORMATION, TOTAL_ON_PATHS, &[]),
-        (false, true) => (&[], &[], &[]), // only the solver of bodies on paths knows their energies
+        (false, true) => (DEFORMATION, TOTAL_OF_DEFORMATION, &[]), // on planes, that of the influence is not known
     };
     let (has_points, has_edits) = (!scene.points.is_empty(), !scene.edits.is_empty());
     let occurs = move |scalar: &&OfWorld| match scalar.name {
@@ -80,7 +80,9 @@ pub fn scalars(scene: &Scene) -> impl Iterator<Item = &'static OfWorld> {
 
 /// The scalars of all scenes.
 pub fn all() -> impl Iterator<Item = &'static OfWorld> {
-    [TOTAL_OF_FREE, DEFORMATION, TOTAL_ON_PATHS, SCALARS, CONSERVED, &MOMENTA, LEDGER].into_iter().flatten()
+    [TOTAL_OF_FREE, DEFORMATION, TOTAL_OF_DEFORMATION, TOTAL_ON_PATHS, SCALARS, CONSERVED, &MOMENTA, LEDGER]
+        .into_iter()
+        .flatten()
 }
 
 /// A smooth scalar of the state.
@@ -120,6 +122,9 @@ const DEFORMATION: &[OfWorld] = &[
     smooth("energy_vibration", "vibration [unit²/s²]", DEFORMED, |state| state.energy.kinetic),
     smooth("energy_elastic", "elastic", DEFORMED, |state| state.energy.elastic),
 ];
+/// The sum of these.
+const TOTAL_OF_DEFORMATION: &[OfWorld] =
+    &[smooth("energy", "total", DEFORMED, |state| state.energy.kinetic + state.energy.elastic)];
 /// Their energy with that of the influence, which is thousands of times as large, mostly from vertices that no sphere
 /// reaches. What the paths do to it is not counted.
 const TOTAL_ON_PATHS: &[OfWorld] = &[

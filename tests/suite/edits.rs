@@ -192,14 +192,15 @@ fn scalar(world: &World, name: &str) -> Option<f64> {
     Some(frame.scalars[number])
 }
 
-/// Only the solver of bodies on paths knows the energies of these bodies: a coupled scene without free bodies has none, not
-/// zeros.
+/// Only the solver of bodies on paths knows the energy of the influence: in a coupled scene without free bodies it is left
+/// out, and no zero.
 #[test]
-fn coupled_scenes_of_bodies_on_paths_show_no_energies() {
+fn coupled_scenes_of_bodies_on_paths_show_no_energy_of_the_influence() {
     let gradual = PATHS.replacen("[[body]]", "[influence]\ncore_at = 0.5\ncore_width = 0.2\n[[body]]", 1);
-    for (text, has_energies) in [(PATHS, true), (&gradual, false), (FREE, true)] {
+    for (text, has_influence) in [(PATHS, true), (&gradual, false), (FREE, true)] {
         let (world, _) = run(&scene(text));
-        assert_eq!(scalar(&world, "energy_elastic").is_some(), has_energies);
+        assert_eq!(scalar(&world, "energy_influence").is_some(), has_influence);
+        assert!(scalar(&world, "energy_elastic").is_some_and(|energy| energy > 0.0));
         assert_eq!(world.account().is_some(), text == FREE);
         assert_eq!(scalar(&world, "brought_by_edits"), None);
     }

@@ -10,7 +10,11 @@ use meldscope::model::{
 };
 use meldscope::scene::{Motion, Path, Push, Response, path::Spline};
 use meldscope::sim::{BodyForces, Cause, Energy};
-use meldscope::{Scene, World};
+use meldscope::{
+    Scene, World,
+    observe::{Frame, Simulation as _, Want},
+    scene::builtin,
+};
 use proptest::prelude::*;
 
 const WEIGHTS: [Weight; 2] = [Weight::Linear, Weight::Wendland];
@@ -770,4 +774,31 @@ fn absolute_scaling_tears_a_small_body_apart() {
     let [_, small] = passage(30.0, "absolute");
     // Measured: 13.2.
     assert!(small > 10.0, "{small}");
+}
+
+/// Beside a plane that nothing reaches, the energies of deformation of bodies on paths are those without it.
+#[test]
+fn energies_of_deformation_are_known_beside_planes() {
+    let values = |plane: &str| {
+        let text = builtin::ALL.iter().find(|builtin| builtin.name == "two").expect("a scene").text;
+        let mut world = world(&format!("{text}\n{plane}"));
+        for _ in 0..120 {
+            let _ = world.step();
+        }
+        let (schema, mut frame) = (world.schema(), Frame::default());
+        world.observe(Want::ALL, &mut frame);
+        let value = |name: &str| {
+            let index = schema.scalars.iter().position(|scalar| scalar.name == name);
+            frame.scalars[index.unwrap_or_else(|| panic!("no {name}"))]
+        };
+        ["energy_vibration", "energy_elastic", "energy"].map(value)
+    };
+    let alone = values("");
+    let [vibration, elastic, total] = values("[[plane]]\nnormal = [0, 0, 1]\noffset = -50.0\n");
+    assert!(alone[0] > 0.01 && alone[1] > 0.01, "{alone:?}");
+    assert!(
+        (vibration / alone[0] - 1.0).abs() < 1e-5 && (elastic / alone[1] - 1.0).abs() < 1e-5,
+        "{vibration} {elastic}"
+    );
+    assert_eq!(total, vibration + elastic);
 }

@@ -8,7 +8,7 @@
 
 pub(crate) mod carry;
 mod free;
-pub(super) mod oscillator;
+pub(crate) mod oscillator;
 pub(super) mod points;
 pub(super) mod push;
 pub(super) mod spheres;
