@@ -38,8 +38,9 @@ pub struct GroupPlots {
     /// The volumes of all surfaces and of the bodies one by one in this frame, if both are known [scene unit³], and the least and
     /// the largest ratio of the two so far.
     sums: Option<[f64; 2]>,
-    /// The volume of all surfaces at first [scene unit³].
+    /// The volume of all surfaces at first [scene unit³], and the least of later ones as a share of that.
     first: Option<f64>,
+    least: f64,
     ratios: Option<[f64; 2]>,
     /// Volume of each body at rest [scene unit³].
     at_rest: Vec<f64>,
@@ -113,6 +114,7 @@ impl GroupPlots {
             of_bodies,
             sums: None,
             first: None,
+            least: 1.0,
             ratios: None,
             at_rest,
             volumes,
@@ -166,13 +168,17 @@ impl GroupPlots {
 }
 
 impl GroupPlots {
-    /// How merging changes the volume, in words, if it does.
+    /// How merging changes the volume, and whether most of it is lost, in words.
     pub fn changed_volume(&self) -> Option<String> {
-        let [least, largest] = self.ratios?.map(percent);
-        match (least.as_str(), largest.as_str()) {
-            ("+0.0", "+0.0") => None,
-            _ => Some(format!("overlaps and seams: {least} to {largest} %")),
-        }
+        /// A body with less is crushed, or turned inside out: the view from outside may not show that.
+        const CRUSHED: f64 = 0.6;
+
+        let ratios = self.ratios?.map(percent);
+        let fallen = (self.least < CRUSHED).then(|| format!("falls to {:.0} % of the start", 100.0 * self.least));
+        let is_changed = ratios.iter().any(|ratio| ratio != "+0.0");
+        let merging = is_changed.then(|| format!("overlaps and seams: {} to {} %", ratios[0], ratios[1]));
+        let all: Vec<String> = fallen.into_iter().chain(merging).collect();
+        (!all.is_empty()).then(|| all.join("; "))
     }
 
     fn log_volume(&mut self, view: FrameView<'_>, merged: &Merged, series: &mut Series, chunks: &mut Chunks) {
@@ -199,7 +205,9 @@ impl GroupPlots {
         if let Some(line) = self.of_bodies {
             series.log(chunks, line, sum, view.at);
             self.sums = (merged.overlapping == 0).then_some([sums[0], sum]);
-            self.first = self.first.or(self.sums.map(|[of_surfaces, _]| of_surfaces));
+            if let Some([of_surfaces, _]) = self.sums {
+                self.least = self.least.min(of_surfaces / *self.first.get_or_insert(of_surfaces));
+            }
             let ratio = sums[0] / sum;
             if merged.overlapping == 0 && ratio.is_finite() {
                 let [least, largest] = self.ratios.unwrap_or([ratio; 2]);
