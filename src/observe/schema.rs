@@ -313,6 +313,8 @@ pub struct ScalarSchema {
     /// The smallest range of values that its plot shows, in its unit. Without one, a plot of a conserved quantity shows
     /// rounding errors as if they were changes.
     pub least_range: f64,
+    /// Colour of its line; any if there is none.
+    pub color: Option<Rgb>,
 }
 
 /// How a scalar of a frame is obtained.
@@ -432,7 +434,7 @@ impl TermSchema {
 impl ScalarSchema {
     /// A scalar with a plot of its own.
     pub fn new(name: &'static str, label: &'static str, of: ScalarOf) -> ScalarSchema {
-        ScalarSchema { name, label, plot: label, of, is_smooth: of == ScalarOf::State, least_range: 0.0 }
+        ScalarSchema { name, label, plot: label, of, is_smooth: of == ScalarOf::State, least_range: 0.0, color: None }
     }
 }
 

@@ -6,11 +6,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use crate::{
-    geometry::Shape,
-    scene::Scene,
-    text::{bytes, counted},
-};
+use crate::{geometry::Shape, scene::Scene, text::bytes};
 
 /// State of a vertex: displacement and velocity, three doubles each [bytes].
 const STATE_BYTES: u64 = 48;
@@ -58,20 +54,19 @@ impl TooLarge {
     fn reason(&self) -> String {
         let TooLarge { bodies, vertices, needed, available, .. } = self;
         let (needs, has) = (bytes(*needed), bytes(*available));
-        let (bodies, vertices) = (counted(*bodies, "body"), counted(*vertices, "vertex"));
-        let (have, need) = if self.bodies == 1 { ("has", "needs") } else { ("have", "need") };
+        let (noun, have, need) = if *bodies == 1 { ("body", "has", "needs") } else { ("bodies", "have", "need") };
         let is_memory = !fits(*needed, *available);
         match self.pairs {
             Some(pairs) if is_memory => format!(
-                " for this machine: {bodies} with more than {pairs} pairs near each other {need} more than {needs}, and {has} \
+                " for this machine: {bodies} {noun} with more than {pairs} pairs near each other {need} more than {needs}, and {has} \
                  are available; move bodies apart, lower `reach`, or use fewer bodies"
             ),
             Some(pairs) => format!(
-                ": {bodies} {have} more than {pairs} pairs near each other at the start, more than can be stepped; move \
+                ": {bodies} {noun} {have} more than {pairs} pairs near each other at the start, more than can be stepped; move \
                  bodies apart, lower `reach`, or use fewer bodies"
             ),
             None => format!(
-                " for this machine: {bodies} with {vertices} {need} about {needs}, and {has} are available; lower \
+                " for this machine: {bodies} {noun} with {vertices} vertices {need} about {needs}, and {has} are available; lower \
                  `stacks` and `slices` of the shapes, or use fewer bodies"
             ),
         }

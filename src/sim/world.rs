@@ -337,6 +337,7 @@ impl World {
 
     /// A bound on the acceleration of a body's centre in the last step, which has these ends [scene unit/s², s]; infinite if
     /// there is none, or if it is unknown.
+    #[cfg(feature = "cli")]
     pub(crate) fn acceleration_within(&self, body: usize, ends: [f64; 2]) -> f64 {
         self.solver.prescribed().map_or(f64::INFINITY, |prescribed| prescribed.acceleration_within(body, ends))
     }

@@ -3,7 +3,7 @@
 pub use crate::colors::Rgb;
 use crate::sdk::{Color, Rgba32};
 use crate::{
-    colors::{BLUE, BROWN, GREEN, GREY, LIME, MAGENTA, ORANGE, PURPLE, SILVER, SKY_BLUE, VERMILION, YELLOW},
+    colors::{BLUE, BROWN, GREEN, GREY, LIME, MAGENTA, ORANGE, PURPLE, SILVER, SKY_BLUE, VERMILION},
     observe::{Schema, surface::VertexOrigin},
 };
 
@@ -86,32 +86,6 @@ pub fn blended(schema: &Schema, origin: &VertexOrigin) -> Rgb {
 /// The colour of a body: its own, or one of the neutral colours, the same in all variants of the scene.
 pub fn of_body(schema: &Schema, index: usize) -> Rgb {
     schema.bodies.get(index).and_then(|of| of.color).unwrap_or_else(|| body(index % schema.variant_size()))
-}
-
-/// The colour of a kind of energy, or of what brings some, by its label.
-pub fn energy(label: &str) -> Option<Rgb> {
-    const KINDS: [(&str, Rgb); 18] = [
-        ("total", SKY_BLUE),
-        ("kinetic", ORANGE),
-        ("spin", YELLOW),
-        ("vibration", VERMILION),
-        ("elastic", GREEN),
-        ("influence", PURPLE),
-        ("gravity", BROWN),
-        ("planes", SILVER),
-        ("by events", GREEN),
-        ("by gradual cores", PURPLE),
-        ("by damping", YELLOW),
-        ("by friction", BROWN),
-        ("by pushes", VERMILION),
-        ("by bodies on paths", ORANGE),
-        ("by force points", LIME),
-        ("by edits", MAGENTA),
-        ("by coming to rest", SILVER),
-        ("not accounted for", SKY_BLUE),
-    ];
-    let kind = label.split(" [").next();
-    KINDS.iter().find(|(of, _)| Some(*of) == kind).map(|(_, rgb)| *rgb)
 }
 
 /// Colours of plot lines without other meaning, in order.

@@ -26,7 +26,7 @@ pub struct StepRecord {
     pub lag: Option<Duration>,
     /// When the step was completed.
     pub end: Option<Clock>,
-    /// The bodies of the pairs of the last events, after the step, at most [`DRAWN_EVENTS`]; none in a thin recording.
+    /// The bodies of the pairs of the last events, after the step, at most 64; none in a thin recording.
     pub pairs: Vec<[BodyFrame; 2]>,
     /// Surfaces that touch or part in the step, and remarks on its phase changes.
     pub surfaces: Vec<SurfaceEvent>,

@@ -2,6 +2,7 @@
 
 use super::scales::{largest_radius, strongest_pull};
 use crate::{
+    colors::{BROWN, GREEN, LIME, MAGENTA, ORANGE, PURPLE, Rgb, SILVER, SKY_BLUE, VERMILION, YELLOW},
     observe::{
         BodyFrame,
         schema::{ScalarOf, ScalarSchema},
@@ -39,8 +40,26 @@ impl<S, R> Scalar<S, R> {
             ScalarValue::SumOfSteps(_) => ScalarOf::SumOfSteps,
             ScalarValue::MaxOfSteps(_) => ScalarOf::MaxOfSteps,
         };
-        ScalarSchema { name, label, plot, of, is_smooth, least_range: least_range(scene, plot) }
+        let least_range = least_range(scene, plot);
+        ScalarSchema { name, label, plot, of, is_smooth, least_range, color: color(name) }
     }
+}
+
+/// The colour of a kind of energy, or of what brings some, in all scenes and models.
+fn color(name: &str) -> Option<Rgb> {
+    Some(match name {
+        "energy" | "unaccounted_energy" => SKY_BLUE,
+        "energy_kinetic" | "brought_by_paths" => ORANGE,
+        "energy_spin" | "brought_by_damping" => YELLOW,
+        "energy_vibration" | "brought_by_pushes" => VERMILION,
+        "energy_elastic" | "brought_by_events" => GREEN,
+        "energy_influence" | "brought_by_cores" => PURPLE,
+        "energy_gravity" | "brought_by_friction" => BROWN,
+        "energy_plane" | "brought_by_rest" => SILVER,
+        BY_POINTS => LIME,
+        BY_EDITS => MAGENTA,
+        _ => return None,
+    })
 }
 
 /// A scalar of a world.

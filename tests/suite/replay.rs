@@ -824,6 +824,21 @@ fn a_comparison_has_an_event_at_the_end_of_its_step() {
     }
 }
 
+/// Where a run failed, the body with the largest displacement is labelled, above its centre.
+#[test]
+fn a_failed_run_shows_where() {
+    let dir = Dir::new();
+    let unstable = ["--set", "integrator=euler", "--set", "material.omega=300"];
+    fails(&dir, 1, &[&["run", "two", "--quiet", "--save", "a.rrd"], &unstable[..]].concat());
+    let recording = Recording::open(&dir.file("a.rrd"));
+    let rows = recording.rows(&"/world/not_recorded".into());
+    let [(_, row)] = &rows[..] else { panic!("one label: {rows:?}") };
+    let label = row.texts("Points3D:labels").concat();
+    assert!(label.starts_with("failed; largest displacement: "), "{label}");
+    let failure = recording.rows(&"/events/failure".into());
+    assert_eq!(failure.last().map(|(_, row)| row.step), Some(row.step));
+}
+
 /// The frames of a flight recorder are those of the whole run.
 #[test]
 fn diff_reads_the_frames_of_a_flight_recorder() {

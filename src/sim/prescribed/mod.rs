@@ -518,6 +518,7 @@ impl Prescribed {
 
     /// A bound on the acceleration of a body's centre in the last step, which has these ends [scene unit/s², s]; infinite if
     /// a derivative of its path jumps there.
+    #[cfg(feature = "cli")]
     pub fn acceleration_within(&self, index: usize, ends: [f64; 2]) -> f64 {
         let breaks = self.tracks.breaks(index as u32);
         if breaks.partition_point(|at| *at < ends[0]) < breaks.partition_point(|at| *at <= ends[1]) {

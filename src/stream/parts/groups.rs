@@ -38,10 +38,10 @@ pub struct GroupPlots {
     /// The volumes of all surfaces and of the bodies one by one in this frame, if both are known [scene unit³], and the least and
     /// the largest ratio of the two so far.
     sums: Option<[f64; 2]>,
-    /// The volume of all surfaces at first [scene unit³], and the least of later ones as a share of that.
+    ratios: Option<[f64; 2]>,
+    /// The volume of all surfaces at first [scene unit³], and the least so far as a share of that.
     first: Option<f64>,
     least: f64,
-    ratios: Option<[f64; 2]>,
     /// Volume of each body at rest [scene unit³].
     at_rest: Vec<f64>,
     /// The volumes of the bodies one by one, if they are plotted [scene unit³]; reused.
@@ -113,9 +113,9 @@ impl GroupPlots {
             of_surfaces,
             of_bodies,
             sums: None,
+            ratios: None,
             first: None,
             least: 1.0,
-            ratios: None,
             at_rest,
             volumes,
             ranking,

@@ -172,7 +172,7 @@ impl FrameNumbers {
             let before = schema.scalars[..i].iter().filter(|before| before.plot == scalar.plot).count();
             // those in a ranking all have different colours
             let ranked = energies.iter().find_map(|(_, ranked)| ranked.iter().position(|of| *of == i));
-            let color = palette::energy(scalar.label).unwrap_or_else(|| palette::line(ranked.unwrap_or(before)));
+            let color = scalar.color.unwrap_or_else(|| palette::line(ranked.unwrap_or(before)));
             Series::style(chunks, &entity, scalar.label, color, 1.5, shape);
             let id = series.line(chunks, &entity, shape);
             let (first, of, label) = (None, scalar.of, scalar.label);
