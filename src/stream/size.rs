@@ -37,8 +37,6 @@ const BATCHED: (u128, u128) = (9, 10);
 pub struct Projection {
     /// Size of the file [bytes].
     pub bytes: u64,
-    /// Size without forces, if they are recorded [bytes].
-    pub without_forces: Option<u64>,
     /// Number of frames.
     pub frames: u64,
     /// The last step simulated.
@@ -69,38 +67,11 @@ pub fn project(experiment: &dyn Experiment, settings: &Settings, min_size: u64) 
     let samples = if last < steps { MIN_SAMPLES } else { SAMPLES };
     let stride = settings.every * (last / settings.every / samples).max(1);
 
-    let sampled = |details: &[Detail]| {
-        let settings = |&detail| Settings { every: stride, detail, ..settings.clone() };
-        sample(experiment, details.iter().map(settings).collect(), last, frames)
-    };
-    let details: &[Detail] = match settings.detail {
-        Detail::Surface => &[Detail::Surface],
-        // to step free bodies again would take longer than to record the samples without forces, too
-        _ if schema.bodies.iter().any(|body| body.is_free) => &[Detail::Forces, Detail::Surface],
-        _ => &[Detail::Forces],
-    };
-    let Sampled { bytes: sizes, seen } = sampled(details)?;
-    let bytes = *sizes.first()?;
-    let without_forces = match sizes.get(1) {
-        _ if settings.detail == Detail::Surface || bytes < min_size => None,
-        Some(&bytes) => Some(bytes),
-        None => sampled(&[Detail::Surface])?.bytes.first().copied(),
-    };
-    Some(Projection { bytes, without_forces, frames, seen })
-}
-
-/// The sizes of recordings extrapolated from samples [bytes], and the last step simulated for them.
-struct Sampled {
-    bytes: Vec<u64>,
-    seen: u64,
-}
-
-/// Records the frames that each of the settings asks for up to step `last`, and extrapolates to this many frames.
-fn sample(experiment: &dyn Experiment, settings: Vec<Settings>, last: u64, frames: u64) -> Option<Sampled> {
-    let (schema, stride) = (experiment.schema(), settings.first()?.every);
+    // what a recording of stages has besides is left out
+    let detail = if settings.detail == Detail::Surface { Detail::Surface } else { Detail::Forces };
+    let settings = Settings { every: stride, detail, ..settings.clone() };
     let simulation = experiment.start().ok()?;
-    let probes = settings.into_iter().map(|settings| Probe::new(&*simulation, settings));
-    let mut probes = probes.collect::<Option<Vec<_>>>()?;
+    let mut probe = Probe::new(&*simulation, settings)?;
     let (mut frame, mut vertices, mut samples_taken) = (Frame::default(), 0, 0);
     let mut run = Run::new(simulation, Some(last));
     while matches!(run.valid_step(), Ok(true)) {
@@ -110,9 +81,7 @@ fn sample(experiment: &dyn Experiment, settings: Vec<Settings>, last: u64, frame
             let deformed = schema.bodies.iter().zip(&frame.bodies).filter(|(_, now)| !now.is_at_rest);
             vertices += deformed.map(|(body, _)| body.vertex_count() as u64).sum::<u64>();
             samples_taken += 1;
-            for probe in &mut probes {
-                probe.recorder.observe(simulation, &run.summary).ok()?;
-            }
+            probe.recorder.observe(simulation, &run.summary).ok()?;
         }
     }
     if let Some(StepFailure::Interrupted(_)) = run.failure {
@@ -120,8 +89,8 @@ fn sample(experiment: &dyn Experiment, settings: Vec<Settings>, last: u64, frame
     }
     let mean = vertices / u64::max(samples_taken, 1);
     let min_bytes = frames.saturating_mul(mean).saturating_mul(MIN_VERTEX_BYTES);
-    let bytes = probes.into_iter().map(|probe| Some(probe.finish(frames)?.max(min_bytes)));
-    Some(Sampled { bytes: bytes.collect::<Option<_>>()?, seen: run.simulation.steps_taken() })
+    let bytes = probe.finish(frames)?.max(min_bytes);
+    Some(Projection { bytes, frames, seen: run.simulation.steps_taken() })
 }
 
 /// A recording whose messages are measured and discarded.

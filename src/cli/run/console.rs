@@ -15,7 +15,7 @@ use crate::{
     observe::Experiment,
     stream::{
         recorder::MOST_APPROACHES,
-        settings::{Frames, Settings},
+        settings::{Detail, Frames, Settings},
         sinks::Finished,
         size,
     },
@@ -74,14 +74,11 @@ impl Console {
             _ => String::new(),
         };
         let frames = counted(size.frames, "frame");
-        let mut others = match asked {
-            Some(_) => vec![format!("`--every {every}` reduces it to {few}")],
-            None => vec![format!("`--every 1` records all {frames}, {all}")],
+        let other = match asked {
+            Some(_) => format!("`--every {every}` reduces it to {few}"),
+            None => format!("`--every 1` records all {frames}, {all}"),
         };
-        others.extend(size.without_forces.map(|bytes| match asked {
-            Some(_) => format!("`--detail surface` {}", about(bytes)),
-            None => format!("with `--detail surface` {}", about(bytes)),
-        }));
+        let surface = if settings.detail == Detail::Surface { "" } else { "; `--detail surface` takes less" };
         let program = text::program();
         let thin = bytes(10 * settings.steps.unwrap_or(0) + 20_000);
         let taken = match asked {
@@ -89,8 +86,8 @@ impl Console {
             None => format!("the recording has a frame every {every} steps and will take {few}{from}"),
         };
         self.notes(&[format!(
-            "note: {taken}; {}; `--thin` takes about {thin} (`{program} replay` restores the frames of any part later)",
-            others.join(", ")
+            "note: {taken}; {other}{surface}; `--thin` takes about {thin} (`{program} replay` restores the frames of any part \
+             later)"
         )]);
         asked.or(Some(every))
     }
