@@ -1,8 +1,6 @@
-//! Rows of a sweep's table: the columns, and a binary format for the journal.
+//! Rows of a sweep's table: the columns, and the lines of the journal.
 
-use std::hash::{BuildHasher as _, BuildHasherDefault};
-
-use rustc_hash::FxHasher;
+use serde_json::{Value as Json, json};
 
 use super::{Sweep, design::Axis};
 use crate::{
@@ -158,79 +156,36 @@ impl From<&Setting> for Cell {
     }
 }
 
-/// Appends a record to a journal: length, hash, row. [`take_record`] ignores truncated and damaged records.
-pub fn append_record((row, cells): &Row, to: &mut Vec<u8>) {
-    let start = to.len();
-    to.extend([0; 12]);
-    to.extend(row.to_le_bytes());
-    let number = |to: &mut Vec<u8>, tag: u8, bits: u64| {
-        to.push(tag);
-        to.extend(bits.to_le_bytes());
+/// A row as a line of a journal, a JSON array: doubles as their bits.
+pub fn line_of((row, cells): &Row) -> String {
+    let bits = |x: &f64| Json::from(x.to_bits());
+    let cell = |cell: &Cell| match cell {
+        Cell::Null => Json::Null,
+        Cell::Integer(n) => Json::from(*n),
+        Cell::Count(n) => Json::from(*n),
+        Cell::Float(x) => bits(x),
+        Cell::Text(text) => Json::from(text.as_str()),
+        Cell::List(list) => list.iter().map(bits).collect(),
     };
-    for cell in cells {
-        match cell {
-            Cell::Null => to.push(0),
-            Cell::Integer(n) => number(to, 1, *n as u64),
-            Cell::Count(n) => number(to, 2, *n),
-            Cell::Float(x) => number(to, 3, x.to_bits()),
-            Cell::Text(text) => {
-                number(to, 4, text.len() as u64);
-                to.extend(text.as_bytes());
-            }
-            Cell::List(list) => {
-                number(to, 5, list.len() as u64);
-                list.iter().for_each(|x| to.extend(x.to_bits().to_le_bytes()));
-            }
-        }
-    }
-    let payload = &to[start + 12..];
-    let (length, hash) = ((payload.len() as u32).to_le_bytes(), hash(payload).to_le_bytes());
-    to[start..start + 4].copy_from_slice(&length);
-    to[start + 4..start + 12].copy_from_slice(&hash);
+    format!("{}\n", json!([row, cells.iter().map(cell).collect::<Json>()]))
 }
 
-/// Removes the first record from `bytes`; `None` at the end, or if the record is truncated or damaged.
-pub fn take_record(bytes: &mut &[u8]) -> Option<Row> {
-    let length = u32::from_le_bytes(take(bytes)?) as usize;
-    let expected = u64::from_le_bytes(take(bytes)?);
-    let payload = bytes.split_off(..length)?;
-    if hash(payload) != expected {
-        return None;
-    }
-    let mut rest = payload;
-    let row = u64::from_le_bytes(take(&mut rest)?);
-    let mut cells = Vec::new();
-    while !rest.is_empty() {
-        let [tag] = take(&mut rest)?;
-        if tag == 0 {
-            cells.push(Cell::Null);
-            continue;
-        }
-        let bits = u64::from_le_bytes(take(&mut rest)?);
-        cells.push(match tag {
-            1 => Cell::Integer(bits as i64),
-            2 => Cell::Count(bits),
-            3 => Cell::Float(f64::from_bits(bits)),
-            4 => Cell::Text(String::from_utf8(rest.split_off(..bits as usize)?.to_vec()).ok()?),
-            5 => {
-                let list = rest.split_off(..(bits as usize).checked_mul(8)?)?;
-                let numbers = list
-                    .chunks_exact(8)
-                    .filter_map(|number| Some(f64::from_bits(u64::from_le_bytes(number.try_into().ok()?))));
-                Cell::List(numbers.collect())
-            }
-            _ => return None,
-        });
-    }
-    Some((row, cells))
-}
-
-fn take<const N: usize>(bytes: &mut &[u8]) -> Option<[u8; N]> {
-    bytes.split_off(..N)?.try_into().ok()
-}
-
-fn hash(bytes: &[u8]) -> u64 {
-    BuildHasherDefault::<FxHasher>::default().hash_one(bytes)
+/// Reads a line of a journal of a table with these columns; `None` if the line is cut short or damaged.
+pub fn from_line(line: &str, columns: &[Column]) -> Option<Row> {
+    let (row, cells): (u64, Vec<Json>) = serde_json::from_str(line).ok()?;
+    let bits = |bits: &Json| bits.as_u64().map(f64::from_bits);
+    let cell = |(column, cell): (&Column, &Json)| {
+        Some(match column.kind {
+            _ if cell.is_null() => Cell::Null,
+            Kind::Integer => Cell::Integer(cell.as_i64()?),
+            Kind::Count => Cell::Count(cell.as_u64()?),
+            Kind::Float => Cell::Float(bits(cell)?),
+            Kind::Text => Cell::Text(cell.as_str()?.to_owned()),
+            Kind::List => Cell::List(cell.as_array()?.iter().map(bits).collect::<Option<_>>()?),
+        })
+    };
+    let of_cells = columns.get(1..).filter(|columns| columns.len() == cells.len())?;
+    Some((row, of_cells.iter().zip(&cells).map(cell).collect::<Option<_>>()?))
 }
 
 #[cfg(test)]
@@ -238,30 +193,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn intact_records_are_read_and_damaged_ones_rejected() {
+    fn intact_lines_are_read_and_others_rejected() {
+        let kinds = [Kind::Count, Kind::Text, Kind::Integer, Kind::Count, Kind::Float, Kind::Text, Kind::List];
+        let columns = kinds.map(|kind| Column::new("", kind, ""));
         let cells = vec![
             Cell::Null,
             Cell::Integer(-5),
             Cell::Count(u64::MAX),
             Cell::Float(0.1),
-            Cell::Text("größe".to_owned()),
+            Cell::Text("größe\n".to_owned()),
             Cell::List(vec![1.0, f64::NEG_INFINITY]),
         ];
-        let mut bytes = Vec::new();
-        append_record(&(7, cells.clone()), &mut bytes);
-        let one = bytes.len();
-        append_record(&(8, vec![]), &mut bytes);
-        let mut rest = &bytes[..];
-        assert_eq!(take_record(&mut rest), Some((7, cells)));
-        assert_eq!(take_record(&mut rest), Some((8, vec![])));
-        assert_eq!(take_record(&mut rest), None);
-        for cut in 0..one {
-            assert_eq!(take_record(&mut &bytes[..cut]), None);
-        }
-        for at in 0..one {
-            let mut damaged = bytes.clone();
-            damaged[at] ^= 4;
-            assert_eq!(take_record(&mut &damaged[..]), None, "{at}");
-        }
+        let line = line_of(&(7, cells.clone()));
+        assert_eq!(from_line(&line, &columns), Some((7, cells)));
+        assert_eq!(from_line(&line, &columns[1..]), None);
+        let ends = line.trim_end().char_indices().map(|(end, _)| end);
+        ends.for_each(|end| assert_eq!(from_line(&line[..end], &columns), None, "{end}"));
     }
 }

@@ -19,7 +19,7 @@ use std::{
 
 use super::{
     Sweep,
-    row::{Row, append_record, take_record},
+    row::{Row, from_line, line_of},
     table,
 };
 use crate::{
@@ -243,12 +243,10 @@ impl Store {
                 Err(error) if error.kind() == io::ErrorKind::NotFound => continue, // its shard is complete by now
                 read => read.map_err(|error| self.error("read", &path, error))?,
             };
-            let mut bytes = &bytes[..];
-            while let Some(row) = take_record(&mut bytes) {
-                if row.1.len() + 1 == self.columns.len() {
-                    rows.insert(row.0, row);
-                }
-            }
+            let text = String::from_utf8_lossy(&bytes);
+            // what follows a damaged line may be damaged too
+            let intact = text.lines().map_while(|line| from_line(line, &self.columns));
+            rows.extend(intact.map(|row| (row.0, row)));
         }
         Ok(rows)
     }
@@ -270,7 +268,7 @@ impl Store {
         let path = self.path.join(name);
         let file = OpenOptions::new().append(true).create_new(true).open(&path);
         let file = file.map_err(|error| self.error("create", &path, error))?;
-        Ok(Journal { file, path, buffer: Vec::new() })
+        Ok(Journal { file, path })
     }
 
     /// Removes the leftovers of a complete shard: its journals, and temporary files of killed processes.
@@ -294,7 +292,6 @@ impl Store {
 pub struct Journal {
     file: File,
     path: PathBuf,
-    buffer: Vec<u8>,
 }
 
 impl Journal {
@@ -303,9 +300,7 @@ impl Journal {
     /// # Errors
     /// The journal cannot be written.
     pub fn add(&mut self, row: &Row) -> Result<(), StoreError> {
-        self.buffer.clear();
-        append_record(row, &mut self.buffer);
-        self.file.write_all(&self.buffer).map_err(|error| self.error(error))
+        self.file.write_all(line_of(row).as_bytes()).map_err(|error| self.error(error))
     }
 
     /// Clears the journal after its rows have been written to a table.
