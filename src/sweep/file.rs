@@ -588,18 +588,14 @@ fn try_values(sweep: &Sweep, root: &Table<'_>, axes: &[Table<'_>], sets: &[Table
     match design.count() {
         Some(count) if count <= MOST_ROWS => Ok(()),
         count => {
-            let seconds = template.as_ref().map_or(1.0, |template| super::run::estimate(template, sweep, &first));
             let product = || design.axes.iter().map(|axis| axis.sample_count() as f64).product::<f64>();
             let runs = count.map_or_else(|| format!("{:e}", product()), thousands);
-            let time = count.map_or_else(product, |count| count as f64) * seconds;
             // of samples, the count is at the top
             let counted = if root.get("count").is_some() { root } else { &axes[0] };
-            Err(counted.error("count", format!("{runs} runs would take {} on this machine", duration(time))).with_help(
-                format!(
-                    "lower the counts: a sweep has at most {} runs, and --refine finds boundaries",
-                    thousands(MOST_ROWS)
-                ),
-            ))
+            Err(counted.error("count", format!("{runs} runs are too many")).with_help(format!(
+                "lower the counts: a sweep has at most {} runs, and --refine finds boundaries",
+                thousands(MOST_ROWS)
+            )))
         }
     }
 }

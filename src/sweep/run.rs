@@ -171,16 +171,6 @@ impl<'a> Runner<'a> {
     }
 }
 
-/// Estimated duration of a run [s], measured at the beginning of one.
-pub fn estimate(template: &Template<'_>, sweep: &Sweep, point: &[Setting]) -> f64 {
-    let Some(mut world) = template.scene(sweep.settings(point)).ok().and_then(|scene| World::new(scene).ok()) else {
-        return 0.0;
-    };
-    let (steps, start) = (world.scene().steps(), Instant::now());
-    while world.steps_taken() < steps && start.elapsed().as_secs_f64() < 0.2 && world.step().failure.is_none() {}
-    start.elapsed().as_secs_f64() * steps as f64 / world.steps_taken().max(1) as f64
-}
-
 /// The state of a pair.
 struct Pair {
     /// Whether it is merged or in its core.

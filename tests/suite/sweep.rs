@@ -127,7 +127,7 @@ fn broken_sweeps_are_rejected_with_their_position() {
         ),
         (
             "[[axis]]\nkey = 'influence.alpha'\nfrom = 0\nto = 1\ncount = 1000000\n[[axis]]\nkey = 'influence.beta'\nfrom = 0\nto = 1\ncount = 1000000\n",
-            "axis[0].count: 1,000,000,000,000 runs would take ",
+            "axis[0].count: 1,000,000,000,000 runs are too many",
         ),
         (&format!("{axis}{axis}"), "axis[1].key: expected a key that no other axis has"),
         (
