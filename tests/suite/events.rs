@@ -229,6 +229,46 @@ fn a_pair_can_merge_and_split_within_a_step() {
     }
 }
 
+/// A pair leaves its core, at whose rim the force changes gradually, and splits in the same step; also on the way back.
+#[test]
+fn a_pair_that_leaves_a_gradual_core_splits_in_the_same_step() {
+    let body = |name: &str, motion: &str| {
+        format!(
+            "[[body]]\nname = '{name}'\nradius = 1.0\nshape = {{ sphere = {{ stacks = 3, slices = 4 }} }}\nmotion = {motion}\n"
+        )
+    };
+    for speed in [1.5, 3.0, 7.0, 20.0, 60.0] {
+        for (a, b) in [
+            ("{ fixed = [0, 0, 0] }", "{ line = { from = [1.0, 0, 0], velocity = [V, 0, 0] } }"),
+            ("{ fixed = [0, 0, 0] }", "{ free = { from = [1.0, 0, 0], velocity = [V, 0, 0] } }"),
+            ("{ free = { from = [0, 0, 0] } }", "{ free = { from = [1.0, 0, 0], velocity = [V, 0, 0] } }"),
+            ("{ fixed = [0, 0, 0] }", "{ line = { from = [-3.0, 0, 0], velocity = [V, 0, 0] } }"),
+        ] {
+            let motion = b.replace('V', &speed.to_string());
+            let start: f64 = if b.contains("-3.0") { -3.0 } else { 1.0 };
+            let text =
+                "duration = 4.0\n[influence]\nalpha = 0\nbeta = 0\nmerge_at = 1.02\nsplit_at = 1.02\ncore_at = 1.01\n\
+                        core_width = 0.3\n"
+                    .to_owned()
+                    + &body("a", a)
+                    + &body("b", &motion);
+            let found: Vec<(Phase, f64)> = events(scene(&text)).iter().map(|event| (event.to, event.time)).collect();
+            let time = |q: f64| (2.0 * q - start) / speed;
+            let mut expected = vec![(Merged, time(1.01)), (Apart, time(1.02))];
+            if start < 0.0 {
+                expected.splice(0..0, [(Merged, time(-1.02)), (Core, time(-1.01))]);
+            }
+            let is_same = |(found, expected): (&(Phase, f64), &(Phase, f64))| {
+                found.0 == expected.0 && (found.1 - expected.1).abs() < 1e-9
+            };
+            assert!(
+                found.len() == expected.len() && found.iter().zip(&expected).all(is_same),
+                "{a} {motion}: {found:?} {expected:?}"
+            );
+        }
+    }
+}
+
 /// Visits of 1e-7 s to the inside of each threshold, at various times within a step.
 #[test]
 fn a_visit_of_a_ten_millionth_of_a_second_is_found() {

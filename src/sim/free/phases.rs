@@ -10,7 +10,7 @@ use super::{
     step::Place,
 };
 use crate::{
-    model::phase::Phase,
+    model::phase::{Phase, Transition},
     sim::numerics::{
         bernstein::Polynomial,
         control::{ROUNDING, STANDING},
@@ -43,7 +43,12 @@ impl Island {
         let Pair { phase, law, .. } = *pair;
         let ends = law.rim(phase).into_iter().flat_map(|rim| rim.ends());
         let ends = ends.filter(|&level| level > 0.0).map(|level| (level, None, None));
-        let ways = pair.transitions().filter(move |way| !law.is_gradual(phase, way.to));
+        let is_abrupt = move |from: Phase, way: &Transition| !law.is_gradual(from, way.to);
+        // a pair that leaves its core gradually may also split in the same step
+        let gradual = pair.transitions().filter(move |way| !is_abrupt(phase, way));
+        let later =
+            gradual.flat_map(move |way| law.thresholds.transitions(way.to).filter(move |next| is_abrupt(way.to, next)));
+        let ways = pair.transitions().filter(move |way| is_abrupt(phase, way)).chain(later);
         ways.map(|way| (way.level, Some(way.falling), Some(way.to))).chain(ends)
     }
 

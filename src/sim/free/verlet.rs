@@ -101,7 +101,7 @@ struct Bond {
     strength: f64,
     /// Change of the strength by changes of phase in the substep [1/s²].
     jump: f64,
-    /// The first of these changes in the report.
+    /// The first of these changes in the report that is not gradual.
     change: Option<usize>,
 }
 
@@ -573,12 +573,10 @@ impl Island {
                 let Some(way) = passed else { break };
                 let share = ((way.level - old) / (q - old)).clamp(0.0, 1.0);
                 let time = before + if share.is_finite() { share * (t - before) } else { 0.0 };
-                let jump = match pair.law.is_gradual(pair.phase, way.to) {
-                    true => 0.0,
-                    false => pair.law.strength(way.to, q) - pair.law.strength(pair.phase, q),
-                };
-                bond.jump += jump;
-                bond.change.get_or_insert(report.changes.len());
+                if !pair.law.is_gradual(pair.phase, way.to) {
+                    bond.jump += pair.law.strength(way.to, q) - pair.law.strength(pair.phase, q);
+                    bond.change.get_or_insert(report.changes.len());
+                }
                 let from = pair.phase;
                 report.changes.push(Change { time, pair: index, q: way.level, rate, from, to: way.to, energy: 0.0 });
                 pair.phase = way.to;
