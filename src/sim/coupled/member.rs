@@ -189,10 +189,17 @@ impl Member {
         (self.extent, self.speed, self.rigid_spin) = (*extent, *speed, rigid_spin.filter(|_| is_same));
     }
 
-    /// Makes the body undeformed.
-    pub fn clear_deformation(&mut self) {
+    /// Makes the body undeformed. Returns the error that this is [radii].
+    pub fn clear_deformation(&mut self) -> f64 {
+        let error = self.displacement() + self.speed / self.body.oscillator.omega.max(1.0);
         (self.body.x, self.body.u) = (Vec::new(), Vec::new());
         (self.extent, self.speed) = (self.body.shape.extent(), 0.0);
+        error / self.body.radius
+    }
+
+    /// The largest |x| [scene unit].
+    fn displacement(&self) -> f64 {
+        self.body.x.iter().map(|x| x.length_squared()).fold(0.0, f64::max).sqrt()
     }
 
     /// Whether the body has displacements and velocities.
@@ -277,8 +284,7 @@ impl Member {
     /// That is done if nothing acts on the body.
     pub fn is_nearly_undeformed(&self, tolerance: f64) -> bool {
         let max = NEGLIGIBLE * tolerance.min(NEGLIGIBLE_TOLERANCE) * self.body.radius;
-        let x = self.body.x.iter().map(|x| x.length_squared()).fold(0.0, f64::max).sqrt();
-        x <= max && self.speed <= max * self.body.oscillator.omega.max(1.0)
+        self.displacement() <= max && self.speed <= max * self.body.oscillator.omega.max(1.0)
     }
 
     /// Angular velocity Ω at which the body goes on turning like a rigid one if nothing acts on it: its vertices move

@@ -133,7 +133,7 @@ impl Coupled {
                         member.rigid_spin = member.find_rigid_spin(scene.tolerance);
                     }
                 } else if member.is_nearly_undeformed(scene.tolerance) {
-                    member.clear_deformation();
+                    report.error += member.clear_deformation();
                     if !member.is_awake {
                         self.put_to_sleep(body); // with the hash of this state
                     }
