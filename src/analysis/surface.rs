@@ -69,6 +69,14 @@ struct ClosedShape {
     mesh: Arc<Mesh>,
     /// Computed on demand; `None` if the shape is not a closed mesh.
     topology: OnceLock<Option<Topology>>,
+    /// That of the mesh turned inside out.
+    reversed: OnceLock<Option<Topology>>,
+}
+
+impl ClosedShape {
+    fn new(mesh: &Arc<Mesh>) -> ClosedShape {
+        ClosedShape { mesh: Arc::clone(mesh), topology: OnceLock::new(), reversed: OnceLock::new() }
+    }
 }
 
 impl Closed {
@@ -79,7 +87,7 @@ impl Closed {
             let known = shapes.iter().position(|shape| Arc::ptr_eq(&shape.mesh, &body.mesh));
             of_body.push(known.unwrap_or(shapes.len()));
             if known.is_none() {
-                shapes.push(ClosedShape { mesh: Arc::clone(&body.mesh), topology: OnceLock::new() });
+                shapes.push(ClosedShape::new(&body.mesh));
             }
         }
         Closed { shapes, of_body, torn: BTreeMap::new(), interrupt }
@@ -95,7 +103,7 @@ impl Closed {
         };
         if !is_same {
             match mesh {
-                Some(mesh) => self.torn.insert(body, ClosedShape { mesh: Arc::clone(mesh), topology: OnceLock::new() }),
+                Some(mesh) => self.torn.insert(body, ClosedShape::new(mesh)),
                 None => self.torn.remove(&body),
             };
         }
@@ -103,9 +111,10 @@ impl Closed {
     }
 
     /// A body with its vertices at these positions [scene unit]; `None` if it is not closed, if its coordinates are out
-    /// of range, or after an interrupt.
+    /// of range, or after an interrupt. What a body encloses that is inside out is solid, too.
     pub fn body<'a>(&'a self, index: usize, positions: &'a [DVec3]) -> Option<Body<'a>> {
-        Body::new(self.topology(index)?, positions).ok()
+        let body = Body::new(self.topology(index, false)?, positions).ok()?;
+        if body.is_inside_out() { Body::new(self.topology(index, true)?, positions).ok() } else { Some(body) }
     }
 
     /// The measures of a pair whose vertices are at these positions [scene unit]; `None` if they cannot be computed.
@@ -115,15 +124,20 @@ impl Closed {
         measures(schema, pair, [&a?, &b?], &budget, &mut Hint::default())
     }
 
-    fn topology(&self, body: usize) -> Option<&Topology> {
+    fn topology(&self, body: usize, is_reversed: bool) -> Option<&Topology> {
         let own = || self.shapes.get(*self.of_body.get(body)?);
-        let ClosedShape { mesh, topology } = self.torn.get(&body).or_else(own)?;
+        let ClosedShape { mesh, topology, reversed } = self.torn.get(&body).or_else(own)?;
         if is_raised(self.interrupt) {
             return None;
         }
         // an interrupted (`None`) topology is never needed again
-        let compute = || Topology::interruptible(mesh.vertex_count(), mesh.triangles(), self.interrupt).ok();
-        topology.get_or_init(compute).as_ref()
+        let compute =
+            |triangles: &[[u32; 3]]| Topology::interruptible(mesh.vertex_count(), triangles, self.interrupt).ok();
+        if !is_reversed {
+            return topology.get_or_init(|| compute(mesh.triangles())).as_ref();
+        }
+        let turn = || mesh.triangles().iter().map(|&[a, b, c]| [a, c, b]).collect::<Vec<_>>();
+        reversed.get_or_init(|| compute(&turn())).as_ref()
     }
 }
 
@@ -402,7 +416,8 @@ fn in_radii(schema: &Schema, pair: [usize; 2], measures: &union::PairMeasures, b
     PairMeasures {
         gap: measures.gap / radius,
         overlap: measures.overlap / (radius * radius * radius),
-        share: if volume > 0.0 { measures.overlap / volume } else { 0.0 },
+        // more where folds enclose space twice
+        share: if volume > 0.0 { f64::min(measures.overlap / volume, 1.0) } else { 0.0 },
         neck: measures.neck / radius,
         perimeter: measures.perimeter / radius,
     }
@@ -571,6 +586,32 @@ mod tests {
                 }
                 assert!(!merged.groups.is_empty(), "{name}, {steps} steps");
             }
+        }
+    }
+
+    /// A ball is the same mesh when every vertex is opposite to where it was, but inside out: its surface is the same.
+    #[test]
+    fn a_body_that_is_inside_out_has_a_surface() {
+        let text = "duration = 1.0\n[influence]\nmerge_at = 1.0\n[[body]]\nname = 'a'\nradius = 1.0\nmotion = { fixed = [0, 0, 0] }\n\
+                    [[body]]\nname = 'b'\nradius = 1.0\nmotion = { fixed = [1.5, 0, 0] }\n";
+        let world = World::new(scene::Scene::parse(text, "pair").unwrap()).unwrap();
+        let (schema, mut frame) = (world.schema(), Frame::default());
+        world.observe(Want::default(), &mut frame);
+        let surface = |frame: &Frame| {
+            let mut merger = Merger::new(&schema, None);
+            let merged = merger.merge(&schema, frame, &[[0, 1]]);
+            assert_eq!((merged.groups.len(), merged.overlapping), (1, 0));
+            let PairMeasures { gap, overlap, share, neck, .. } = merged.pairs[0].unwrap();
+            [merged.groups[0].volume, volume(&merged.groups[0]), merged.groups[0].area, gap, overlap, share, neck]
+        };
+        let expected = surface(&frame);
+        let (now, mut rest) = (&mut frame.bodies[1], Vectors::default());
+        now.local_positions(schema.bodies[1].rest(), &mut rest);
+        (now.is_at_rest, now.positions) = (false, Vectors::default());
+        rest.iter().for_each(|l| now.positions.push(-l));
+        for (found, expected) in surface(&frame).into_iter().zip(expected) {
+            // seams are smoothed in the order of the vertices
+            assert!((found - expected).abs() < 1e-6, "{found} {expected}");
         }
     }
 

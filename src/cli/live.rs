@@ -64,11 +64,9 @@ pub(super) fn live(program: Program<'_>, arguments: Arguments) -> Result<(), Fai
     let mut text = if arguments.watch { std::fs::read_to_string(path).unwrap_or_default() } else { String::new() };
     // what is saved has these values in its text
     let overridden = |scene: Scene| {
-        let scene = scene.with(&arguments.set, &arguments.scene);
-        scene
-            .and_then(|scene| scene.rewritten(&arguments.scene))
-            .map_err(|error| Failure::Input(format!("--set: {error}")))
-            .and_then(load::fitting)
+        let invalid = |error| Failure::Input(format!("--set: {error}"));
+        let scene = scene.with(&arguments.set, &arguments.scene).map_err(invalid)?;
+        load::supported(scene, &arguments.scene, None)?.rewritten(&arguments.scene).map_err(invalid)
     };
     let first = match program {
         Program::Scenes => experiment(overridden(load::scene(&arguments.scene)?)?),

@@ -7,8 +7,9 @@ use super::{
     progress::{Progress, Work},
 };
 use crate::{
+    models,
     recording::existing::Existing,
-    scene::{Scene, builtin},
+    scene::{Scene, SceneError, builtin},
     sim::memory,
     text::did_you_mean,
 };
@@ -23,8 +24,20 @@ pub fn read(path: &Path) -> Result<Scene, Failure> {
     loaded.map_err(Failure::input).and_then(fitting)
 }
 
+/// Refuses a scene that its model cannot run; `file` is its name in errors, and `option` a key whose value is not that of
+/// the file.
+pub fn supported(scene: Scene, file: &str, option: Option<&str>) -> Result<Scene, Failure> {
+    let scene = fitting(scene)?;
+    models::check(&scene).map_err(|error| {
+        let error = error.in_file(&scene, file);
+        let place = error.place.filter(|_| option != Some(&error.key));
+        Failure::input(SceneError { place, ..error })
+    })?;
+    Ok(scene)
+}
+
 /// Refuses a scene whose shapes do not fit into memory.
-pub fn fitting(scene: Scene) -> Result<Scene, Failure> {
+fn fitting(scene: Scene) -> Result<Scene, Failure> {
     memory::check_shapes(&scene).map_err(Failure::input)?;
     Ok(scene)
 }

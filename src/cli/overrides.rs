@@ -42,7 +42,7 @@ impl Overrides {
         let mut scene = with(scene, &self.set, file)?;
         scene.integrator = self.integrator.unwrap_or(scene.integrator);
         scene.model = self.model.unwrap_or(scene.model);
-        load::fitting(scene)
+        load::supported(scene, file, self.integrator.map(|_| "integrator"))
     }
 }
 

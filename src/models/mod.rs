@@ -82,7 +82,7 @@ use std::sync::Arc;
 
 use crate::{
     observe::{Experiment, InvalidVariation, Parameter, Refusal, Schema, Simulation, Variation},
-    scene::{Body, Integrator, Model, Scene, template::Override},
+    scene::{Body, Integrator, Model, Scene, SceneError, template::Override},
     sim::{Options, World, memory},
     text::did_you_mean,
     view,
@@ -101,29 +101,26 @@ pub struct SceneRun {
 
 /// A part of a scene that its model does not support.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[error(
-    "scene \"{scene}\" cannot run with model = \"{model}\": {}{what}; {remedy}",
-    .body.as_ref().map_or(String::new(), |body| format!("body \"{body}\": "))
-)]
+#[error("scene \"{scene}\": {key}: cannot run with model = \"{model}\": {what}; {remedy}")]
 pub struct Unsupported {
     /// Name of the scene.
     pub scene: String,
     /// The model.
     pub model: Model,
-    /// The unsupported body, if it is a single one.
-    pub body: Option<String>,
-    /// The key of the scene, and why it is unsupported.
+    /// The path of the unsupported key, such as `body["a"].motion.free`.
+    pub key: String,
+    /// Why it is unsupported.
     pub what: String,
     /// What to do.
     pub remedy: String,
 }
 
 impl Unsupported {
-    fn new(scene: &Scene, body: Option<&Body>, what: impl Into<String>, remedy: &str) -> Unsupported {
+    fn new(scene: &Scene, key: impl Into<String>, what: impl Into<String>, remedy: &str) -> Unsupported {
         Unsupported {
             scene: scene.name.clone(),
             model: scene.model,
-            body: body.map(|body| body.name.clone()),
+            key: key.into(),
             what: what.into(),
             remedy: remedy.to_owned(),
         }
@@ -134,8 +131,14 @@ impl Unsupported {
         if scene.edits.is_empty() {
             return Ok(());
         }
-        let what = "[[edit]]: the model does not change within a run";
-        Err(Unsupported::new(scene, None, what, "leave the edits out, or choose model = \"oscillators\""))
+        let what = "the model does not change within a run";
+        Err(Unsupported::new(scene, "edit", what, "leave the edits out, or choose model = \"oscillators\""))
+    }
+
+    /// This error at its place in the scene's text; `file` is the name of that.
+    pub fn in_file(self, scene: &Scene, file: &str) -> SceneError {
+        let message = format!("cannot run with model = \"{}\": {}", self.model, self.what);
+        scene.error_at(file, self.key, message, self.remedy)
     }
 }
 
@@ -233,6 +236,23 @@ pub fn read(name: &str, text: &str, run: &toml::Table) -> Result<Arc<dyn Experim
     Ok(Arc::new(SceneRun { scene, options }))
 }
 
+/// Rejects a scene that its model does not support.
+///
+/// # Errors
+/// [`Unsupported`], naming the key.
+pub fn check(scene: &Scene) -> Result<(), Unsupported> {
+    match scene.model {
+        Model::Oscillators => Ok(()),
+        Model::Metaballs => metaballs::check(scene),
+        Model::Lattice | Model::Fem => elastic::check(scene),
+    }
+}
+
+/// The path of a key of a body.
+fn key_of(body: &Body, key: &str) -> String {
+    format!("body[\"{}\"].{key}", body.name)
+}
+
 /// The model of this name.
 ///
 /// # Errors
@@ -252,7 +272,7 @@ pub fn need_oscillators(scene: &Scene, what: &str) -> Result<(), Unsupported> {
         Model::Oscillators => Ok(()),
         _ => {
             let what = format!("{what} measures the oscillators only");
-            Err(Unsupported::new(scene, None, what, "remove the key model"))
+            Err(Unsupported::new(scene, "model", what, "remove the key model"))
         }
     }
 }

@@ -10,7 +10,7 @@ use toml::de::{DeTable, DeValue};
 use super::{
     Scene, SceneError, builtin,
     parse::{
-        ARRAYS, Files, Meshes, Watch, on_deep_stack, read_document,
+        ARRAYS, Files, Meshes, Place, Watch, on_deep_stack, read_document,
         reader::{Source, is_bare},
     },
 };
@@ -49,6 +49,14 @@ impl KeyPath {
     /// The number of its parts: names and indices.
     pub(super) fn len(&self) -> usize {
         self.parts.len()
+    }
+
+    /// Whether this is the path of a value that has another one in it, or is it; an index may be that of any name.
+    fn may_contain(&self, other: &KeyPath) -> bool {
+        let is_same = |(one, other): (&Part, &Part)| {
+            one == other || matches!(one, Part::Index(_)) || matches!(other, Part::Index(_))
+        };
+        self.parts.len() <= other.parts.len() && self.parts.iter().zip(&other.parts).all(is_same)
     }
 
     /// Its names, in order.
@@ -186,6 +194,19 @@ impl Scene {
         Ok(Scene { source: self.source, set, ..scene })
     }
 
+    /// The error that the value at the path `key` cannot be used: where it stands in the text, or if it is a default, the
+    /// table that it belongs to; no place if the value is not that of the text. `file` is its name.
+    pub(crate) fn error_at(&self, file: &str, key: String, message: String, help: String) -> SceneError {
+        let source = Source { text: &self.source, file };
+        let place = || {
+            let (document, path) = (source.document().ok()?, KeyPath::parse(&key).ok()?);
+            let is_set = self.set.iter().any(|set| set.key.may_contain(&path));
+            if is_set { None } else { Some(Place::of(source.text, position(&document, &path)?)) }
+        };
+        let place = place();
+        SceneError { place, key, help: Some(help), ..SceneError::plain(file, message) }
+    }
+
     /// The scene with its [settings](Scene::set) in its text, which loses its comments if there are any to write. `file` is
     /// its name in errors.
     ///
@@ -314,6 +335,39 @@ pub(super) fn replace<'a>(document: &mut DeTable<'a>, path: &KeyPath, value: DeV
     Ok(())
 }
 
+/// The position in the text of the value at a path, or of the innermost table around it; `None` if that is the document, or if
+/// an array lacks the item, as that of a body which a grid makes.
+fn position(document: &DeTable<'_>, path: &KeyPath) -> Option<usize> {
+    let Some((Part::Name(first), rest)) = path.parts.split_first() else { return None };
+    let (key, mut value) = document.get_key_value(first.as_str())?;
+    let mut start = key.span().start;
+    for part in rest {
+        let next = match (value.get_ref(), part) {
+            (DeValue::Table(table), Part::Name(name)) => table.get_key_value(name.as_str()).map(|(key, value)| {
+                start = key.span().start;
+                value
+            }),
+            (DeValue::Array(items), _) => {
+                let item = match part {
+                    Part::Index(index) => items.get(*index),
+                    Part::Name(name) => items.iter().find(|item| name_of(item.get_ref()) == Some(name.as_str())),
+                }?;
+                start = item.span().start;
+                Some(item)
+            }
+            _ => None,
+        };
+        let Some(next) = next else { break };
+        value = next;
+    }
+    Some(start)
+}
+
+/// The name of an item of an array of tables.
+fn name_of<'v>(item: &'v DeValue<'_>) -> Option<&'v str> {
+    item.get("name")?.get_ref().as_str()
+}
+
 /// Sets the value at the path `parts`. Creates missing tables, and zero vectors where an index follows; the scene's
 /// parser reports unknown names.
 fn set<'a>(at: &mut DeValue<'a>, parts: &[Part], value: DeValue<'a>) -> Result<(), String> {
@@ -337,10 +391,8 @@ fn set<'a>(at: &mut DeValue<'a>, parts: &[Part], value: DeValue<'a>) -> Result<(
             Ok(())
         }
         (DeValue::Array(items), Part::Name(name)) => {
-            let names = || items.iter().filter_map(|item| item.get_ref().get("name")?.get_ref().as_str());
-            let Some(index) = items.iter().position(|item| {
-                item.get_ref().get("name").and_then(|known| known.get_ref().as_str()) == Some(name.as_str())
-            }) else {
+            let names = || items.iter().filter_map(|item| name_of(item.get_ref()));
+            let Some(index) = items.iter().position(|item| name_of(item.get_ref()) == Some(name.as_str())) else {
                 let listed: Vec<&str> = names().take(8).collect();
                 let hint = did_you_mean(name, names());
                 return Err(match listed.len() {

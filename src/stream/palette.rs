@@ -88,6 +88,11 @@ pub fn of_body(schema: &Schema, index: usize) -> Rgb {
     schema.bodies.get(index).and_then(|of| of.color).unwrap_or_else(|| body(index % schema.variant_size()))
 }
 
+/// The colour of a label of something with this colour: lighter, to be read on it and on a dark ground.
+pub fn label(rgb: Rgb) -> Rgb {
+    rgb.map(|channel| channel / 2 + 0x7F)
+}
+
 /// Colours of plot lines without other meaning, in order.
 pub fn line(index: usize) -> Rgb {
     const LINES: [Rgb; 10] = [SKY_BLUE, ORANGE, GREEN, VERMILION, PURPLE, SILVER, MAGENTA, LIME, BROWN, BLUE];

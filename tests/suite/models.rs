@@ -361,12 +361,42 @@ fn unsupported_features_of_a_model_are_rejected_with_status_2() {
         (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
     };
     let (status, error) = meldscope(&["run", "collide", "--model", "metaballs"]);
-    assert!(status == Some(2) && error.contains("motion") && error.contains("body \""), "{status:?} {error}");
+    assert_eq!(status, Some(2));
+    let line = builtin_text("collide").lines().position(|line| line.starts_with("motion = { free")).unwrap() + 1;
+    let expected =
+        format!("error: collide:{line}:12: body[\"left\"].motion.free: cannot run with model = \"metaballs\"");
+    assert!(error.starts_with(&expected), "{error}");
     let (status, error) = meldscope(&["run", "two", "--model", "metabals"]);
     assert!(status == Some(2) && error.contains("did you mean \"metaballs\""), "{status:?} {error}");
     std::fs::write(dir.path().join("balls.toml"), "model = 'metaballs'\n".to_owned() + &two()).expect("disk space");
     let (status, error) = meldscope(&["bench", "error", "balls.toml"]);
     assert!(status == Some(2) && error.contains("metaballs"), "{status:?} {error}");
+    // the place of a key, also where another key is set, unless its value is not that of the file
+    std::fs::write(dir.path().join("explicit.toml"), "\nintegrator = 'rk4'\n".to_owned() + &two()).unwrap();
+    let commands: [(&[&str], &str); 6] = [
+        (&["run", "--set", "model=fem"], "explicit.toml:2:1: integrator"),
+        (&["run", "--model", "lattice"], "explicit.toml:2:1: integrator"),
+        (&["live", "--set", "model=fem"], "explicit.toml:2:1: integrator"),
+        (&["export", "--events", "e.csv", "--set", "model=fem"], "explicit.toml:2:1: integrator"),
+        (&["run", "--set", "model=fem", "--set", "integrator=mps"], "integrator"),
+        (&["run", "--model", "fem", "--integrator", "euler"], "integrator"),
+    ];
+    for (arguments, place) in commands {
+        let (status, error) = meldscope(&[&arguments[..1], &["explicit.toml"], &arguments[1..]].concat());
+        let is_placed = error.starts_with(&format!("error: {place}: cannot run with model"));
+        assert!(status == Some(2) && is_placed, "{arguments:?} {status:?} {error}");
+    }
+    std::fs::remove_file(dir.path().join("explicit.toml")).unwrap();
+    // nor is such a scene blessed
+    std::fs::create_dir(dir.path().join("golden")).unwrap();
+    std::fs::write(dir.path().join("golden/fem.toml"), "integrator = 'rk4'\nmodel = 'fem'\n".to_owned() + &two())
+        .unwrap();
+    for arguments in [&["check", "golden"][..], &["check", "golden", "--bless", "new"]] {
+        let (status, error) = meldscope(arguments);
+        let place = format!("error: {}:1:1: integrator: ", Path::new("golden").join("fem.toml").display());
+        assert!(status == Some(2) && error.starts_with(&place), "{status:?} {error}");
+    }
+    std::fs::remove_dir_all(dir.path().join("golden")).unwrap();
     assert_eq!(std::fs::read_dir(dir.path()).expect("it exists").count(), 1, "nothing was written");
     let (status, error) = meldscope(&["run", "balls.toml", "--save", "balls.rrd"]);
     assert_eq!(status, Some(0), "{error}");
@@ -375,6 +405,9 @@ fn unsupported_features_of_a_model_are_rejected_with_status_2() {
 }
 
 fn two() -> String {
-    let found = builtin::ALL.iter().find(|scene| scene.name == "two");
-    found.expect("a built-in scene").text.to_owned()
+    builtin_text("two").to_owned()
+}
+
+fn builtin_text(name: &str) -> &'static str {
+    builtin::ALL.iter().find(|scene| scene.name == name).expect("a built-in scene").text
 }

@@ -289,6 +289,11 @@ impl<'a> Body<'a> {
         self.extent().volume
     }
 
+    /// Whether it is inside out: the volume that it encloses is negative.
+    pub fn is_inside_out(&self) -> bool {
+        self.slack() < 0.0 && self.volume() < 0.0
+    }
+
     /// Area [scene unit²].
     pub fn area(&self) -> f64 {
         self.extent().area

@@ -15,8 +15,9 @@ use super::{
 };
 use crate::{
     geometry::{Mesh, Shape, Vectors},
+    model::shape_matching::outer,
     models::{
-        cells::{Cells, boundary},
+        cells::{Cells, TETRAHEDRA, boundary},
         fem::{self, Elasticity, Element, Stepper, Unfactored},
         lattice::{self, Constants, Lattice},
     },
@@ -107,6 +108,8 @@ pub struct Body {
     pub u: Vec<DVec3>,
     /// Whether all displacements and velocities are zero.
     pub is_at_rest: bool,
+    /// Whether it [has collapsed](Body::has_collapsed).
+    pub is_collapsed: bool,
     /// Distance of the farthest node from the centre [scene unit].
     pub extent: f64,
     /// Largest speed of a node relative to the centre [scene unit/s].
@@ -267,6 +270,7 @@ impl Body {
             surface: Surface { cells, mesh, mass, exposed: Vec::new(), contact },
             matter,
             is_at_rest: true,
+            is_collapsed: false,
             speed: 0.0,
             pushes: scene.pushes.iter().filter(|push| push.body == index).copied().collect(),
             sources: Vec::new(),
@@ -323,6 +327,42 @@ impl Body {
             Matter::Lattice(springs) => [&springs.motion.positions, &springs.motion.velocities],
             Matter::Fem(finite) => [&finite.positions, &finite.velocities],
         }
+    }
+
+    /// Whether it has less than a fifth of its volume at rest, or most of it is inside out.
+    pub fn has_collapsed(&self) -> bool {
+        const LEFT: f64 = 0.2;
+        let places = [self.state()[0], &self.rest];
+        // the linear map that fits the nodes best says whether the cells have to be summed up
+        let [now, at_rest] = places.map(|places| self.moment_of(places).determinant());
+        if now >= LEFT * at_rest {
+            return false;
+        }
+        let [now, at_rest] = places.map(|places| self.volume(places));
+        now < LEFT * at_rest
+    }
+
+    /// A multiple of its volume with its nodes at these positions: the mean over the cells that are left, by their shares of its
+    /// mass.
+    fn volume(&self, places: &[DVec3]) -> f64 {
+        let is_left = |cell: usize| match &self.matter {
+            Matter::Lattice(springs) => springs.lattice.is_whole[cell],
+            Matter::Fem(_) => true,
+        };
+        let cells = self.corners().iter().zip(&self.surface.cells.weights).enumerate();
+        let volumes = cells.filter(|(cell, _)| is_left(*cell)).flat_map(|(_, (corners, share))| {
+            TETRAHEDRA.map(|of| {
+                let [a, b, c, d] = of.map(|corner| places[corners[corner] as usize]);
+                share * (b - a).cross(c - a).dot(d - a) / 6.0
+            })
+        });
+        volumes.sum()
+    }
+
+    /// Σ m p lᵀ of these positions of its nodes: its polar decomposition gives the axes that fit best.
+    pub fn moment_of(&self, places: &[DVec3]) -> DMat3 {
+        let nodes = places.iter().zip(&self.rest).zip(self.masses());
+        nodes.fold(DMat3::ZERO, |fit, ((place, l), m)| fit + outer(*place * *m, *l))
     }
 
     /// Adds a velocity to the nodes that are not held [scene unit/s].

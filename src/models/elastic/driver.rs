@@ -674,11 +674,7 @@ impl Body {
 
     /// Fits the axes of a free body to the positions of its nodes at time `t` [s].
     fn fit_axes(&mut self, places: &[DVec3], t: f64) {
-        let masses = self.masses();
-        let mut fit = DMat3::ZERO;
-        for ((place, l), m) in places.iter().zip(&self.rest).zip(masses) {
-            fit += outer(*place * *m, *l);
-        }
+        let fit = self.moment_of(places);
         if let Some(free) = &mut self.free {
             (free.rotation, free.fitted) = (best_rotation(fit, free.rotation), t);
         }

@@ -27,13 +27,13 @@ use std::{
     time::Duration,
 };
 
-use super::{Unsupported, cells::Cells};
+use super::{Unsupported, cells::Cells, key_of};
 use crate::{
     geometry::Shape,
     interrupt::is_raised,
     model::phase::Phase,
     observe::{BodyEvent, Instant, PairEvent, StepFailure},
-    scene::{self, Integrator, Model, Motion, Path, Rotation, Scene, TearMode},
+    scene::{Integrator, Model, Motion, Path, Rotation, Scene, TearMode},
     sim::{Options, memory, reach::Grid},
     text::bytes,
 };
@@ -43,11 +43,13 @@ pub use observe::{all_scalars, schema};
 /// The core of a body that is held [radii].
 const CORE: f64 = 0.5;
 /// The kinds of events of single bodies, each with when it happens.
-pub const KINDS: [(&str, &str); 3] = [CUT_CELL, SPLIT_NODE, WOULD_TEAR];
+pub const KINDS: [(&str, &str); 4] = [CUT_CELL, SPLIT_NODE, WOULD_TEAR, COLLAPSE];
 const CUT_CELL: (&str, &str) = ("cut cell", "An overstretched spring of a lattice is cut, with its cell.");
 const SPLIT_NODE: (&str, &str) = ("split node", "An overloaded node of a lattice is split.");
 const WOULD_TEAR: (&str, &str) =
     ("would tear", "The tension of a finite element exceeds `tear_stress`; nothing tears.");
+const COLLAPSE: (&str, &str) =
+    ("collapse", "A lattice or finite-element body is squeezed to a fifth of its volume, or turned inside out.");
 
 /// The bodies of a scene, made of cells.
 pub struct Elastic {
@@ -66,7 +68,7 @@ pub struct Elastic {
     grid: Grid,
     step: u64,
     events: Vec<PairEvent>,
-    /// Tear events of the last step, including those of bodies that only would have torn.
+    /// Tear events of the last step, including those of bodies that only would have torn; and bodies that it squeezed together.
     tears: Vec<BodyEvent>,
     failure: Option<StepFailure>,
     /// How long the last step took: finding sources, finding phase changes, and the rest.
@@ -76,28 +78,27 @@ pub struct Elastic {
 /// Rejects what the model does not support.
 ///
 /// # Errors
-/// [`Unsupported`], naming the body and the key.
+/// [`Unsupported`], naming the key.
 pub fn check(scene: &Scene) -> Result<(), Unsupported> {
-    let unsupported =
-        |body: Option<&scene::Body>, what: &str, remedy: &str| Err(Unsupported::new(scene, body, what, remedy));
+    let unsupported = |key: &str, what: &str, remedy: &str| Err(Unsupported::new(scene, key, what, remedy));
     for body in &scene.bodies {
         if let Motion::Free(motion) = &body.motion {
             if motion.rotation == Rotation::Fixed {
-                let what = "rotation = \"fixed\": the nodes of a body determine its rotation";
-                return unsupported(Some(body), what, "remove the key rotation, or choose model = \"oscillators\"");
+                let (key, what) = (key_of(body, "motion.free.rotation"), "the nodes of a body determine its rotation");
+                return unsupported(&key, what, "remove the key rotation, or choose model = \"oscillators\"");
             }
             if body.force.is_some() {
                 let what = "a force set by a program";
-                return unsupported(Some(body), what, "remove it, or choose model = \"oscillators\"");
+                return unsupported(&key_of(body, "force"), what, "remove it, or choose model = \"oscillators\"");
             }
             if scene.integrator == Integrator::Euler {
-                let what = "integrator = \"euler\" with motion = { free = … }";
-                return unsupported(Some(body), what, "choose \"verlet\", or \"exponential\", the default");
+                let what = format!("\"euler\" does not step a free body, as \"{}\" is", body.name);
+                return unsupported("integrator", &what, "choose \"verlet\", or \"exponential\", the default");
             }
         }
         if body.material.omega == 0.0 {
-            let what = "omega = 0: its stiffness is derived from omega";
-            return unsupported(Some(body), what, "give it an omega above 0");
+            let (key, what) = (key_of(body, "omega"), "0: the stiffness is derived from omega");
+            return unsupported(&key, what, "give it an omega above 0");
         }
     }
     let (scheme, remedy) = match scene.model {
@@ -117,7 +118,7 @@ pub fn check(scene: &Scene) -> Result<(), Unsupported> {
         _ => false,
     };
     if !is_known {
-        return unsupported(None, &format!("integrator = \"{}\": {scheme}", scene.integrator), remedy);
+        return unsupported("integrator", &format!("\"{}\": {scheme}", scene.integrator), remedy);
     }
     Ok(())
 }
@@ -205,9 +206,17 @@ impl Elastic {
             (_, TearMode::Split) => SPLIT_NODE,
             _ => CUT_CELL,
         };
-        for body in &self.bodies {
-            let event = |&place| BodyEvent { name, time, step: self.step, body: body.index, place };
-            self.tears.extend(body.tears.iter().map(event));
+        for index in 0..self.bodies.len() {
+            let centre = self.centre(index);
+            let body = &mut self.bodies[index];
+            let step = self.step;
+            let event = |name, place| BodyEvent { name, time, step, body: index, place };
+            self.tears.extend(body.tears.iter().map(|&place| event(name, place)));
+            let has_collapsed = !body.is_at_rest && body.has_collapsed();
+            if has_collapsed && !body.is_collapsed {
+                self.tears.push(event(COLLAPSE.0, centre));
+            }
+            body.is_collapsed = has_collapsed;
         }
     }
 

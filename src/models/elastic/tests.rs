@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use super::*;
 use crate::{
+    geometry::{Vectors, mesh::signed_volume},
     models::lattice::Constants,
     observe::{Frame, Simulation, StepSummary, Want},
     scene::TearMode,
@@ -313,6 +314,33 @@ fn hard_cases_end() {
         }
     }
     assert_eq!(outcomes.map(|[completed, ..]| completed), [CASES - outcomes[0][2], CASES]);
+}
+
+/// A soft ball falls on a plane too fast for its springs: they let it through itself, and it stays flat.
+#[test]
+fn a_body_that_collapses_is_an_event() {
+    let text = "duration = 1.0\nmodel = 'lattice'\ngravity = [0, 0, -9.81]\n[material]\nomega = 25.0\ndamping = 4.0\n\
+                [[plane]]\nnormal = [0, 0, 1]\n[[body]]\nname = 'ball'\nradius = 0.6\n\
+                motion = { free = { from = [0, 0, 3.0] } }\n";
+    let mut simulation = start(&Scene::parse(text, "fall").unwrap());
+    let schema = simulation.schema();
+    let (mut summary, mut frame) = (StepSummary::default(), Frame::default());
+    let (mut collapsed, mut volumes) = (Vec::new(), Vec::new());
+    for _ in 0..60 {
+        summary.clear();
+        simulation.step(&mut summary);
+        collapsed.extend(summary.body_events.iter().filter(|event| event.name == COLLAPSE.0).copied());
+        simulation.observe(Want::default(), &mut frame);
+        let (mesh, mut at) = (&schema.bodies[0].mesh, Vectors::default());
+        frame.bodies[0].local_positions(mesh.at(0.6), &mut at);
+        volumes.push(signed_volume(mesh.triangles().iter().map(|corners| corners.map(|v| at.get(v as usize)))));
+    }
+    let Some(event) = collapsed.first() else { panic!("{volumes:?}") };
+    // the surface is that of the nodes, but for the cells that it cuts
+    let first = volumes.iter().position(|volume| *volume < 0.2 * volumes[0]).unwrap() as u64 + 1;
+    assert!(event.step.abs_diff(first) <= 3, "{event:?} {first}");
+    assert!(volumes.iter().any(|volume| *volume < 0.0));
+    assert!((-0.1..0.6).contains(&event.place.z), "{event:?}");
 }
 
 /// A body held by its core, shaken hard: `cut` loses volume and reports it, `split` does not; both change the frame's

@@ -36,7 +36,7 @@ use std::{
 
 use glam::DVec3;
 
-use super::Unsupported;
+use super::{Unsupported, key_of};
 use crate::{
     colors,
     disjoint_sets::DisjointSets,
@@ -468,28 +468,35 @@ fn idle(scene: &Scene) -> Option<String> {
 /// # Errors
 /// The scene has something that metaballs do not support.
 fn kernels(scene: &Scene) -> Result<Vec<Kernel>, Unsupported> {
-    let unsupported = |body: Option<&Body>, what: String, remedy: &str| Unsupported::new(scene, body, what, remedy);
+    check(scene)?;
+    Ok(scene.bodies.iter().filter_map(|body| Kernel::new(body.reach)).collect())
+}
+
+/// Rejects what metaballs do not support.
+///
+/// # Errors
+/// [`Unsupported`], naming the key.
+pub fn check(scene: &Scene) -> Result<(), Unsupported> {
     if scene.bodies.len() > MAX_BODIES {
         let what = format!("it has {} bodies, and the limit is {MAX_BODIES}", scene.bodies.len());
-        return Err(unsupported(None, what, "use fewer"));
+        return Err(Unsupported::new(scene, "body", what, "use fewer"));
     }
     for body in &scene.bodies {
         if body.path().is_none() {
-            let what = "motion = { free … }: a density has no mass, so forces cannot move it".to_owned();
-            return Err(unsupported(Some(body), what, "give it a path, or choose model = \"oscillators\""));
+            let (key, what) = (key_of(body, "motion.free"), "a density has no mass, so forces cannot move it");
+            return Err(Unsupported::new(scene, key, what, "give it a path, or choose model = \"oscillators\""));
         }
         if !body.shape.mesh().is_round() {
-            let what = format!("shape \"{}\": the density is that of a ball", body.shape.label());
+            let what = format!("\"{}\": the density is that of a ball", body.shape.label());
             let remedy = "use shape = { sphere … }, or choose model = \"lattice\", \"fem\" or \"oscillators\"";
-            return Err(unsupported(Some(body), what, remedy));
+            return Err(Unsupported::new(scene, key_of(body, "shape"), what, remedy));
+        }
+        if Kernel::new(body.reach).is_none() {
+            let what = format!("{}: a density that ends within the ball has no surface", body.reach);
+            return Err(Unsupported::new(scene, key_of(body, "reach"), what, "give a reach above 1"));
         }
     }
-    Unsupported::edits(scene)?;
-    let kernel = |body: &Body| {
-        let what = || format!("reach = {}: a density that ends within the ball has no surface", body.reach);
-        Kernel::new(body.reach).ok_or_else(|| unsupported(Some(body), what(), "give a reach above 1"))
-    };
-    scene.bodies.iter().map(kernel).collect()
+    Unsupported::edits(scene)
 }
 
 fn path(body: &Body) -> &Path {

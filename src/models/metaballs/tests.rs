@@ -339,11 +339,14 @@ fn groups_are_drawn_as_one_surface() {
 fn unsupported_scenes_are_rejected_or_warned_about() {
     let error = |text: &str| Metaballs::new(&scene(text), Options::default()).map(|_| ()).unwrap_err();
     let free = error(&TWO.replace("{ fixed = [0, 0, 0] }", "{ free = { from = [0, 0, 0] } }"));
-    assert!(free.contains("body \"a\"") && free.contains("motion") && free.contains("give it a path"), "{free}");
+    assert!(free.contains("body[\"a\"].motion.free: ") && free.contains("give it a path"), "{free}");
     let narrow = error(&TWO.replace("dt = 0.1", "dt = 0.1\n[influence]\nreach = 0.9"));
-    assert!(narrow.contains("body \"a\"") && narrow.contains("reach = 0.9") && narrow.contains("above 1"), "{narrow}");
+    assert!(
+        narrow.contains("body[\"a\"].reach: ") && narrow.contains(" 0.9: ") && narrow.contains("above 1"),
+        "{narrow}"
+    );
     let narrow = error(&TWO.replacen("radius = ", "reach = 1.0\nradius = ", 1));
-    assert!(narrow.contains("body \"a\"") && narrow.contains("reach = 1:"), "{narrow}");
+    assert!(narrow.contains("body[\"a\"].reach: ") && narrow.contains(" 1: a density"), "{narrow}");
     let push = "[[push]]\nbody = 'a'\ndirection = [1, 0, 0]\nstrength = 1\nstart = 0\nduration = 1\n";
     let warned = Metaballs::new(&scene(&format!("{TWO}{push}")), Options::default()).unwrap().schema().warnings;
     assert!(warned.iter().any(|warning| warning.contains("[[push]]")), "{warned:?}");

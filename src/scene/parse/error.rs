@@ -73,7 +73,7 @@ impl fmt::Display for SceneError {
 
 impl Place {
     /// The position of the byte `offset` of `text`.
-    pub(super) fn of(text: &str, offset: usize) -> Place {
+    pub(in crate::scene) fn of(text: &str, offset: usize) -> Place {
         let before = &text[..text.floor_char_boundary(offset)];
         let line_start = before.rfind('\n').map_or(0, |newline| newline + 1);
         let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);

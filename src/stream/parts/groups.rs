@@ -170,7 +170,7 @@ impl GroupPlots {
 impl GroupPlots {
     /// How merging changes the volume, and whether most of it is lost, in words.
     pub fn changed_volume(&self) -> Option<String> {
-        /// A body with less is crushed, or turned inside out: the view from outside may not show that.
+        /// A body with less is crushed: the view from outside may not show that.
         const CRUSHED: f64 = 0.6;
 
         let ratios = self.ratios?.map(percent);
@@ -189,7 +189,7 @@ impl GroupPlots {
             view.bodies().zip(&self.at_rest).map(|((body, now), at_rest)| match (now.is_absent, now.is_at_rest) {
                 (true, _) => 0.0,
                 (_, true) => *at_rest,
-                _ => enclosed(now.mesh_of(body).triangles(), &now.positions),
+                _ => enclosed(now.mesh_of(body).triangles(), &now.positions).abs(), // it may be inside out
             });
         self.volumes.clear();
         self.volumes.extend(volumes);
@@ -256,12 +256,12 @@ impl GroupPlots {
                 marks.push((Mark::Dot(apart / largest), SILVER));
                 label += &format!(", {} %", percent(group.volume / apart));
             }
-            Row { label, color, marks }
+            Row { label, color: palette::label(color), marks }
         });
         let rows = rows.chain(alone.into_iter().map(|body| {
             let (volume, color) = (self.volumes[body], palette::of_body(view.schema, body));
             let label = format!("{}: {}", view.schema.bodies[body].name, short(volume));
-            Row { label, color, marks: vec![(Mark::Bar(volume / largest), color)] }
+            Row { label, color: palette::label(color), marks: vec![(Mark::Bar(volume / largest), color)] }
         }));
         // what all of it encloses, and how that has changed
         let all = self.sums.zip(self.first).filter(|_| !groups.is_empty()).map(|([of_surfaces, _], first)| {
