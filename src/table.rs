@@ -418,6 +418,10 @@ fn is_table(path: &Path, format: Format, columns: &[Column]) -> io::Result<bool>
         Format::Json => {
             let text = String::from_utf8_lossy(&head);
             let row = text.strip_prefix('[').unwrap_or_default().trim_start();
+            let first = serde_json::Deserializer::from_str(row).into_iter::<serde_json::Map<_, _>>().next();
+            let count = first
+                .and_then(Result::ok)
+                .map_or(columns.len(), |first: serde_json::Map<_, serde_json::Value>| first.len());
             let mut rest = row.strip_prefix('{').unwrap_or_default();
             let mut has = |column: &Column| {
                 let key = quoted(&column.name).unwrap_or_default() + ":";
@@ -425,7 +429,7 @@ fn is_table(path: &Path, format: Format, columns: &[Column]) -> io::Result<bool>
                 rest = after.unwrap_or_default();
                 after.is_some()
             };
-            matches!(text.trim(), "[" | "[]" | "[\n]") || columns.iter().all(&mut has)
+            matches!(text.trim(), "[" | "[]" | "[\n]") || count == columns.len() && columns.iter().all(&mut has)
         }
         Format::Parquet => {
             let from = file.metadata()?.len().saturating_sub(LONGEST_HEADER);

@@ -12,7 +12,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::{
-    Failure,
+    Failure, load,
     overrides::Overrides,
     print,
     program::{Program, Subject},
@@ -253,46 +253,60 @@ fn bless(scripts: &[Script], reason: &str) -> Result<(), Failure> {
                 return Ok(None);
             }
             let new = Existing { application: application(&schema.name), kind: Some(Kind::Golden) };
-            if let Some(note) = replace(&script.golden, &new)? {
-                say(&format!("note: {note}"));
-            }
-            golden::prepare(experiment, &script.golden, reason).map(Some)
+            let note = replace(&script.golden, &new)?;
+            golden::prepare(experiment, &script.golden, reason).map(|(blessed, file)| Some((blessed, file, note)))
         })
         .inspect(|_| progress.add(1))
         .collect();
     drop(progress);
-    let (mut made, mut failure) = (Vec::new(), None);
+    let (mut made, mut notes, mut failed) = (Vec::new(), Vec::new(), Vec::new());
     for (script, result) in scripts.iter().zip(results) {
         match result {
             Ok(None) => print(&format!("{}: identical, kept", script.name)),
-            Ok(Some((blessed, file))) => made.push((script, blessed, file)),
-            Err(error) => failure = failure.or(Some(format!("{}: {error}", script.name))),
+            Ok(Some((blessed, file, note))) => {
+                made.push((script, blessed, file));
+                notes.push(note);
+            }
+            Err(error) => failed.push((script, error.to_string())),
         }
     }
     // The reasons come first: whenever the machine fails, no golden recording is without its reason.
     let placed = atomic::together(|| {
         let written = give_reasons(&made, reason);
         made.into_iter()
-            .map(|(script, blessed, file)| match (&written, file) {
-                (Ok(()), Some(file)) => file.place().map(|()| (script, blessed)).map_err(|error| error.to_string()),
-                (Ok(()), None) => Ok((script, blessed)),
-                (Err(error), file) => {
-                    file.into_iter().for_each(Complete::discard);
-                    Err(error.clone())
-                }
+            .map(|(script, blessed, file)| {
+                let placed = match (&written, file) {
+                    (Ok(()), Some(file)) => file.place().map_err(|error| error.to_string()),
+                    (Ok(()), None) => Ok(()),
+                    (Err(error), file) => {
+                        file.into_iter().for_each(Complete::discard);
+                        Err(error.clone())
+                    }
+                };
+                (script, blessed, placed)
             })
             .collect::<Vec<_>>()
     });
-    for placed in placed {
+    for ((script, blessed, placed), note) in placed.into_iter().zip(notes) {
         match placed {
-            Ok((script, blessed)) => {
+            Ok(()) => {
+                note.iter().for_each(|note| say(&format!("note: {note}")));
                 let size = bytes(blessed.bytes);
                 print(&format!("{}: {:016x}, {} ({size})", script.name, blessed.digest, script.golden.display()));
             }
-            Err(error) => failure = failure.or(Some(error)),
+            Err(error) => failed.push((script, error)),
         }
     }
-    failure.map_or(Ok(()), |failure| Err(Failure::Run(failure)))
+    match failed.as_slice() {
+        [] => Ok(()),
+        [(script, error)] => Err(Failure::Run(format!("{}: {error}", script.name))),
+        all => {
+            all.iter().for_each(|(script, error)| say(&format!("{}: {error}", script.name)));
+            let names: Vec<&str> = all.iter().map(|(script, _)| script.name.as_str()).collect();
+            let (count, of) = (all.len(), scripts.len());
+            Err(Failure::Run(format!("{count} of {of} scenes were not blessed: {}", names.join(", "))))
+        }
+    }
 }
 
 /// A golden recording that has been made for a script.
@@ -401,7 +415,10 @@ fn scripts(program: Program<'_>, paths: &[PathBuf]) -> Result<Vec<Script>, Failu
                 numbered.find(|name| taken.insert(name.clone())).unwrap_or_default()
             };
             let subject = match program {
-                Program::Scenes => Subject::Scene(Box::new(super::load::read(&file)?)),
+                Program::Scenes => {
+                    let scene = Overrides::default().apply(load::read(&file)?, &file.display().to_string())?;
+                    Subject::Scene(Box::new(scene))
+                }
                 Program::Own(_) => program.subject(&name, &Overrides::default())?,
             };
             let is_alone = stems.iter().filter(|other| **other == name).count() == 1;

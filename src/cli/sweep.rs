@@ -147,6 +147,9 @@ pub fn sweep(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> 
     }
     let store = || Store::open(&arguments.out, &sweep, columns(&sweep));
     if let Some(row) = arguments.open {
+        if !arguments.out.join("sweep.toml").exists() {
+            return Err(Failure::Input(format!("{} has no row {row}: run the sweep first", arguments.out.display())));
+        }
         return open(&sweep, &store()?, row); // the run listens for Ctrl-C itself
     }
     interrupt::raise_stop()?;
@@ -346,7 +349,10 @@ impl RunningSweep<'_> {
         let outcome = |index: &[u64]| classes.get(&design.row(0, index)).copied();
         let found = bisect::thresholds(&self.runner, design, axis, &outcome, &STOP, &|more| progress.add(more));
         drop(progress);
-        let Some(found) = found else { self.interrupted() };
+        let Some(found) = found else {
+            say("the search for thresholds was not finished: it begins anew next time");
+            self.interrupted()
+        };
         let rows = bisect::rows(&found, &self.sweep.classes);
         let path = self.store.write(&thresholds_file(axis), |to| table::write(&bisect::columns(design), &rows, to))?;
         const LISTED: usize = 20;

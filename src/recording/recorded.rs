@@ -32,13 +32,13 @@ use crate::{
 const CHECKSUM_BYTES: u64 = 8;
 /// This many checksums are accepted whatever the size of the file.
 const SPARE: u64 = 4096;
-/// Upper limit on the length of any property but the scene [bytes].
-const MAX_PROPERTY: usize = 64 << 10;
 /// Characters of the name of a recording that are read.
 const MAX_NAME: usize = 200;
-/// Upper limit on the length of a scene's text: a constant [bytes], plus a multiple of what was read of the file so
-/// far.
+/// Upper limit on the length of a text, such as that of the scene: a constant [bytes], plus a multiple of what was read of the
+/// file so far.
 const TEXT: (u64, u64) = (1 << 20, 16);
+/// Nor is it longer than this: the text of a scene, and as much for its meshes [bytes].
+const LARGEST_TEXT: u64 = 2 * crate::scene::Scene::LARGEST_TEXT;
 
 /// A recording without its frames.
 #[derive(Clone, Debug)]
@@ -244,10 +244,7 @@ impl Found {
         for property in [SCENE, SETTINGS, OVERRIDES, VERSION, MACHINE, BLESSED, COUNTS, FAILURE, DIGEST] {
             if let Some(text) = cell::<Utf8>(chunk, &property.descriptor(), 0).into_iter().next() {
                 let text = text.as_str();
-                let limit = match property {
-                    SCENE => crate::scene::Scene::LARGEST_TEXT.min(TEXT.0 + TEXT.1 * read) as usize,
-                    _ => MAX_PROPERTY,
-                };
+                let limit = LARGEST_TEXT.min(TEXT.0 + TEXT.1 * read) as usize;
                 if text.len() > limit {
                     return Err(format!("its {} has {} bytes, over the limit of {limit}", property.0, text.len()));
                 }

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::{Body, Motion, Plane, Scene};
+use super::{Body, Motion, Plane, Scene, keys::LARGEST};
 
 /// Speed at which a plane may throw a body out: its springs, which stop it within 1/ω, then deform it by a quarter of
 /// its radius [ω R].
@@ -64,7 +64,8 @@ impl Scene {
                 let Some(Throw { normal, depth, .. }) = Throw::fastest(&self.planes, body, from) else { break };
                 from += normal * depth;
             }
-            if Throw::fastest(&self.planes, body, from).is_none() {
+            let is_valid = from.abs().max_element() <= LARGEST;
+            if is_valid && Throw::fastest(&self.planes, body, from).is_none() {
                 let by = from - free.from;
                 body.motion = body.motion.moved_by(by);
                 self.pushed_out.push(PushedOut { body: body.name.clone(), depth, speed, by });

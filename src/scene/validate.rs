@@ -269,12 +269,12 @@ fn within(range: Range, field: &'static str, x: f64) -> Checked {
 
 fn vector(range: Range, field: &'static str, vector: DVec3) -> Checked {
     let is_valid = vector.to_array().into_iter().all(|x| range.contains(x));
-    ensure(is_valid, field, || "finite numbers of at most 1e15".to_owned(), &vector)
+    ensure(is_valid, field, || "finite numbers of at most 1e15".to_owned(), &vector.to_array())
 }
 
 fn unit(field: &'static str, vector: DVec3) -> Checked {
     let is_valid = (vector.length() - 1.0).abs() <= UNIT;
-    ensure(is_valid, field, || "a vector of length 1".to_owned(), &vector)
+    ensure(is_valid, field, || "a vector of length 1".to_owned(), &vector.to_array())
 }
 
 fn number(key: &Key, field: &'static str, x: f64) -> Checked {

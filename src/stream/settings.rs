@@ -198,12 +198,12 @@ impl Around {
         let kinds = schema.event_words();
         // an example in the words of this simulation
         let example = format!("`{} a~b 2`", kinds.first().unwrap_or(&"event"));
-        let mut around = Around { number: 1, ..Around::default() };
+        let (mut around, mut is_numbered) = (Around { number: 1, ..Around::default() }, false);
         for word in text.split([' ', ':']).filter(|word| !word.is_empty()) {
             if kinds.contains(&word) {
                 around.kind = Some(word.to_owned());
             } else if let Ok(number @ 1..) = word.parse() {
-                around.number = number;
+                (around.number, is_numbered) = (number, true);
             } else if word.contains('~') {
                 around.pair = Some(pair(word, schema)?);
             } else {
@@ -214,7 +214,7 @@ impl Around {
                 ));
             }
         }
-        if around.kind.is_none() && around.pair.is_none() && around.number == 1 {
+        if around.kind.is_none() && around.pair.is_none() && !is_numbered {
             return Err(format!("name an event: its kind, its pair, its number, or these together: {example}"));
         }
         Ok(around)
@@ -229,7 +229,8 @@ impl Around {
 
 impl fmt::Display for Around {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let number = (self.number > 1).then(|| self.number.to_string());
+        let is_first = self.number == 1 && (self.kind.is_some() || self.pair.is_some());
+        let number = (!is_first).then(|| self.number.to_string());
         let words: Vec<String> = self.kind.clone().into_iter().chain(self.pair.clone()).chain(number).collect();
         f.write_str(&words.join(" "))
     }

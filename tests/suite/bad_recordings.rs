@@ -715,15 +715,15 @@ fn claims_are_limited_by_the_size_of_the_recording() {
         let error = with(chunks);
         assert!(error.contains(what), "{error}");
     }
-    // a scene longer than the limit of scene files, and one longer than the size of the recording justifies
-    for (length, what) in [(33 << 20, "over the limit of 33554432"), (25 << 20, "over the limit of")] {
+    // a scene longer than the limit of scene files and their meshes, and one longer than the size of the recording justifies
+    for (length, what) in [(65 << 20, "over the limit of 67108864"), (25 << 20, "over the limit of")] {
         let mut chunks = store();
         let mut text = String::from(SCENE);
         text.extend(std::iter::repeat_n('#', length));
-        if length > 32 << 20 {
+        if length > 64 << 20 {
             // compresses badly
             let mut random = Random(3);
-            text.extend((0..1 << 21).map(|_| char::from(b'!' + (random.next() % 64) as u8)));
+            text.extend((0..5 << 20).map(|_| char::from(b'!' + (random.next() % 64) as u8)));
         }
         let property = AnyValues::default().with_component::<sdk::components::Text>("scene", [text]);
         chunks.log_static("/__properties/meldscope", &property);
@@ -732,7 +732,7 @@ fn claims_are_limited_by_the_size_of_the_recording() {
     }
     for name in ["settings", "version", "overrides", "machine", "blessed", "digest"] {
         let mut chunks = store();
-        let text = "[".repeat(1 << 20);
+        let text = "[".repeat(2 << 20);
         let property = AnyValues::default().with_component::<sdk::components::Text>(name, [text]);
         chunks.log_static("/__properties/meldscope", &property);
         let error = with(chunks);

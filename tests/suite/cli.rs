@@ -1298,6 +1298,12 @@ fn exported_tables_match_the_run_bit_by_bit() {
     let error = run(&dir, &["export", "two", "--events", "mine.csv"]).failed(2);
     assert!(error.contains("mine.csv is not a table with these columns and is not replaced"), "{error}");
     assert_eq!(fs::read_to_string(dir.path().join("mine.csv")).expect("the file"), "a,b\n");
+    run(&dir, &["export", "two", "--events", "events.json"]).succeeded();
+    run(&dir, &["export", "two", "--events", "events.json"]).succeeded();
+    let more = fs::read_to_string(dir.file("events.json")).expect("a file").replacen('{', "{\"note\": \"mine\", ", 1);
+    fs::write(dir.file("more.json"), more).expect("disk space");
+    let error = run(&dir, &["export", "two", "--events", "more.json"]).failed(2);
+    assert!(error.contains("more.json is not a table with these columns and is not replaced"), "{error}");
     let error = run(&dir, &["export", "two", "--pairs", "pairs.xlsx"]).failed(2);
     assert!(error.contains("use .csv, .json or .parquet"), "{error}");
     let error = run(&dir, &["export", "two", "--events", "e.csv", "--to", "18446744073709551615"]).failed(2);
@@ -1488,6 +1494,7 @@ fn selected_pairs_and_events_survive_a_replay() {
     assert_eq!(pairs(&again), pairs(&recording));
     assert_eq!(again.property("settings").matches("a~c").count(), 2);
 
+    run(&dir, &["run", "two", "--save", "z.rrd", "--around", "1", "--every", "10"]).succeeded();
     let ran = run(&dir, &["run", "two", "--save", "z.rrd", "--around", "merge 7", "--every", "10"]);
     assert_eq!(ran.status, 0);
     assert!(ran.err.contains("there was no merge 7, only 1 event of that kind"), "{}", ran.err);

@@ -213,6 +213,24 @@ fn only_bless_replaces_golden_recordings() {
     assert!(fs::read(dir.file("s.check.rrd")).expect("a file") == golden);
 }
 
+/// Runs that fail are all named, and no recording is said to be replaced that is not.
+#[test]
+fn each_scene_that_is_not_blessed_is_named() {
+    let dir = Dir::new();
+    fs::write(dir.file("good.toml"), SCENE).expect("disk space");
+    let stiff = "duration = 20.0\ndt = 0.1\nintegrator = 'verlet'\nmaterial = { omega = 50.0 }";
+    let diverges = SCENE.replace("duration = 0.5", stiff);
+    for name in ["bad", "worse"] {
+        fs::write(dir.file(&format!("{name}.toml")), &diverges).expect("disk space");
+    }
+    succeeds(&dir, &["run", "good.toml", "--thin", "--save", "bad.rrd"]);
+    let before = fs::read(dir.file("bad.rrd")).expect("a file");
+    let (status, out, err) = meldscope(&dir, &["check", ".", "--bless", "a test"]);
+    assert!(status == 1 && err.contains("2 of 3 scenes were not blessed: bad, worse"), "{out}{err}");
+    assert!(err.contains("bad: ") && err.contains("worse: ") && !err.contains("is replaced"), "{out}{err}");
+    assert!(out.contains("good.rrd") && fs::read(dir.file("bad.rrd")).expect("a file") == before);
+}
+
 /// Scenes with the same name in two folders: each one that differs gets its own comparison.
 #[test]
 fn comparisons_do_not_replace_each_other() {

@@ -491,6 +491,10 @@ fn a_sweep_replaces_no_file_of_the_user() {
         assert_eq!(fs::read_dir(&out).unwrap().count(), 1, "nothing is written");
         fs::remove_dir_all(&out).unwrap();
     }
+    // nor does a row that cannot be there claim a folder
+    let (status, output) = run(&dir, "s.toml --out out --open 3");
+    assert!(status == 2 && output.contains("out has no row 3: run the sweep first"), "{output}");
+    assert!(!dir.file("out").exists());
     succeeds(&dir, "s.toml --out out --bisect influence.merge_at");
     succeeds(&dir, "s.toml --out out --bisect influence.merge_at"); // its own files are replaced
     fs::write(dir.file("out/row-3.toml"), "mine").unwrap();

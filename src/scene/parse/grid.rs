@@ -5,7 +5,10 @@ use glam::DVec3;
 use super::{Body, Inherited, SceneError, Table, Value, key, meshes::Meshes, reader::is_body_name};
 use crate::{
     random::Random,
-    scene::{Motion, Path, keys::COUNT_FORM},
+    scene::{
+        Motion, Path,
+        keys::{COUNT_FORM, LARGEST},
+    },
 };
 
 /// Limit on the bodies of all grids of a scene together, and on the keys of their paths.
@@ -53,6 +56,12 @@ pub(super) fn read<'t, 's>(
                     let offset = DVec3::new(f64::from(x), f64::from(y), f64::from(z)) * spacing;
                     let jittered = DVec3::from_array(std::array::from_fn(|_| random.signed()));
                     let motion = first.motion.moved_by(offset + jitter * jittered);
+                    let farthest = motion.start().abs().max_element();
+                    if !(farthest <= LARGEST) {
+                        let message =
+                            format!("expected bodies at coordinates of at most {LARGEST:e}, found {farthest:e}");
+                        return Err(table.error("spacing", message));
+                    }
                     bodies.push(Body { name: name([x, y, z]), motion, ..first.clone() });
                     from.push(table);
                 }
