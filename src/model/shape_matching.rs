@@ -352,6 +352,14 @@ impl CoreRim {
         (self.alpha + self.beta) * (6.0 * z * (1.0 - z)) / self.width
     }
 
+    /// The q at which attraction turns into repulsion [–], for strengths above 0.
+    pub fn balance(&self) -> f64 {
+        // 3 z² − 2 z³ = β / (α + β)
+        let share = self.beta / (self.alpha + self.beta);
+        let z = 0.5 - libm::sin(libm::asin(1.0 - 2.0 * share) / 3.0);
+        self.core_at + (z - 0.5) * self.width
+    }
+
     /// The inner and outer end of the rim in q [–]. The slope has a kink at each.
     pub fn ends(&self) -> [f64; 2] {
         [self.core_at - 0.5 * self.width, self.core_at + 0.5 * self.width]
@@ -500,6 +508,18 @@ mod tests {
         let c = particles.mean(&particles.position);
         let torque: DVec3 = (0..a.len()).map(|i| particles.masses[i] * (particles.position[i] - c).cross(a[i])).sum();
         assert!(particles.mean(&a).length() < 1e-11 && torque.length() < 1e-9, "{torque}");
+    }
+
+    #[test]
+    fn the_strength_at_the_rim_of_a_core_is_zero_where_forces_balance() {
+        for (alpha, beta) in [(100.0, 60.0), (1.0, 1.0), (3.0, 500.0), (500.0, 0.1)] {
+            let rim = CoreRim { alpha, beta, core_at: 0.8, width: 0.4 };
+            let at = rim.balance();
+            assert!(
+                (0.6..1.0).contains(&at) && rim.strength(at).abs() < 1e-12 * (alpha + beta),
+                "{alpha} {beta}: {at}"
+            );
+        }
     }
 
     #[test]

@@ -657,8 +657,11 @@ impl Recorder {
             nearest += &format!("{head}- {line}\n");
         }
         if !(kept.is_empty() && nearest.is_empty()) {
-            let about = blueprint::about(&self.schema, &self.settings, self.first, &self.frame, &nearest);
-            log_about(kept + &about, &mut self.chunks);
+            // without an event, they are what there is to say
+            let is_first = self.parts.as_ref().is_some_and(|parts| parts.focus.focus().is_none());
+            let [first, later] = if is_first { [nearest + "\n", String::new()] } else { [String::new(), nearest] };
+            let about = blueprint::about(&self.schema, &self.settings, self.first, &self.frame, &later);
+            log_about(kept + &first + &about, &mut self.chunks);
         }
         self.checksums.log(&mut self.chunks, true);
         self.log_property(DIGEST, &format!("{:016x}", self.checksums.digest()));

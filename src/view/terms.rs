@@ -88,12 +88,23 @@ fn law_at_start(scene: &Scene) -> String {
     let reaches = || scene.bodies.iter().map(|body| body.reach);
     let [least, most] = [reaches().fold(f64::INFINITY, f64::min), reaches().fold(0.0, f64::max)];
     let spheres = if least == most { format!("{least:.3}") } else { format!("{least:.3} to {most:.3}") };
+    let has_free = scene.bodies.iter().any(|body| body.path().is_none());
+    let rim = scene.common_law().of_pair(has_free).rim(Phase::Merged);
+    let balance = rim.filter(|rim| rim.alpha > 0.0 && rim.beta > 0.0).map(|rim| rim.balance());
+    let core = match (thresholds.core_at > 0.0, balance) {
+        (false, _) => String::new(),
+        (true, None) => format!(", with a core below {}", thresholds.core_at),
+        (true, Some(balance)) => format!(
+            ", with a core below {} (attraction gradually turns into repulsion, at q = {balance:.3})",
+            thresholds.core_at
+        ),
+    };
     format!(
         "Bodies merge at q = {} and split at {}{}; q is the distance of their centres over the sum of their radii. α = {}/s², \
          β = {}/s², spheres {spheres} R.{}{}",
         thresholds.merge_at,
         thresholds.split_at,
-        if thresholds.core_at > 0.0 { format!(", with a core below {}", thresholds.core_at) } else { String::new() },
+        core,
         influence.alpha,
         influence.beta,
         match scene.pairs.laws().len() {

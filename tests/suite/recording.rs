@@ -1099,11 +1099,19 @@ impl Run {
                 labels.iter().zip(&places).map(|(label, place)| (of(label), place.as_dvec3(), label.len())).collect();
             let look = Look::new(world, widest);
             look.assert_readable(&shown, &at);
+            // the label of the mark, and the vertex that it marks
+            let mark = &track.held[frame];
+            let longest = mark.texts("Points3D:labels").concat();
+            let longest = longest.lines().map(|line| line.chars().count()).max().unwrap_or(0);
+            let places = mark.vectors("Points3D:positions");
+            let of_mark: Vec<_> = places.iter().rev().zip([longest, 0]).collect();
+            let of_mark: Vec<_> =
+                of_mark.into_iter().map(|(place, length)| (usize::MAX, place.as_dvec3(), length)).collect();
             let has_room = |index: usize| {
                 let largest = |of: usize| largest_of(&world.body(of));
                 let larger = |of: &&(usize, DVec3, usize)| largest(of.0) >= (1.0 - 1e-12) * largest(index);
-                let before: Vec<_> =
-                    shown.iter().filter(|of| labelled.contains(&of.0)).filter(larger).copied().collect();
+                let before = shown.iter().filter(|of| labelled.contains(&of.0)).filter(larger).copied();
+                let before: Vec<_> = before.chain(of_mark.iter().copied()).collect();
                 look.has_room(index, label_of(index).len(), &before)
             };
             assert_labelled(&labelled, &all, |index| largest_of(&world.body(index)), has_room, &at);
@@ -1112,7 +1120,9 @@ impl Run {
                 let logged = held.texts("Points3D:labels").concat();
                 let (outside, hidden) = logged.split_once("\ninside another body: ").unwrap_or((&logged, ""));
                 let (outside, front) = outside.split_once("\nin front, marked: ").unwrap_or((outside, ""));
-                let marked = match front.split_once(", ") {
+                let in_view = outside.strip_suffix(", not in view");
+                let own = outside.strip_prefix("largest on the surface: ").filter(|_| in_view.is_none()).unwrap_or("");
+                let marked = match (if front.is_empty() { own } else { front }).split_once(", ") {
                     Some((vertex, length)) => {
                         let (name, vertex) = vertex.split_once(':').expect("a vertex");
                         let index = world.bodies().position(|body| body.scene().name == name).expect("a body");
@@ -1120,19 +1130,22 @@ impl Run {
                         let displacement = body.displacement(vertex).length() / body.scene().radius;
                         assert_eq!(length, format!("{displacement:.3} R"));
                         let place = positions[index][vertex];
-                        let is_facing = (place - body.centre()).dot(look.eye - place) > 0.0;
+                        let normals = area_normals(&positions[index], body.mesh().triangles());
+                        let is_facing = normals[vertex].dot(look.eye - place) > 0.0;
                         assert!(is_facing && !look.is_hidden(index, place, 0.001), "{at}: {logged}");
                         place
                     }
                     None => position,
                 };
-                assert_eq!(outside, label, "step {}", world.steps_taken());
+                assert_eq!(in_view.unwrap_or(outside), label, "step {}", world.steps_taken());
                 let is_complete = of_all == displacement || hidden.ends_with(&format!(", {of_all:.3} R"));
                 assert!(is_complete, "step {}: {logged}, but {of_all}", world.steps_taken());
                 let ends = held.vectors("Points3D:positions");
-                assert_eq!((ends.len(), ends[0]), (2, marked.as_vec3()), "step {}", world.steps_taken());
+                let from = if in_view.is_some() { ends[1] } else { marked.as_vec3() };
+                assert_eq!((ends.len(), ends[0]), (2, from), "step {}", world.steps_taken());
                 let [from, to] = [ends[0], ends[1]].map(|end| end.as_dvec3());
-                assert!(to.z > top.max(from.z) && to.truncate() == from.truncate(), "{ends:?}, below {top}");
+                let is_above = to.z > top.max(from.z) || in_view.is_some();
+                assert!(is_above && to.truncate() == from.truncate(), "{ends:?}, below {top}");
                 if !is_counted {
                     return;
                 }

@@ -43,8 +43,8 @@ pub fn camera_past(
     let (middle, extent) = (0.5 * (low + high), high - low);
     let is_flat = laid_out || extent.z < 0.2 * f64::min(extent.x, extent.y);
     let first = if is_flat { TOWARDS_EYE.with_z(1.0) } else { TOWARDS_EYE }.normalize();
-    let mut best = (eye(spheres, first, aspect), first);
-    let mut least = hidden(best.0, wanted, others);
+    // all views look in the same direction
+    let (mut best, mut least) = (first, hidden(eye(spheres, first, WIDE), wanted, others));
     // a smaller gain does not justify turning away from the default direction
     const WORTH: f64 = 0.02;
     for height in [0.4, 0.9, 1.6, -0.3] {
@@ -54,14 +54,13 @@ pub fn camera_past(
             }
             let angle = std::f64::consts::TAU * f64::from(twelfth) / 12.0 - 0.2;
             let back = DVec3::new(angle.sin(), -angle.cos(), height).normalize();
-            let from = eye(spheres, back, aspect);
-            let hidden = hidden(from, wanted, others);
+            let hidden = hidden(eye(spheres, back, WIDE), wanted, others);
             if hidden + WORTH < least {
-                (best, least) = ((from, back), hidden);
+                (best, least) = (back, hidden);
             }
         }
     }
-    let (from, back) = best;
+    let (from, back) = (eye(spheres, best, aspect), best);
     let target = from - (from - middle).dot(back) * back;
     EyeControls3D::new()
         .with_kind(Eye3DKind::Orbital)

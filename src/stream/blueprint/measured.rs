@@ -185,7 +185,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     }
     let Told { moving, left_out, changed, met, all } = &measured.pairs;
     let drawn = if *left_out > 0 {
-        format!("q of {} of {all} pairs, those with changes first", moving.len())
+        format!("q of {} pairs, those with changes first", moving.len())
     } else {
         PAIR_DISTANCES.to_owned()
     };

@@ -126,7 +126,7 @@ impl BodyForces {
         of_bodies.iter().for_each(|of| is_idle[of.body()] = false);
         let idle = (0..is_idle.len()).filter(|&body| is_idle[body]);
         let first = first.iter().map(|of| (of.body(), of.label(view.schema)));
-        self.labels.log(view, first, others.iter().map(OfBody::body).chain(idle), chunks);
+        self.labels.log(view, [], first, others.iter().map(OfBody::body).chain(idle), chunks);
         let rows = match is_ranked(view.schema) {
             true => rows_of_bodies(view.schema, &of_bodies),
             false => rows_of_causes(view.schema, resultants.clone()),

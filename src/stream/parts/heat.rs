@@ -15,7 +15,6 @@ use super::{
     ranking::{self, Mark, Ranking, Row, is_ranked},
     recent,
 };
-use crate::colors;
 use crate::observe::{
     Schema,
     schema::BodySchema,
@@ -37,6 +36,7 @@ use crate::stream::{
     series::{Interpolation, LineId, Series},
 };
 use crate::text::significant;
+use crate::{colors, geometry::Vectors};
 
 /// Visualizer sources of surfaces in the displacement view, instead of their own colours and normals.
 pub const MAPPINGS: [Mapping; 4] = [
@@ -56,6 +56,8 @@ const SHARE: f64 = 0.9;
 const OF_LARGEST: f64 = 0.3;
 /// A vertex this close to the centre of a body with which its own is not merged is hidden by it [radii of that body].
 const INSIDE: f64 = 0.95;
+/// Number of vertices in front, the most displaced ones, of which one is marked that its own body does not hide.
+const CANDIDATES: usize = 16;
 /// How far above all bodies the label of the largest displacement is at most [largest radius].
 const ABOVE: f64 = 3.0;
 
@@ -149,15 +151,21 @@ impl Heat {
             let hidden = hidden.map(|hidden| format!("\ninside another body: {}", hidden.text(view)));
             // the line to a vertex on the far side would seem to end on whatever hides it
             let (marked, far) = match seen {
-                Some(seen) if seen.displacement < outside.displacement => {
-                    (*seen, format!("\nin front, marked: {}", seen.text(view)))
+                Some(seen) if (seen.body, seen.vertex) == (outside.body, outside.vertex) => {
+                    (Some(outside), String::new())
                 }
-                _ => (outside, String::new()),
+                Some(seen) => (Some(*seen), format!("\nin front, marked: {}", seen.text(view))),
+                None => (None, ", not in view".to_owned()),
             };
             let height = f64::min(recent::label_height(view), view.top() + ABOVE * view.schema.largest_radius());
-            let end = view.schema.raised(marked.position, f64::max(height, marked.position.dot(view.schema.up)));
+            let below = marked.unwrap_or(outside).position;
+            let end = view.schema.raised(below, f64::max(height, below.dot(view.schema.up)));
             let label = format!("largest on the surface: {}{far}{}", outside.text(view), hidden.unwrap_or_default());
-            ([marked.position, end], label)
+            ([marked.map_or(end, |marked| marked.position), end], label)
+        });
+        let taken = mark.as_ref().map(|([place, end], label)| {
+            let widest = label.lines().max_by_key(|line| line.chars().count()).unwrap_or_default();
+            [(*place, String::new()), (*end, widest.to_owned())]
         });
         self.mark.log(mark, view.at, chunks);
         let largest = |body: usize| view.frame.bodies[body].max_displacement / view.schema.bodies[body].radius;
@@ -173,7 +181,8 @@ impl Heat {
                 largest => (body, format!("{} {}", view.schema.bodies[body].name, radii(largest))),
             };
             let (first, others) = ranked.split_at(ranked.len().min(ranking::LABELLED));
-            bodies.log(view, first.iter().map(label), others.iter().copied(), chunks);
+            let taken = taken.iter().flatten();
+            bodies.log(view, taken, first.iter().map(label), others.iter().copied(), chunks);
         }
         if let Some(ranking) = &self.ranking {
             let longest = ranked.first().map_or(0.0, |&body| largest(body));
@@ -231,8 +240,40 @@ pub struct Displacements {
     /// Scratch storage, reused.
     lengths: Vec<f32>,
     near: Vec<(DVec3, f64)>,
+    normals: Vec<DVec3>,
+    candidates: Vec<Largest>,
     /// `[body_count]`
     merged: Vec<PartOfSurface>,
+}
+
+/// The outward normals of the vertices of a closed mesh, of any length.
+fn outward_normals(triangles: &[[u32; 3]], positions: &Vectors, normals: &mut Vec<DVec3>) {
+    normals.resize(positions.len(), DVec3::ZERO);
+    let mut volume = 0.0;
+    for corners in triangles {
+        let [a, b, c] = corners.map(|vertex| positions.get(vertex as usize));
+        let across = (b - a).cross(c - a);
+        volume += across.dot(a);
+        corners.iter().for_each(|&vertex| normals[vertex as usize] += across);
+    }
+    if volume < 0.0 {
+        normals.iter_mut().for_each(|normal| *normal = -*normal); // it is inside out
+    }
+}
+
+/// Whether triangles of a mesh hide one of its vertices from an eye.
+fn hides(triangles: &[[u32; 3]], positions: &Vectors, vertex: usize, eye: DVec3) -> bool {
+    let from = positions.get(vertex);
+    let way = eye - from;
+    triangles.iter().filter(|corners| !corners.contains(&(vertex as u32))).any(|corners| {
+        // Möller & Trumbore, Fast, minimum storage ray/triangle intersection, 1997
+        let [a, b, c] = corners.map(|corner| positions.get(corner as usize));
+        let (ab, ac, to) = (b - a, c - a, from - a);
+        let (p, q) = (way.cross(ac), to.cross(ab));
+        let determinant = ab.dot(p);
+        let [u, v, t] = [to.dot(p), way.dot(q), ac.dot(q)].map(|part| part / determinant);
+        u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > 0.0 && t < 1.0
+    })
 }
 
 /// A body's part of a merged surface.
@@ -261,8 +302,9 @@ impl Displacements {
                 is_on.into_iter().for_each(|is_on| *is_on = true);
             }
         }
-        let [mut outside, mut seen, mut of_all]: [Option<Largest>; 3] = [None; 3];
+        let [mut outside, mut of_all]: [Option<Largest>; 2] = [None; 2];
         self.lengths.clear();
+        self.candidates.clear();
         let labels = Labels::new(view);
         let present = view.bodies().enumerate().filter(|(_, (_, now))| !now.is_absent);
         let mut by_x: Vec<(f64, usize)> = present.map(|(body, (_, now))| (now.centre.x, body)).collect();
@@ -281,6 +323,7 @@ impl Displacements {
                 });
             self.near.clear();
             self.near.extend(others);
+            self.normals.clear();
             for (vertex, &length) in now.lengths.iter().enumerate() {
                 let position = now.centre + now.positions.get(vertex);
                 let found = Largest { displacement: length / body.radius, body: index, vertex, position };
@@ -294,16 +337,30 @@ impl Displacements {
                     || self.near.iter().any(|&(centre, radius)| centre.distance(position) < radius);
                 if !is_hidden {
                     larger(&mut outside);
-                    if seen.is_none_or(|seen| found.displacement > seen.displacement)
-                        && labels.is_in_front(index, position)
-                    {
-                        seen = Some(found);
+                    let least = self.candidates.get(CANDIDATES - 1).map_or(0.0, |least| least.displacement);
+                    if found.displacement > least {
+                        if self.normals.is_empty() {
+                            outward_normals(now.mesh_of(body).triangles(), &now.positions, &mut self.normals);
+                        }
+                        if labels.is_in_front(index, position, self.normals[vertex]) {
+                            let place =
+                                self.candidates.partition_point(|other| other.displacement >= found.displacement);
+                            self.candidates.insert(place, found);
+                            self.candidates.truncate(CANDIDATES);
+                        }
                     }
                     self.lengths.push(found.displacement as f32);
                 }
             }
         }
-        (self.outside, self.seen, self.of_all) = (outside.or(of_all), seen, of_all);
+        // its own body may hide it, too
+        let is_clear = |of: &&Largest| {
+            let (body, now) = (&view.schema.bodies[of.body], &view.frame.bodies[of.body]);
+            let triangles = now.mesh_of(body).triangles();
+            !hides(triangles, &now.positions, of.vertex, labels.eye() - now.centre)
+        };
+        self.seen = self.candidates.iter().find(is_clear).copied();
+        (self.outside, self.of_all) = (outside.or(of_all), of_all);
         let largest = self.outside.map_or(0.0, |largest| largest.displacement);
         let rank = (SHARE * self.lengths.len() as f64) as usize;
         let usual = match self.lengths.get(rank) {

@@ -180,9 +180,13 @@ impl<'a> Labels<'a> {
         now.centre + furthest.unwrap_or_default()
     }
 
-    /// Whether a place on a body's surface faces the eye, and no other body is in front of it.
-    pub fn is_in_front(&self, body: usize, place: DVec3) -> bool {
-        let out = place - self.view.frame.bodies[body].centre;
+    /// The place of the eye [scene unit].
+    pub fn eye(&self) -> DVec3 {
+        self.eye
+    }
+
+    /// Whether a place on a body's surface, with this outward normal, faces the eye, and no other body is in front of it.
+    pub fn is_in_front(&self, body: usize, place: DVec3, out: DVec3) -> bool {
         out.dot(self.eye - place) > 0.0 && self.is_seen(body, place, 0.0)
     }
 
@@ -283,8 +287,7 @@ impl Names {
         let places: Vec<Float3> = places.map(|place| place.as_vec3().to_array()).collect();
         let bodies: Vec<usize> = named.into_iter().map(|(body, _)| body).collect();
         if self.named.as_ref() != Some(&bodies) {
-            // lighter than the bodies, to be read on them
-            let light = |body: usize| palette::of_body(schema, body).map(|channel| channel / 2 + 0x7F);
+            let light = |body: usize| palette::label(palette::of_body(schema, body));
             let names = bodies.iter().map(|&body| (schema.plain_name(body), light(body)));
             let names = names.chain(schema.variants.iter().map(|variant| (variant.name, palette::SEAM)));
             let (names, colors): (Vec<String>, Vec<u32>) =
@@ -312,23 +315,26 @@ impl BodyLabels {
         BodyLabels { track, sides: Sides::default(), hidden }
     }
 
-    /// Logs the labels of `first` for which there is room, then as many names of the rest of them and of `others`.
-    pub fn log(
+    /// Logs the labels of `first` for which there is room beside those at the places `taken`, then as many names of the rest of
+    /// them and of `others`.
+    pub fn log<'t>(
         &mut self,
         view: FrameView<'_>,
+        taken: impl IntoIterator<Item = &'t (DVec3, String)>,
         first: impl Iterator<Item = (usize, String)>,
         others: impl Iterator<Item = usize>,
         chunks: &mut Chunks,
     ) {
         self.sides.begin_frame();
-        let (mut taken, mut rest) = (Labels::new(view), Vec::new());
+        let (mut all, mut rest) = (Labels::new(view), Vec::new());
+        taken.into_iter().for_each(|(place, label)| _ = all.take(*place, label));
         let (mut places, mut labels): (Vec<Float3>, Vec<String>) = (Vec::new(), Vec::new());
         let mut take = |body: usize, label: String, may_be_hidden: bool| {
-            let mut place = self.sides.take(body, &label, &mut taken);
+            let mut place = self.sides.take(body, &label, &mut all);
             if place.is_none() && may_be_hidden {
-                let hiding = std::mem::take(&mut taken.hiding);
-                place = self.sides.take(body, &label, &mut taken);
-                taken.hiding = hiding;
+                let hiding = std::mem::take(&mut all.hiding);
+                place = self.sides.take(body, &label, &mut all);
+                all.hiding = hiding;
             }
             if let Some(place) = place {
                 places.push(place.as_vec3().to_array());

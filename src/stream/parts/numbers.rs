@@ -268,6 +268,7 @@ impl FrameNumbers {
             self.timings.iter().enumerate().map(|(number, timing)| (timing, palette::line(number))).collect();
         stages.sort_by_key(|(timing, _)| (is_recording(timing), std::cmp::Reverse(timing.total)));
         let share = |timing: &Timing| timing.total.as_secs_f64() / whole;
+        let longest_total = stages.iter().map(|(timing, _)| share(timing)).fold(0.0, f64::max);
         let stages = stages.into_iter().filter(|(timing, _)| share(timing) >= LEAST_SHARE).take(ranking::ROWS - 1);
         let stages = stages.map(|(timing, color)| {
             let (longest, step) = timing.spread.largest();
@@ -277,7 +278,7 @@ impl FrameNumbers {
                 false => format!("{total}, {:.0} %", 100.0 * share(timing)),
             };
             let label = format!("{total}; {} ms #{step}", significant(longest));
-            Row { label, color, marks: vec![(Mark::Bar(share(timing)), color)] }
+            Row { label, color, marks: vec![(Mark::Bar(share(timing) / longest_total), color)] }
         });
         let (slowest, step) = self.totals[0].largest();
         let slowest = (slowest > 0.0).then(|| {

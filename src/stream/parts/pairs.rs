@@ -42,6 +42,14 @@ const SHORTFALL: palette::Rgb = colors::VERMILION;
 /// Maximum interval between points of threshold lines [frames], so that they keep up with a live plot.
 const THRESHOLD_FRAMES: u64 = 64;
 
+/// A frame of a pair without a plot.
+#[derive(Clone, Copy)]
+struct Kept {
+    at: Instant,
+    q: f64,
+    phase: usize,
+}
+
 /// Upper limits on the frames and pairs whose q is kept for pairs without a plot, in case they have an event.
 const KEPT_FRAMES: usize = 512;
 const KEPT_PAIRS: usize = 1024;
@@ -59,7 +67,7 @@ pub struct PairPlots {
     only: Vec<String>,
     known: BTreeMap<(usize, usize), PairPlot>,
     /// q of pairs without a plot.
-    kept: BTreeMap<(usize, usize), VecDeque<(Instant, f64)>>,
+    kept: BTreeMap<(usize, usize), VecDeque<Kept>>,
     marks: Marks,
     in_reach: BTreeSet<(usize, usize)>,
     /// Scratch storage, reused.
@@ -310,7 +318,7 @@ impl PairPlots {
             if kept.len() == KEPT_FRAMES {
                 kept.pop_front();
             }
-            kept.push_back((at, pair.q));
+            kept.push_back(Kept { at, q: pair.q, phase: pair.phase });
             self.kept.insert((pair.a, pair.b), kept);
         }
     }
@@ -391,9 +399,13 @@ impl PairPlots {
             }
             let pair = PairPlot::new(schema, a, b, palette::distance(self.known.len()), series, chunks);
             let before = self.kept.remove(&(a, b)).unwrap_or_default();
-            let since = before.front().map_or(at, |&(since, _)| since);
-            chunks.log(&pair.phase, since, &StateChange::single(schema.phases[phase].name));
-            for (at, q) in before {
+            let mut last = None;
+            for (at, phase) in before.iter().map(|&Kept { at, phase, .. }| (at, phase)).chain([(at, phase)]) {
+                if last.replace(phase) != Some(phase) {
+                    chunks.log(&pair.phase, at, &StateChange::single(schema.phases[phase].name));
+                }
+            }
+            for Kept { at, q, .. } in before {
                 series.log(chunks, pair.distance, q, at);
                 for &(line, threshold) in &pair.thresholds {
                     if let Some(level) = schema.level(threshold, [a, b], at.time) {

@@ -61,12 +61,23 @@ pub enum Mark {
 impl Mark {
     /// Ends and radius of the strip in this row.
     fn strip(self, row: usize) -> ([[f32; 2]; 2], f32) {
+        /// Radius of a bar, and the smallest that is seen.
+        const THICK: f32 = 2.4;
+        const THIN: f32 = 0.3;
+
         let y = row as f32 * PITCH;
         // fewer digits make a smaller file, and none are visible
         let x = |share: f64| (2.0 * WIDTH * share.clamp(0.0, 1.0) as f32).round() / 2.0;
+        // the ends of a strip are round and add to its length: a bar shorter than they is thinner. The viewer draws no strip
+        // without a length
+        let bar = |from: f32, to: f32| {
+            let inset = (0.45 * (to - from).abs()).min(THICK);
+            let by = inset.copysign(to - from);
+            ([[from + by, y], [to - by, y]], inset.max(THIN))
+        };
         match self {
-            Mark::Bar(to) => ([[0.0, y], [x(to).max(0.5), y]], 2.4),
-            Mark::Signed(to) => ([[x(0.5), y], [x(0.5 + 0.5 * to), y]], 2.4),
+            Mark::Bar(to) => bar(0.0, x(to)),
+            Mark::Signed(to) => bar(x(0.5), x(0.5 + 0.5 * to)),
             Mark::Dot(at) => ([[x(at), y], [x(at) + 0.5, y]], 2.4),
             Mark::Tick(at) => ([[x(at), y - 0.5 * PITCH], [x(at), y + 0.5 * PITCH]], 0.4),
         }
@@ -174,5 +185,31 @@ impl Drawn {
         repeat_last(&mut radii);
         repeat_last(&mut strip_colors);
         Drawn { labels, colors, strips, radii, strip_colors }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The viewer draws round ends beyond the strip: what is seen is as long as the value, also if it is small.
+    #[test]
+    fn bars_are_as_long_as_their_values() {
+        let seen = |mark: Mark| {
+            let ([[from, _], [to, _]], radius) = mark.strip(0);
+            assert!(from != to);
+            let ends = [from.min(to) - radius, from.max(to) + radius];
+            ends.map(|end| f64::from(end / WIDTH))
+        };
+        for (mark, expected) in [
+            (Mark::Bar(1.0), [0.0, 1.0]),
+            (Mark::Bar(0.25), [0.0, 0.25]),
+            (Mark::Bar(0.02), [0.0, 0.02]),
+            (Mark::Signed(0.5), [0.5, 0.75]),
+            (Mark::Signed(-0.01), [0.495, 0.5]),
+        ] {
+            let found = seen(mark);
+            assert!(found.iter().zip(expected).all(|(found, expected)| (found - expected).abs() < 3e-3), "{found:?}");
+        }
     }
 }

@@ -250,7 +250,7 @@ impl Alone {
         });
         let names = Points3D::update_fields()
             .with_positions(places)
-            .with_colors(pair.map(|body| color(palette::of_body(schema, body))))
+            .with_colors(pair.map(|body| color(palette::label(palette::of_body(schema, body)))))
             .with_labels(pair.map(|body| schema.bodies[body].name.as_str()));
         chunks.log(RECENT_NAMES.path, at, &names);
         let half_size = |body: usize| [(schema.reach(body, at.time) / radius) as f32; 3];
