@@ -11,7 +11,7 @@ use std::{
 };
 
 use super::{
-    Failure, expense, is_marked, one_of,
+    Failure, expense, is_marked, is_same_file, one_of,
     overrides::Overrides,
     print,
     program::Program,
@@ -101,7 +101,8 @@ pub fn export(program: Program<'_>, arguments: Arguments) -> Result<(), Failure>
     let is_wanted = |step: u64| (from..=to).contains(&step) && (step - from).is_multiple_of(arguments.every);
     let (stem, format) = (file_stem(&schema.name), arguments.format);
     let folder = arguments.mesh.as_ref().map(|path| Folder { path, stem, format });
-    folder.iter().try_for_each(|folder| folder.prepare(is_wanted))?;
+    let inputs = if folder.is_some() { mesh_files(Path::new(&arguments.scene), &schema.source) } else { Vec::new() };
+    folder.iter().try_for_each(|folder| folder.prepare(is_wanted, &inputs))?;
     let by_step = BY_STEP.iter().filter_map(|table| Some(((table.path)(&arguments)?, table)));
     let given: Vec<&PathBuf> = arguments.events.iter().chain(by_step.clone().map(|(path, _)| path)).collect();
     let is_twice = |i: &usize| given[..*i].iter().any(|other| atomic::is_same_destination(other, given[*i]));
@@ -217,8 +218,8 @@ impl Folder<'_> {
         self.path.join(format!("{}-{step:06}.{}", self.stem, self.format.name()))
     }
 
-    /// Creates the folder. Fails if it would have to replace files that this program did not write.
-    fn prepare(&self, is_wanted: impl Fn(u64) -> bool) -> Result<(), Failure> {
+    /// Creates the folder. Fails if it would have to replace files that this program did not write, or one of `inputs`.
+    fn prepare(&self, is_wanted: impl Fn(u64) -> bool, inputs: &[PathBuf]) -> Result<(), Failure> {
         let failed = |what: &str, error: std::io::Error| Failure::folder(what, self.path, &error);
         fs::create_dir_all(self.path).map_err(|error| failed("create", error))?;
         for entry in fs::read_dir(self.path).map_err(|error| failed("read", error))? {
@@ -227,11 +228,18 @@ impl Folder<'_> {
             let step = name.strip_prefix(&self.stem).and_then(|rest| rest.strip_prefix('-'));
             let step = step.and_then(|rest| rest.strip_suffix(&format!(".{}", self.format.name())));
             let step = step.and_then(|digits| digits.parse().ok());
-            if step.is_some_and(&is_wanted) && !is_ours(&path) {
+            let refuse = |why: &str| {
                 let path = path.display();
-                return Err(Failure::Input(format!(
-                    "{path} was not written by meldscope and is not replaced: choose another folder"
-                )));
+                Err(Failure::Input(format!("{path} {why} and is not replaced: choose another folder")))
+            };
+            if !step.is_some_and(&is_wanted) {
+                continue;
+            }
+            if !is_ours(&path) {
+                return refuse("was not written by meldscope");
+            }
+            if inputs.iter().any(|input| is_same_file(&path, input)) {
+                return refuse("is a mesh of the scene");
             }
         }
         Ok(())
@@ -254,6 +262,14 @@ impl Folder<'_> {
         };
         written().map_err(failed)
     }
+}
+
+/// The files of the meshes of a scene file, whose text is `source`; of another scene, files that need not exist.
+fn mesh_files(scene: &Path, source: &str) -> Vec<PathBuf> {
+    let text: toml::Table = source.parse().unwrap_or_default();
+    let tables = text.get("mesh").and_then(toml::Value::as_array).into_iter().flatten();
+    let names = tables.filter_map(|table| table.get("file")?.as_str());
+    names.map(|name| scene.with_file_name(name)).collect()
 }
 
 /// Whether a file was written by this command, or is empty.

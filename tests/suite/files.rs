@@ -213,6 +213,22 @@ fn only_bless_replaces_golden_recordings() {
     assert!(fs::read(dir.file("s.check.rrd")).expect("a file") == golden);
 }
 
+/// A mesh that this program wrote, and that a scene reads.
+#[test]
+fn an_export_does_not_replace_a_mesh_of_its_scene() {
+    let dir = Dir::new();
+    fs::write(dir.file("small.toml"), SCENE).expect("disk space");
+    let export = ["export", "small.toml", "--mesh", "m", "--format", "obj", "--to", "1"];
+    succeeds(&dir, &export);
+    let before = fs::read(dir.file("m/small-000000.obj")).expect("a file");
+    let with_mesh = SCENE.replacen("{ sphere = { stacks = 3, slices = 4 } }", "{ mesh = \"m/small-000000.obj\" }", 1);
+    fs::write(dir.file("small.toml"), with_mesh).expect("disk space");
+    let error = rejected(&dir, &export);
+    assert!(error.contains("small-000000.obj is a mesh of the scene and is not replaced"), "{error}");
+    assert!(fs::read(dir.file("m/small-000000.obj")).expect("a file") == before);
+    succeeds(&dir, &[&export[..], &["--from", "1"]].concat());
+}
+
 /// Runs that fail are all named, and no recording is said to be replaced that is not.
 #[test]
 fn each_scene_that_is_not_blessed_is_named() {
