@@ -200,9 +200,8 @@ fn shares(positions: &Vectors, triangles: &[[u32; 3]]) -> Vec<f64> {
     shares
 }
 
-/// For each vertex, the normalised, area-weighted sum of its triangles' normals; where these cancel, the direction from
-/// the centre. `sums` is scratch storage.
-fn normals(positions: &Vectors, triangles: &[[u32; 3]], sums: &mut Vec<DVec3>) -> impl ExactSizeIterator<Item = DVec3> {
+/// Writes the area-weighted sum of the normals of each vertex's triangles to `sums` (reused).
+pub fn sum_normals(positions: &Vectors, triangles: &[[u32; 3]], sums: &mut Vec<DVec3>) {
     sums.clear();
     sums.resize(positions.len(), DVec3::ZERO);
     for corners in within(triangles, positions.len()) {
@@ -213,9 +212,30 @@ fn normals(positions: &Vectors, triangles: &[[u32; 3]], sums: &mut Vec<DVec3>) -
         sums[b] += area;
         sums[c] += area;
     }
+}
+
+/// For each vertex, the normalised, area-weighted sum of its triangles' normals; where these cancel, the direction from
+/// the centre. `sums` is scratch storage.
+fn normals(positions: &Vectors, triangles: &[[u32; 3]], sums: &mut Vec<DVec3>) -> impl ExactSizeIterator<Item = DVec3> {
+    sum_normals(positions, triangles, sums);
     let unit =
         |(sum, position): (&DVec3, DVec3)| sum.try_normalize().unwrap_or_else(|| position.normalize_or(DVec3::Z));
     sums.iter().zip(positions.iter()).map(unit)
+}
+
+/// Whether triangles of a mesh hide one of its vertices from an eye.
+pub fn hides(positions: &Vectors, triangles: &[[u32; 3]], vertex: usize, eye: DVec3) -> bool {
+    let from = positions.get(vertex);
+    let way = eye - from;
+    within(triangles, positions.len()).filter(|corners| !corners.contains(&(vertex as u32))).any(|corners| {
+        // Möller & Trumbore, Fast, minimum storage ray/triangle intersection, 1997
+        let [a, b, c] = corners.map(|corner| positions.get(corner as usize));
+        let (ab, ac, to) = (b - a, c - a, from - a);
+        let (p, q) = (way.cross(ac), to.cross(ab));
+        let determinant = ab.dot(p);
+        let [u, v, t] = [to.dot(p), way.dot(q), ac.dot(q)].map(|part| part / determinant);
+        u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > 0.0 && t < 1.0
+    })
 }
 
 /// Appends the smooth unit normals of a deformed mesh in single precision: for each vertex, the normalised, area-weighted

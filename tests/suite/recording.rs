@@ -1121,18 +1121,42 @@ impl Run {
                 let (outside, hidden) = logged.split_once("\ninside another body: ").unwrap_or((&logged, ""));
                 let (outside, front) = outside.split_once("\nin front, marked: ").unwrap_or((outside, ""));
                 let in_view = outside.strip_suffix(", not in view");
-                let own = outside.strip_prefix("largest on the surface: ").filter(|_| in_view.is_none()).unwrap_or("");
+                // whether a vertex faces the eye, and nothing is in front of it, by more than `margin`
+                let is_clear = |index: usize, vertex: usize, margin: f64| {
+                    let body = world.body(index);
+                    let (of_body, place) = (&positions[index], positions[index][vertex]);
+                    let triangles = body.mesh().triangles();
+                    let to_eye = (look.eye - place).normalize();
+                    let is_facing = area_normals(of_body, triangles)[vertex].dot(to_eye) > margin;
+                    let side = |a: DVec3, b: DVec3, c: DVec3, d: DVec3| (b - a).cross(c - a).dot(d - a) > 0.0;
+                    let is_behind = |corners: &[u32; 3]| {
+                        let [a, b, c] = corners.map(|corner| of_body[corner as usize]);
+                        let around = [(a, b), (b, c), (c, a)].map(|(from, to)| side(place, look.eye, from, to));
+                        !corners.contains(&(vertex as u32))
+                            && side(a, b, c, place) != side(a, b, c, look.eye)
+                            && around.iter().all(|one| *one == around[0])
+                    };
+                    is_facing && !look.is_hidden(index, place, -margin) && !triangles.iter().any(is_behind)
+                };
+                let named = |text: &str| {
+                    let (name, vertex) = text.split_once(':').expect("a vertex");
+                    let index = world.bodies().position(|body| body.scene().name == name).expect("a body");
+                    (index, vertex.parse::<usize>().expect("a number"))
+                };
+                let own = outside.strip_prefix("largest on the surface: ").unwrap_or("");
+                if in_view.is_some() {
+                    let (index, vertex) = named(own.split_once(", ").expect("a length").0);
+                    assert!(!is_clear(index, vertex, 0.001), "{at}: {logged}");
+                }
+                let own = if in_view.is_some() { "" } else { own };
                 let marked = match (if front.is_empty() { own } else { front }).split_once(", ") {
                     Some((vertex, length)) => {
-                        let (name, vertex) = vertex.split_once(':').expect("a vertex");
-                        let index = world.bodies().position(|body| body.scene().name == name).expect("a body");
-                        let (body, vertex) = (world.body(index), vertex.parse().expect("a number"));
+                        let (index, vertex) = named(vertex);
+                        let body = world.body(index);
                         let displacement = body.displacement(vertex).length() / body.scene().radius;
                         assert_eq!(length, format!("{displacement:.3} R"));
                         let place = positions[index][vertex];
-                        let normals = area_normals(&positions[index], body.mesh().triangles());
-                        let is_facing = normals[vertex].dot(look.eye - place) > 0.0;
-                        assert!(is_facing && !look.is_hidden(index, place, 0.001), "{at}: {logged}");
+                        assert!(is_clear(index, vertex, -0.001), "{at}: {logged}");
                         place
                     }
                     None => position,

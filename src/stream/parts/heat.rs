@@ -36,7 +36,10 @@ use crate::stream::{
     series::{Interpolation, LineId, Series},
 };
 use crate::text::significant;
-use crate::{colors, geometry::Vectors};
+use crate::{
+    colors,
+    geometry::{Vectors, mesh},
+};
 
 /// Visualizer sources of surfaces in the displacement view, instead of their own colours and normals.
 pub const MAPPINGS: [Mapping; 4] = [
@@ -246,34 +249,13 @@ pub struct Displacements {
     merged: Vec<PartOfSurface>,
 }
 
-/// The outward normals of the vertices of a closed mesh, of any length.
+/// Writes the outward normals of the vertices of a closed mesh, of any length, to `normals` (reused).
 fn outward_normals(triangles: &[[u32; 3]], positions: &Vectors, normals: &mut Vec<DVec3>) {
-    normals.resize(positions.len(), DVec3::ZERO);
-    let mut volume = 0.0;
-    for corners in triangles {
-        let [a, b, c] = corners.map(|vertex| positions.get(vertex as usize));
-        let across = (b - a).cross(c - a);
-        volume += across.dot(a);
-        corners.iter().for_each(|&vertex| normals[vertex as usize] += across);
-    }
-    if volume < 0.0 {
+    mesh::sum_normals(positions, triangles, normals);
+    let corners = triangles.iter().map(|corners| corners.map(|corner| positions.get(corner as usize)));
+    if mesh::signed_volume(corners) < 0.0 {
         normals.iter_mut().for_each(|normal| *normal = -*normal); // it is inside out
     }
-}
-
-/// Whether triangles of a mesh hide one of its vertices from an eye.
-fn hides(triangles: &[[u32; 3]], positions: &Vectors, vertex: usize, eye: DVec3) -> bool {
-    let from = positions.get(vertex);
-    let way = eye - from;
-    triangles.iter().filter(|corners| !corners.contains(&(vertex as u32))).any(|corners| {
-        // Möller & Trumbore, Fast, minimum storage ray/triangle intersection, 1997
-        let [a, b, c] = corners.map(|corner| positions.get(corner as usize));
-        let (ab, ac, to) = (b - a, c - a, from - a);
-        let (p, q) = (way.cross(ac), to.cross(ab));
-        let determinant = ab.dot(p);
-        let [u, v, t] = [to.dot(p), way.dot(q), ac.dot(q)].map(|part| part / determinant);
-        u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > 0.0 && t < 1.0
-    })
 }
 
 /// A body's part of a merged surface.
@@ -357,7 +339,7 @@ impl Displacements {
         let is_clear = |of: &&Largest| {
             let (body, now) = (&view.schema.bodies[of.body], &view.frame.bodies[of.body]);
             let triangles = now.mesh_of(body).triangles();
-            !hides(triangles, &now.positions, of.vertex, labels.eye() - now.centre)
+            !mesh::hides(&now.positions, triangles, of.vertex, labels.eye() - now.centre)
         };
         self.seen = self.candidates.iter().find(is_clear).copied();
         (self.outside, self.of_all) = (outside.or(of_all), of_all);
