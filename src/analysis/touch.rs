@@ -33,8 +33,14 @@ const PRECISION: f64 = 1e-7;
 const MAX_BISECTIONS: u32 = 60;
 /// Upper limit on the watched pairs. If there are more, the closest are watched.
 const MAX_PAIRS: usize = 64;
-/// Surfaces are compared within a step each time that a pair has moved by this much [radii of the smaller body] …
+/// Surfaces are compared within a step each time that they have moved by this much [radii of the smaller body] …
 const FAR: f64 = 0.1;
+/// … or have turned and vibrated by this much [radii of the smaller body] …
+const FAR_AROUND: f64 = 0.25;
+/// … surfaces that touch at both ends of the step, if it is more than this …
+const STIRRED: f64 = 0.75;
+/// … and this often where something scheduled makes forces jump, which no cubic follows …
+const AT_JUMPS: u32 = 4;
 /// … but at most this often …
 const MAX_SAMPLES: f64 = 32.0;
 /// … and where the centre distance turns by more than this [radii of the smaller body].
@@ -51,6 +57,8 @@ pub struct Touches {
     before: Frame,
     /// The motion of the pairs before the step.
     near: Vec<NearPair>,
+    /// Scratch storage for it, reused.
+    spare: Vec<NearPair>,
     /// Whether a state has been seen.
     has_begun: bool,
     /// Scratch storage, reused.
@@ -102,6 +110,7 @@ impl Touches {
             pairs: BTreeMap::new(),
             before: Frame::default(),
             near: Vec::new(),
+            spare: Vec::new(),
             has_begun: false,
             inside: Frame::default(),
             local: Vectors::default(),
@@ -119,7 +128,8 @@ impl Touches {
     /// every step.
     ///
     /// Surfaces are compared at the end of the step and, for visits that are shorter than a step, at the extremum of the
-    /// centre distance, and each time that the bodies have moved by a tenth of the smaller radius.
+    /// centre distance, each time that they have moved by a tenth of the smaller radius or turned and vibrated by a fourth, and
+    /// several times where something scheduled, such as an edit, makes forces jump.
     pub fn step(
         &mut self,
         simulation: &dyn Simulation,
@@ -156,7 +166,7 @@ impl Touches {
         found.clear();
         let is_next = self.has_begun && now.at.step == self.before.at.step + 1;
         self.has_begun = true;
-        let mut near = Vec::new();
+        let mut near = std::mem::take(&mut self.spare);
         simulation.near(&mut near);
         self.placed.clear();
         let own = simulation.contacts();
@@ -222,7 +232,7 @@ impl Touches {
         }
         found.sort_by(|x, y| x.time.total_cmp(&y.time));
         self.pairs = pairs;
-        self.near = near;
+        self.spare = std::mem::replace(&mut self.near, near);
     }
 
     /// Compares the surfaces of pairs at their changes of phase.
@@ -370,22 +380,29 @@ impl Touches {
         let ends = [self.before.at.time, now.at.time];
         let [radius, other_radius] = bodies.map(|body| self.schema.bodies[body].radius);
         let smaller = radius.min(other_radius);
-        let count = |path: f64| (path / (FAR * smaller)).min(MAX_SAMPLES) as u32;
+        let count =
+            |path: f64, around: f64| (path / (FAR * smaller) + around / (FAR_AROUND * smaller)).min(MAX_SAMPLES) as u32;
         let apart = |frame: &Frame| frame.bodies[bodies[1]].centre - frame.bodies[bodies[0]].centre;
         let is_it = |pair: &&NearPair| [pair.a, pair.b] == bodies;
         let (Some(from), Some(to)) = (self.near.iter().find(is_it), near.iter().find(is_it)) else {
             // it came within reach in this step, or left
-            return Samples { count: count(apart(now).distance(apart(&self.before))).max(1), extremum: None };
+            return Samples { count: count(apart(now).distance(apart(&self.before)), 0.0).max(1), extremum: None };
         };
-        let speed = 0.5 * (from.rate.length() + to.rate.length());
-        let path = from.apart.distance(to.apart).max(speed * (ends[1] - ends[0]));
+        let span = ends[1] - ends[0];
+        let path = from.apart.distance(to.apart).max(0.5 * (from.rate.length() + to.rate.length()) * span);
         let [time, distance] = from.extremum(to, simulation, ends, before.is_touching);
         // where forces jump, the cubic that the extremum comes from is no bound
-        let jumps = changes.iter().any(|change| bodies.contains(&change.a) || bodies.contains(&change.b));
+        let next = self.schema.scheduled.partition_point(|of| of.time <= ends[0]);
+        let is_scheduled = self.schema.scheduled.get(next).is_some_and(|of| of.time < ends[1]);
+        let jumps =
+            is_scheduled || changes.iter().any(|change| bodies.contains(&change.a) || bodies.contains(&change.b));
         let least = if jumps { 0.5 * (from.apart.length() + to.apart.length() - path) } else { distance };
         let displaced = |frame: &Frame, body: usize| frame.bodies.get(body).map_or(0.0, |body| body.max_displacement);
         let displaced = bodies.map(|body| displaced(&self.before, body).max(displaced(now, body)));
-        let reach = radius + other_radius + displaced.iter().sum::<f64>();
+        // surfaces move as bodies turn and vibrate, too
+        let around = bodies.map(|body| f64::max(self.surface_speed(body, &self.before), self.surface_speed(body, now)));
+        let around = span * (around[0] + around[1]);
+        let reach = radius + other_radius + displaced.iter().sum::<f64>() + 0.5 * around;
         let has_changed = before.is_touching != known.is_touching;
         if !before.is_touching && !has_changed && least > reach * (1.0 + 1e-9) {
             return Samples::default();
@@ -393,7 +410,18 @@ impl Touches {
         // bodies at rest on each other tremble by less than any visit
         let far = [from, to].map(|pair| (pair.apart.length() - distance).abs()).into_iter().fold(f64::MAX, f64::min);
         let is_turning = !has_changed && ends[0] < time && time < ends[1] && far > TREMBLE * smaller;
-        Samples { count: count(path), extremum: is_turning.then_some(time) }
+        let is_held = before.is_touching && known.is_touching && around < STIRRED * smaller;
+        let count = count(path, if is_held { 0.0 } else { around }).max(if is_scheduled { AT_JUMPS } else { 0 });
+        Samples { count, extremum: is_turning.then_some(time) }
+    }
+
+    /// An upper bound on the speed of a body's surface relative to its centre in a frame [scene unit/s].
+    fn surface_speed(&self, body: usize, frame: &Frame) -> f64 {
+        let Some(now) = frame.bodies.get(body) else { return 0.0 };
+        let spin = now.motion.map_or(0.0, |motion| motion.spin.length());
+        let vibration =
+            if now.is_at_rest { 0.0 } else { now.velocities.iter().map(DVec3::length_squared).fold(0.0, f64::max) };
+        spin * (self.schema.bodies[body].radius + now.max_displacement) + vibration.sqrt()
     }
 
     /// Time at which the surfaces of a pair touched or parted between two times in the step [s], and q at that time.
@@ -693,6 +721,53 @@ mod tests {
             assert_eq!(times.len(), 1, "{times:?}");
             assert!((times[0] - converged[0]).abs() < 1e-6, "dt {dt}: {} instead of {}", times[0], converged[0]);
         }
+    }
+
+    /// An edit divides a step: states are found in its parts, before the edit, between edits, and after them.
+    #[test]
+    fn surfaces_touch_at_the_same_time_in_a_step_with_edits() {
+        let body = |name: &str, motion: &str| format!("[[body]]\nname = \"{name}\"\nradius = 1.0\nmotion = {motion}\n");
+        let moving = "from = [2.2, 0.1, 0], velocity = [-2, 0, 0]";
+        for [a, b] in [
+            ["{ free = { from = [0, 0, 0] } }".to_owned(), format!("{{ free = {{ {moving} }} }}")],
+            ["{ fixed = [0, 0, 0] }".to_owned(), format!("{{ line = {{ {moving} }} }}")],
+            [
+                "{ sine = { center = [0, 0, 0], amplitude = [0.1, 0.2, 0], frequency = 1.5 } }".to_owned(),
+                format!("{{ line = {{ {moving} }} }}"),
+            ],
+        ] {
+            for edits in [&[0.122][..], &[0.115, 0.13], &[0.1, 0.118]] {
+                let edit =
+                    |time: &f64| format!("[[edit]]\ntime = {time}\nset = {{ \"influence.beta\" = {} }}\n", 1e3 * time);
+                let text = format!(
+                    "duration = 0.5\n[material]\nomega = 30.0\ndamping = 1.0\n[influence]\nalpha = 20.0\nbeta = 20.0\n\
+                     merge_at = 0.6\nsplit_at = 0.7\n{}{}{}",
+                    body("a", &a),
+                    body("b", &b),
+                    edits.iter().map(edit).collect::<String>()
+                );
+                let first = |dt: f64| touches_of(&text, dt)[0];
+                let fine = first(1.0 / 960.0);
+                for dt in [1.0 / 60.0, 0.05, 0.1] {
+                    let coarse = first(dt);
+                    assert!((coarse - fine).abs() < 1e-6, "{b}, {edits:?}, {dt}: {coarse} instead of {fine}");
+                }
+            }
+        }
+    }
+
+    /// The corners of an octahedron that turns by a radian a step dip into a sphere beside it, four times a turn.
+    #[test]
+    fn surfaces_that_turn_within_a_step_touch_as_in_shorter_steps() {
+        let text = "duration = 0.5\n[material]\nomega = 400.0\n[influence]\nalpha = 0\nbeta = 0\nmerge_at = 0.3\nsplit_at = 0.4\n\
+            [[body]]\nname = \"a\"\nradius = 1.0\nshape = { sphere = { stacks = 2, slices = 4 } }\n\
+            motion = { free = { from = [0, 0, 0], spin = [0, 0, 60] } }\n\
+            [[body]]\nname = \"b\"\nradius = 1.0\nmotion = { fixed = [1.9, 0, 0] }\n";
+        let [coarse, fine] = [1.0 / 60.0, 1.0 / 960.0].map(|dt| touches_of(text, dt));
+        assert!(fine.len() >= 18, "{fine:?}");
+        assert_eq!(coarse.len(), fine.len(), "{coarse:?} {fine:?}");
+        let far = coarse.iter().zip(&fine).map(|(coarse, fine)| (coarse - fine).abs()).fold(0.0, f64::max);
+        assert!(far < 1e-5, "{far}: {coarse:?} {fine:?}");
     }
 
     /// The cubic interpolation preserves the order of the explicit schemes if no phase changes earlier.

@@ -160,7 +160,7 @@ pub fn export(program: Program<'_>, arguments: Arguments) -> Result<(), Failure>
         if let (Some(table), Some(touches)) = (&mut events, &mut touches) {
             let (simulation, summary) = (&*run.simulation, &run.summary);
             simulation.observe(Want::default(), &mut frame);
-            touches.step(simulation, &frame, &summary.events, &mut surfaces);
+            touches.step_and_take(simulation, &mut frame, &summary.events, &mut surfaces);
             let all = rows(&summary.events, &surfaces, &summary.body_events);
             all.iter()
                 .filter(|row| (from..=to).contains(&row.step()))

@@ -34,6 +34,7 @@ pub use parameter::{Branch, InvalidVariation, Parameter, Poke, Variation};
 pub use row::EventRow;
 pub use run::Run;
 pub use schema::Schema;
+pub(crate) use simulation::body_between;
 pub use simulation::{
     Experiment, NearPair, Refusal, Shortfall, Simulation, StageFrame, StepFailure, StepSummary, between, state_within,
 };

@@ -14,7 +14,7 @@ use super::{
     InvalidVariation, Parameter, Variation,
     event::{BodyEvent, Instant, PairEvent},
     frame::{BodyFrame, Frame, PairFrame, Want},
-    schema::Schema,
+    schema::{BodySchema, Schema},
     surface::SurfaceEvent,
 };
 
@@ -145,29 +145,34 @@ pub fn between(schema: &Schema, ends: [&Frame; 2], time: f64, bodies: &[usize], 
     frame.at = Instant { step: ends[1].at.step, time };
     frame.bodies.resize_with(schema.bodies.len(), BodyFrame::default);
     for &index in bodies {
-        let [from, to] = ends.map(|end| &end.bodies[index]);
-        let now = &mut frame.bodies[index];
-        now.centre = from.centre.lerp(to.centre, z);
-        now.rotation = from.rotation.slerp(to.rotation, z);
-        if let (Some(start), Some(end)) = (from.motion, to.motion) {
-            now.centre = cubic.vector([from.centre, to.centre], [start.velocity, end.velocity]);
-            now.rotation = cubic.rotation([from.rotation, to.rotation], [start.spin, end.spin]);
-        }
-        now.mesh.clone_from(&to.mesh);
-        if from.is_at_rest && to.is_at_rest {
-            now.rest();
-            continue;
-        }
-        let body = &schema.bodies[index];
-        let count = to.mesh_of(body).vertex_count();
-        if count != from.mesh_of(body).vertex_count() {
-            // it tore in this step: the new vertices have no previous state
-            now.displacements.reset(count);
-            now.displacements.add_times(1.0, &to.displacements);
-            now.displaced(to.rest_of(body));
-            continue;
-        }
-        now.displacements.reset(count);
+        body_between(&schema.bodies[index], ends.map(|end| &end.bodies[index]), (&cubic, z), &mut frame.bodies[index]);
+    }
+}
+
+/// Like [`between`] for a body, with the cubic and the share of the time that has passed.
+pub(crate) fn body_between(
+    body: &BodySchema,
+    [from, to]: [&BodyFrame; 2],
+    (cubic, z): (&Hermite, f64),
+    now: &mut BodyFrame,
+) {
+    now.centre = from.centre.lerp(to.centre, z);
+    now.rotation = from.rotation.slerp(to.rotation, z);
+    if let (Some(start), Some(end)) = (from.motion, to.motion) {
+        now.centre = cubic.vector([from.centre, to.centre], [start.velocity, end.velocity]);
+        now.rotation = cubic.rotation([from.rotation, to.rotation], [start.spin, end.spin]);
+    }
+    now.mesh.clone_from(&to.mesh);
+    if from.is_at_rest && to.is_at_rest {
+        now.rest();
+        return;
+    }
+    let count = to.mesh_of(body).vertex_count();
+    now.displacements.reset(count);
+    if count != from.mesh_of(body).vertex_count() {
+        // it tore in this step: the new vertices have no previous state
+        now.displacements.add_times(1.0, &to.displacements);
+    } else {
         for (factor, vectors) in [
             (cubic.values[0], &from.displacements),
             (cubic.values[1], &to.displacements),
@@ -176,8 +181,8 @@ pub fn between(schema: &Schema, ends: [&Frame; 2], time: f64, bodies: &[usize], 
         ] {
             now.displacements.add_times(factor, vectors); // adds nothing for a body at rest
         }
-        now.displaced(to.rest_of(body));
     }
+    now.displaced(to.rest_of(body));
 }
 
 /// A pair that can interact, and how its centres move.

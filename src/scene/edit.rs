@@ -144,11 +144,6 @@ impl Scene {
         scene
     }
 
-    /// When the last edit in [start, end) is entered, if there is one [s].
-    pub(crate) fn last_edit(&self, start: f64, end: f64) -> Option<f64> {
-        self.edits.iter().map(|edit| edit.time).rfind(|time| (start..end).contains(time))
-    }
-
     /// Whether an edit leads to a scene that needs the coupled solver.
     pub(super) fn becomes_coupled(&self) -> bool {
         self.edits.iter().any(|edit| edit.numbers.laws().any(|law| law.core_width > 0.0))

@@ -174,12 +174,14 @@ impl World {
 
     /// What a change of the solver's state reads, that state, and the report.
     fn split(&mut self) -> (Setting<'_>, &mut Solver, &mut StepReport) {
+        self.forget_parts();
         let arch = self.options().arch;
         let World { scene, step, report, solver, .. } = self;
         (Setting { scene, step: *step, arch, is_partial: false }, solver, report)
     }
 
     fn restart_now(&mut self, scene: Scene, kept: &[Option<usize>], wake_all: bool) -> Result<(), EditError> {
+        self.forget_parts();
         self.restart(scene, kept, wake_all, self.time())
     }
 }

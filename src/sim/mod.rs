@@ -124,4 +124,5 @@ pub use report::{
     Diverged, EditError, Failure, Fallback, Overworked, Shortfall, Stage, StepReport, Strain, Toil, WorldError,
 };
 pub use terms::{Cause, Origin, Source, Surroundings, Weighted};
+pub(crate) use world::Part;
 pub use world::{Options, World, WorldSnapshot};

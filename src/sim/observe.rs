@@ -99,21 +99,19 @@ impl World {
         Some(EnergySum::new(scene, prescribed.energy_of_distant_pairs(scene), prescribed.phases()))
     }
 
-    /// Calls `write` with the states of some bodies of a coupled scene at `time` [s] within the last step, which began at
-    /// `start` [s], on the solver's own solution. Omits bodies that took no step of the solver, and those that would be
-    /// too much work.
+    /// Calls `write` with the states of some bodies of a coupled scene at `time` [s] within the last step of the solver, from
+    /// one of the instants `ends` [s] to the other, on its own solution. Omits bodies that took no step of the solver, and
+    /// those that would be too much work.
     pub(crate) fn coupled_within(
         &self,
-        start: f64,
+        ends: [f64; 2],
         time: f64,
         bodies: &[usize],
         work: &Work,
         write: impl FnMut(usize, &Interpolated<'_>),
     ) {
-        // an edit divides the step: what was before it is no longer known
-        let start = self.scene().last_edit(start, self.time()).unwrap_or(start);
-        if let Some(coupled) = self.solver.coupled().filter(|_| time >= start) {
-            coupled.within(self.setting(), start, time, bodies, &Tally::new(work, None), write);
+        if let Some(coupled) = self.solver.coupled() {
+            coupled.within(self.setting(), ends, time, bodies, &Tally::new(work, None), write);
         }
     }
 

@@ -52,7 +52,22 @@ pub struct World {
     pub(super) solver: Solver,
     /// Number of the scene's edits that have been entered.
     edits: usize,
+    /// What led to each edit of the last step that is not at its start; `None` if that is not kept.
+    parts: Option<Vec<Part>>,
     pub(super) handles: Handles,
+}
+
+/// Upper limits on the worlds that are kept of a step, and on their vertices.
+const MOST_PARTS: usize = 16;
+const MOST_KEPT_VERTICES: u64 = 1 << 19;
+
+/// A part of a step that an edit divides, up to the edit.
+#[derive(Clone)]
+pub(crate) struct Part {
+    /// The world before the edit is entered.
+    pub world: World,
+    /// The instant of the edit [s].
+    pub end: f64,
 }
 
 /// The state of a world at an instant, see [`World::snapshot`].
@@ -82,7 +97,7 @@ impl World {
         };
         let handles = Handles::new(scene.bodies.len());
         let report = StepReport { sleeping_bodies: scene.bodies.len() as u64, ..StepReport::default() };
-        Ok(World { scene, options, step: 0, report, work, solver, edits: 0, handles })
+        Ok(World { scene, options, step: 0, report, work, solver, edits: 0, parts: Some(Vec::new()), handles })
     }
 
     /// Continues with a changed scene at `time` [s]. `kept` is the former index of each body that keeps its state; bodies
@@ -136,6 +151,7 @@ impl World {
         }
         let span = Span { start: self.time(), end: self.time_of(self.step + 1) };
         self.report.begin(self.step + 1, span.end);
+        self.parts.get_or_insert_default().clear();
         match self.advance(span) {
             Ok(diverged) => {
                 self.step += 1;
@@ -174,10 +190,26 @@ impl World {
                     return Ok(Some(diverged));
                 }
                 start = end;
+                self.keep_part(start);
             }
             self.enter_edit(start)?;
         }
         self.solve(Span { start, end: span.end }, start > span.start)
+    }
+
+    /// Keeps the world as it is now, at `end` [s], before an edit, as after a step.
+    fn keep_part(&mut self, end: f64) {
+        let Some(mut parts) = self.parts.take() else { return };
+        let vertices = self.scene.vertex_count() * (parts.len() as u64 + 1);
+        if parts.len() < MOST_PARTS && vertices <= MOST_KEPT_VERTICES {
+            parts.push(Part { world: World { step: self.step + 1, ..self.clone() }, end });
+            self.parts = Some(parts);
+        }
+    }
+
+    /// Forgets the parts of the last step: bodies are about to change.
+    pub(super) fn forget_parts(&mut self) {
+        self.parts = None;
     }
 
     /// Lets the solver advance over a step, or a part of one.
@@ -222,6 +254,11 @@ impl World {
     /// Number of the scene's edits that have been entered.
     pub(crate) fn edits_entered(&self) -> usize {
         self.edits
+    }
+
+    /// The parts of the last step that its edits ended, in order; `None` if they were not kept.
+    pub(crate) fn parts(&self) -> Option<&[Part]> {
+        self.parts.as_deref()
     }
 
     /// Number of steps taken.

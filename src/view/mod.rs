@@ -32,9 +32,10 @@ use crate::{
             SphereAt, Threshold,
         },
     },
+    parallel,
     scene::{Body, Edit, Integrator, Model, Numbers, PairLaws, Plane, Point, ROUNDING, Scene},
     sim::{
-        self, Cause, Energy, Event, Failure, Stage, States, World,
+        self, BodyView, Cause, Energy, Event, Failure, Stage, States, World,
         free::{Forces, Snapshot},
         terms::{Surroundings, oscillator},
     },
@@ -46,6 +47,9 @@ use frames::{add_coupled_forces, add_forces};
 use scalars::{ScalarValue, StateNumbers, scalars};
 use scales::{arrow_scale, net_force_scale};
 use terms::{LABELS, label, law, level, phase_color, term};
+
+/// With fewer vertices than this to observe, a second thread does not pay off.
+const PARALLEL_VERTICES: usize = 8192;
 
 /// Writes the report of a world's last step to an empty summary.
 pub(crate) fn summarise(world: &World, summary: &mut StepSummary) {
@@ -67,6 +71,22 @@ pub(crate) fn summarise(world: &World, summary: &mut StepSummary) {
     let fallback = || report.fallback.as_ref().map(ToString::to_string);
     summary.warning = report.strain.as_ref().map(ToString::to_string).or_else(fallback);
     summary.failure = report.failure.as_ref().map(StepFailure::from);
+}
+
+/// Writes the state of a body to its frame, without forces.
+fn observe_state(body: BodyView<'_>, now: &mut BodyFrame) {
+    (now.centre, now.rotation) = (body.centre(), body.rotation());
+    let motion = || MotionFrame { velocity: body.centre_velocity(), spin: body.angular_velocity() };
+    now.motion = body.scene().path().is_none().then(motion);
+    if body.is_at_rest() {
+        now.rest();
+    } else {
+        let mut states = States { displacement: take(&mut now.displacements), velocity: take(&mut now.velocities) };
+        body.states_into(&mut states);
+        (now.displacements, now.velocities) = (states.displacement, states.velocity);
+        now.displaced(body.rest_shape());
+    }
+    now.clear_forces();
 }
 
 impl Simulation for World {
@@ -137,26 +157,11 @@ impl Simulation for World {
         let mut energy = want.scalars.then(|| self.energy_sum()).flatten();
         let (mut surroundings, mut forces) = (Surroundings::default(), Forces::default());
         let causes: Vec<Cause> = Cause::of(scene).collect();
-        for ((index, body), now) in self.bodies().enumerate().zip(&mut frame.bodies) {
-            (now.centre, now.rotation) = (body.centre(), body.rotation());
-            now.motion = body
-                .scene()
-                .path()
-                .is_none()
-                .then(|| MotionFrame { velocity: body.centre_velocity(), spin: body.angular_velocity() });
-            if body.is_at_rest() {
-                now.rest();
-            } else {
-                let mut states =
-                    States { displacement: take(&mut now.displacements), velocity: take(&mut now.velocities) };
-                body.states_into(&mut states);
-                (now.displacements, now.velocities) = (states.displacement, states.velocity);
-                now.displaced(body.rest_shape());
-            }
-            now.clear_forces();
-            if !(want.forces || want.scalars) {
-                continue;
-            }
+        let moving = self.bodies().filter(|body| !body.is_at_rest());
+        let is_parallel = moving.map(|body| body.rest_shape().len()).sum::<usize>() >= PARALLEL_VERTICES;
+        parallel::over(is_parallel, &mut frame.bodies, |index, now| observe_state(self.body(index), now));
+        let observed = if want.forces || want.scalars { frame.bodies.as_mut_slice() } else { &mut [] };
+        for (index, now) in observed.iter_mut().enumerate() {
             if let Some(snapshot) = &snapshot {
                 if want.forces && !(now.is_at_rest && snapshot.is_idle(index)) {
                     add_coupled_forces(self, &causes, snapshot, index, &mut forces, now);
@@ -223,11 +228,13 @@ impl Simulation for World {
 
     fn within(&self, before: &Frame, time: f64, bodies: &[usize], frame: &mut Frame) {
         let is_exact = self.scene().integrator == Integrator::Exponential;
-        if is_exact && stages::within(before, self, time, bodies, frame) {
-            return;
-        }
-        if is_exact {
-            stages::within_coupled(before, self, time, bodies, frame);
+        let mut first = Frame::default();
+        let step = stages::step_of_solver(before, self, time, bodies, frame, &mut first);
+        if let Some(step) = step.filter(|_| is_exact) {
+            if stages::within(step, time, bodies, frame) {
+                return;
+            }
+            stages::within_coupled(step, time, bodies, frame);
         }
         for &index in bodies {
             if let Some(path) = self.scene().bodies[index].path() {
@@ -340,9 +347,8 @@ fn changes(scene: &Scene) -> Vec<SchemaChange> {
     scene.edits.iter().map(change).collect()
 }
 
-/// The schema of a scene's world. Other models of the same scene start from it and override what differs.
-pub fn schema(scene: &Scene) -> Schema {
-    let bodies = scene.bodies.iter().map(|body| BodySchema {
+fn body_schema(body: &Body) -> BodySchema {
+    BodySchema {
         name: body.name.clone(),
         radius: body.radius,
         reach: body.sphere_radius(),
@@ -354,8 +360,12 @@ pub fn schema(scene: &Scene) -> Schema {
         can_be_absent: false,
         can_tear: false,
         has_springs: false,
-    });
-    let bodies = bodies.collect();
+    }
+}
+
+/// The schema of a scene's world. Other models of the same scene start from it and override what differs.
+pub fn schema(scene: &Scene) -> Schema {
+    let bodies = scene.bodies.iter().map(body_schema).collect();
     let thresholds = [
         ("merge_at", "merge at", Phase::Merged),
         ("split_at", "split at", Phase::Apart),

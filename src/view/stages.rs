@@ -7,11 +7,11 @@ use std::collections::BTreeSet;
 
 use super::frames::add_forces;
 use crate::{
-    model::phase::Phase,
-    observe::{BodyFrame, Frame, Instant, PairFrame, Simulation, StageFrame, Want, state_within},
+    model::{hermite::Hermite, phase::Phase},
+    observe::{BodyFrame, Frame, Instant, PairFrame, Simulation, StageFrame, Want, body_between, state_within},
     scene::{Integrator, Scene},
     sim::{
-        Cause, States, World,
+        Cause, Part, States, World,
         prescribed::within::{Before, Recomputed},
         work::Work,
     },
@@ -44,16 +44,17 @@ pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
     let work = Work::limited(MAX_WORK, world.options().interrupt);
     let mut after = Frame::default();
     world.observe(WANT, &mut after);
-    let last = match Recomputed::new(world, before_step(before), &work) {
+    let recomputed = Recomputed::new(world, before_step(before), world.time(), &work);
+    let last = match recomputed.filter(|_| world.parts().is_some_and(<[_]>::is_empty)) {
         Some(recomputed) => intervals(&recomputed, before, world, max, &mut stages),
-        None => events_of_free_bodies([before, &after], world, max, &mut stages),
+        None => at_events([before, &after], world, max, &mut stages),
     };
     stages.push(stage(&last, after));
     stages
 }
 
-/// Adds the states at the phase changes of a step of a coupled scene, without forces. Returns the name of the last stage.
-fn events_of_free_bodies(ends: [&Frame; 2], world: &World, max: usize, stages: &mut Vec<StageFrame>) -> String {
+/// Adds the states at the phase changes of a step of a coupled scene, or of one that edits divide, without forces. Returns the name of the last stage.
+fn at_events(ends: [&Frame; 2], world: &World, max: usize, stages: &mut Vec<StageFrame>) -> String {
     let (events, schema) = (&world.report().events, Simulation::schema(world));
     let all: Vec<usize> = (0..world.body_count()).collect();
     let mut pairs = ends[0].pairs.clone();
@@ -176,18 +177,76 @@ fn frame_of(
     Frame { at, pairs: pairs.collect(), bodies, ..Frame::default() }
 }
 
-/// Writes the state of some bodies at a time within the step that led from `before` to the current state of the world,
-/// on the solution of the step; false if that is too much work, or if the scene is coupled. Only for the exponential
-/// integrator: the others have no dense output.
+/// A step of the solver, as far as states within it need it.
+#[derive(Clone, Copy)]
+pub struct StepOfSolver<'a> {
+    /// The state before it.
+    pub before: &'a Frame,
+    /// The world after it, and the time then [s].
+    pub world: &'a World,
+    pub end: f64,
+}
+
+/// The step of the solver that `time` [s] is in: the last step of the world, after the state `before`, or if edits divide it,
+/// a part of it. Then writes the states of these bodies at `time`, interpolated in this part alone. `None` if the parts are
+/// not known. `first` is storage for the state before the part, of these bodies.
+pub fn step_of_solver<'a>(
+    before: &'a Frame,
+    world: &'a World,
+    time: f64,
+    bodies: &[usize],
+    frame: &mut Frame,
+    first: &'a mut Frame,
+) -> Option<StepOfSolver<'a>> {
+    let parts = world.parts()?;
+    if parts.is_empty() {
+        return Some(StepOfSolver { before, world, end: world.time() });
+    }
+    let observe = |part: &World, end: f64, index: usize, now: &mut BodyFrame| {
+        super::observe_state(part.body(index), now);
+        if let Some(path) = part.scene().bodies[index].path() {
+            now.centre = path.position(end);
+        }
+    };
+    let number = parts.partition_point(|part| part.end <= time);
+    let (part, end) = parts.get(number).map_or((world, world.time()), |part| (&part.world, part.end));
+    let before = match number.checked_sub(1).map(|number| &parts[number]) {
+        Some(Part { world: ended, end }) => {
+            first.at = Instant { step: world.steps_taken(), time: *end };
+            first.pairs.extend(ended.pairs().map(super::pair_frame));
+            first.bodies.resize_with(world.body_count(), BodyFrame::default);
+            bodies.iter().for_each(|&index| observe(ended, *end, index, &mut first.bodies[index]));
+            &*first
+        }
+        None => before,
+    };
+    let start = before.at.time;
+    let (cubic, z) = (Hermite::new([start, end], time), (time - start) / (end - start));
+    for &index in bodies {
+        let mut last = BodyFrame::default();
+        observe(part, end, index, &mut last);
+        let body = super::body_schema(&world.scene().bodies[index]);
+        body_between(&body, [&before.bodies[index], &last], (&cubic, z), &mut frame.bodies[index]);
+    }
+    Some(StepOfSolver { before, world: part, end })
+}
+
+/// Writes the state of some bodies at a time within a step, on its solution; false if that is too much work, or if the scene
+/// is coupled. Only for the exponential integrator: the others have no dense output.
 ///
 /// A search for the time of a contact calls this many times a step, and its work is no part of the debt that ends a
 /// run. So a step that took more than its allowance is not repeated.
-pub fn within(before: &Frame, world: &World, time: f64, bodies: &[usize], frame: &mut Frame) -> bool {
+pub fn within(
+    StepOfSolver { before, world, end }: StepOfSolver<'_>,
+    time: f64,
+    bodies: &[usize],
+    frame: &mut Frame,
+) -> bool {
     if world.work.is_beyond_allowance() {
         return false;
     }
     let work = Work::limited(MAX_WORK_WITHIN, world.options().interrupt);
-    let Some(recomputed) = Recomputed::new(world, before_step(before), &work) else { return false };
+    let Some(recomputed) = Recomputed::new(world, before_step(before), end, &work) else { return false };
     let mut breaks = recomputed.breaks();
     breaks.retain(|&at| at < time);
     if breaks.len() > MAX_PARTS {
@@ -211,9 +270,14 @@ pub fn within(before: &Frame, world: &World, time: f64, bodies: &[usize], frame:
 }
 
 /// Like [`within`] for a coupled scene. Bodies that took no step in which they act on others are left unchanged.
-pub fn within_coupled(before: &Frame, world: &World, time: f64, bodies: &[usize], frame: &mut Frame) {
+pub fn within_coupled(
+    StepOfSolver { before, world, end }: StepOfSolver<'_>,
+    time: f64,
+    bodies: &[usize],
+    frame: &mut Frame,
+) {
     let work = Work::limited(MAX_WORK, world.options().interrupt);
-    world.coupled_within(before.at.time, time, bodies, &work, |index, body| {
+    world.coupled_within([before.at.time, end], time, bodies, &work, |index, body| {
         let (now, rest) = (&mut frame.bodies[index], world.body(index).rest_shape());
         (now.centre, now.rotation) = (body.centre(), body.rotation());
         now.displacements.reset(rest.len());

@@ -48,18 +48,17 @@ impl Coupled {
         self.members[index].neighbours.iter().map(|neighbour| (neighbour.other, self.near.get(neighbour.pair)))
     }
 
-    /// Calls `write` with the states of some bodies at `time` [s] within the last step, which began at `start` [s], on
-    /// the solver's own solution. Omits bodies that took no step, and those that would be too much work.
+    /// Calls `write` with the states of some bodies at `time` [s] within the last step, from `ends[0]` to `ends[1]` [s], on the
+    /// solver's own solution. Omits bodies that took no step, and those that would be too much work.
     pub fn within(
         &self,
         setting: Setting<'_>,
-        start: f64,
+        ends: [f64; 2],
         time: f64,
         bodies: &[usize],
         work: &Tally<'_>,
         mut write: impl FnMut(usize, &Interpolated<'_>),
     ) {
-        let ends = [start, setting.time()];
         for job in &self.jobs {
             let local = |&body: &usize| job.group.bodies.binary_search(&(body as u32)).ok();
             let own: Vec<usize> = bodies.iter().filter_map(local).collect();

@@ -25,6 +25,8 @@ use crate::{
 
 /// With fewer vertices than this to step, a second thread does not pay off.
 const PARALLEL_VERTICES: usize = 512;
+/// With fewer vertices than this to copy, a second thread does not pay off.
+const PARALLEL_COPIES: usize = 8192;
 
 /// The bodies and pairs of an island, ascending.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -179,25 +181,25 @@ impl Job {
         span.jumps_of(scene, self.all.iter().copied(), &mut field.breaks);
         field.breaks.sort_by(f64::total_cmp);
         field.first_point = first_point;
-        copies.resize_with(self.all.len(), || source(&members[self.all[0] as usize].body));
-        for (index, (&body, copy)) in self.all.iter().zip(&mut *copies).enumerate() {
-            if let Some(point) = (body as usize).checked_sub(scene.bodies.len()) {
-                let point = &scene.points[point];
-                *copy = source_at(scene, point, span.start);
-                continue;
-            }
-            let member = &members[body as usize];
-            if index >= bodies.len() {
-                *copy = source(&member.body);
-                continue;
-            }
-            let pushes = member.pushes.iter().take_while(|push| push.start < span.end);
+        for (index, &body) in bodies.iter().enumerate() {
+            let pushes = members[body as usize].pushes.iter().take_while(|push| push.start < span.end);
             let pushes = pushes.filter(|push| push.end() > span.start);
             field.pushes.extend(pushes.map(|&push| Push { body: index, ..push }));
             field.forces.extend(scene.bodies[body as usize].force.iter().map(|force| (index as u32, force.clone())));
-            copy.copy_from(&member.body);
-            copy.fill_states();
         }
+        copies.resize_with(self.all.len(), || source(&members[self.all[0] as usize].body));
+        let vertices = bodies.iter().map(|&body| members[body as usize].body.shape.rest().len()).sum::<usize>();
+        parallel::over(vertices >= PARALLEL_COPIES, copies, |index, copy| {
+            let body = self.all[index] as usize;
+            if let Some(point) = body.checked_sub(scene.bodies.len()) {
+                *copy = source_at(scene, &scene.points[point], span.start);
+            } else if index >= bodies.len() {
+                *copy = source(&members[body].body);
+            } else {
+                copy.copy_from(&members[body].body);
+                copy.fill_states();
+            }
+        });
         let local_pair = |of: &PairIn| {
             let pair = near.get(of.pair);
             free::Pair { a: local(pair.a), b: local(pair.b), ..*pair }

@@ -35,17 +35,16 @@ pub(crate) struct Recomputed<'a> {
     /// Its bodies.
     prescribed: &'a Prescribed,
     before: Before,
+    /// Simulated time after the step [s].
+    end: f64,
     work: Tally<'a>,
 }
 
 impl<'a> Recomputed<'a> {
-    /// The last step of `world`, recomputed within the limit of `work`; `None` for a coupled scene, and for a
-    /// step that an edit divides.
-    pub fn new(world: &'a World, before: Before, work: &'a Work) -> Option<Recomputed<'a>> {
-        if world.scene().last_edit(before.time, world.time()).is_some() {
-            return None;
-        }
-        Some(Recomputed { world, prescribed: world.solver.prescribed()?, before, work: Tally::new(work, None) })
+    /// The last step of the solver of `world`, which ended at `end` [s], recomputed within the limit of `work`; `None` for a
+    /// coupled scene.
+    pub fn new(world: &'a World, before: Before, end: f64, work: &'a Work) -> Option<Recomputed<'a>> {
+        Some(Recomputed { world, prescribed: world.solver.prescribed()?, before, end, work: Tally::new(work, None) })
     }
 
     /// The path of a body.
@@ -75,7 +74,7 @@ impl<'a> Recomputed<'a> {
     /// The instants at which something jumps, and both ends of the step [s].
     pub fn breaks(&self) -> Vec<f64> {
         let scene = self.world.scene();
-        let span = Span { start: self.before.time, end: self.world.time() };
+        let span = Span { start: self.before.time, end: self.end };
         let mut breaks = vec![span.start, span.end];
         span.jumps_of(scene, 0..(scene.bodies.len() + scene.points.len()) as u32, &mut breaks);
         for index in 0..self.world.body_count() {
@@ -104,7 +103,7 @@ impl<'a> Recomputed<'a> {
 
     /// The states after the step under the oscillators alone.
     pub fn flow(&self, index: usize, states: &States) -> States {
-        let h = self.world.time() - self.before.time;
+        let h = self.end - self.before.time;
         let [xx, xu, ux, uu] = self.world.scene().bodies[index].material.oscillator().flow(h);
         let both = || states.displacement.iter().zip(states.velocity.iter());
         States {
@@ -115,7 +114,7 @@ impl<'a> Recomputed<'a> {
 
     /// Velocities after the forces have acted, and the resulting positions.
     pub fn predict(&self, index: usize, states: &States) -> States {
-        let h = self.world.time() - self.before.time;
+        let h = self.end - self.before.time;
         let scene = self.world.scene();
         let surroundings = self.surroundings(index, self.before.time, self.before.time, states);
         let rest = self.body(index).rest();
