@@ -8,10 +8,17 @@ use super::{
     bisect::Threshold,
     classes::{self, Classes},
     design::{Axis, Sampling, Scale, Values},
+    file::Until,
     row::Cell,
     store::{Store, StoreError},
 };
-use crate::{scene::template::Setting, stream::palette, svg, table::Kind, text::trimmed};
+use crate::{
+    scene::template::{KeyPath, Setting},
+    stream::palette,
+    svg,
+    table::Kind,
+    text::{counted, trimmed},
+};
 
 /// Maximum number of points of a map along an axis.
 const MAX_POINTS: u64 = 1200;
@@ -39,6 +46,8 @@ pub struct Map {
     pub is_grid: bool,
     /// The classes of the outcomes, in the order of the rows.
     pub classes: Classes,
+    /// Number of runs whose outcome was not certain when the scene ended, and the time of that [s].
+    pub undecided: Option<(u64, f64)>,
 }
 
 /// A map.
@@ -125,6 +134,7 @@ impl Map {
             rows: seen.len() as u64,
             is_grid,
             classes,
+            undecided: undecided(sweep, store)?,
         };
         let mut by_slice: BTreeMap<Vec<u64>, Vec<u64>> = BTreeMap::new();
         for row in seen.keys() {
@@ -164,6 +174,16 @@ impl Map {
         Ok((!map.slices.is_empty()).then_some(map))
     }
 
+    /// How many outcomes are those of the end of the scene, and could be others in a longer one.
+    pub fn about_undecided(&self) -> Option<String> {
+        let (count, time) = self.undecided?;
+        let were = if count == 1 { "was" } else { "were" };
+        Some(format!(
+            "{} {were} not certain when the scene ended, at {time} s: a longer one may end otherwise",
+            counted(count, "run")
+        ))
+    }
+
     /// The colour of a grid point of a slice.
     pub fn color(&self, slice: &Slice, point: usize) -> [u8; 3] {
         let class = slice.classes.get(point).copied().unwrap_or(u8::MAX);
@@ -176,6 +196,26 @@ impl Map {
             _ => classes::color(class).0,
         }
     }
+}
+
+/// The runs whose outcome was not certain when the scene ended, at the same time in all of them; `None` without any, or if
+/// that is not known.
+fn undecided(sweep: &Sweep, store: &Store) -> Result<Option<(u64, f64)>, StoreError> {
+    let sets_end = |key: &KeyPath| ["duration", "dt"].contains(&key.to_string().as_str());
+    let varies =
+        sweep.design.axes.iter().any(|axis| sets_end(&axis.key)) || sweep.set.iter().any(|(key, _)| sets_end(key));
+    if sweep.experiment.is_some() || sweep.until != Until::Certain || varies {
+        return Ok(None);
+    }
+    let Ok(template) = sweep.template() else { return Ok(None) };
+    let last = template.base().steps();
+    let mut count = 0;
+    store.read(0..u32::MAX, None, &store.named(&["outcome", "steps"]), |(_, cells)| {
+        let is_last = |steps: &i64| u64::try_from(*steps) == Ok(last);
+        let is_undecided = matches!(&cells[..], [Cell::Text(_), Cell::Integer(steps)] if is_last(steps));
+        count += u64::from(is_undecided);
+    })?;
+    Ok((count > 0).then_some((count, last as f64 * template.base().dt)))
 }
 
 /// The values of a point on the axes that are not on the map, in words.

@@ -98,8 +98,10 @@ pub fn save(
         false => "",
     };
     let recorded = if sweep.experiment.is_none() { format!(", and record it: `{open}`") } else { String::new() };
+    let undecided = map.about_undecided().map_or(String::new(), |text| format!("{text}. "));
     let about = format!(
-        "**{title}**: {}; {}. Point at a run to see its row{recorded}\n\n{colored}{outcomes}\n{lines}{dots}Note: {MISSABLE}.",
+        "**{title}**: {}; {}. Point at a run to see its row{recorded}\n\n{colored}{outcomes}\n{lines}{dots}{undecided}Note: \
+         {MISSABLE}.",
         counted(map.rows, "run"),
         axes.join(", "),
     );

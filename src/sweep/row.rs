@@ -33,7 +33,7 @@ pub const RUN_TIME: &str = "run_time";
 /// The number of a row.
 pub const ROW: Column = Column::required("row", Kind::Count, "number of the point");
 /// What the column of an axis holds.
-pub const AXIS: &str = "value at this key of the scene";
+pub const AXIS: &str = "value at this key of the scene: a number, or a string where the values are words";
 /// The results of every sweep.
 pub const RESULTS: [Column; 19] = [
     Column::new("outcome", Kind::Text, "apart, bounced, merged, passed or split; null if the run failed"),

@@ -393,7 +393,7 @@ impl<'a> Run<'a> {
             || self.world.pairs().next().is_some()
             || scene.points.iter().any(|point| point.end() > self.world.time())
             || scene.pushes.iter().any(|push| push.end() > self.world.time())
-            || scene.edits.iter().any(|edit| edit.time > self.world.time())
+            || self.world.edits_entered() < scene.edits.len()
         {
             return false;
         }

@@ -156,7 +156,10 @@ fn legend(svg: &mut Svg, map: &Map, panels: &[Slice], [x, mut y]: [f64; 2]) {
     }
     if has_thresholds {
         svg.circle([x + 10.0, y + 6.0], THRESHOLD, Paint::Fill(INK));
-        explain(svg, [x + 30.0, y + 11.0], "where it changes, bisected to 1e-9");
+        y = explain(svg, [x + 30.0, y + 11.0], "where it changes, bisected to 1e-9") + 6.0;
+    }
+    if let Some(text) = map.about_undecided() {
+        explain(svg, [x, y + 11.0], &text);
     }
 }
 

@@ -556,3 +556,24 @@ fn the_outcome_does_not_depend_on_where_a_path_turns_within_a_step() {
         assert!(cells.iter().any(|cell| matches!(cell, Cell::Text(text) if text == "passed")), "{cells:?}");
     }
 }
+
+/// What flies apart for ever until the last edit does not end before that, also if it is at the end of a step.
+#[test]
+fn a_run_is_not_certain_before_its_last_edit() {
+    let body = |name: &str, x: f64, speed: f64| {
+        format!(
+            "[[body]]\nname = '{name}'\nradius = 1.0\nshape = {{ sphere = {{ stacks = 4, slices = 6 }} }}\n\
+             motion = {{ free = {{ from = [{x}, 0, 0], velocity = [{speed}, 0, 0] }} }}\n"
+        )
+    };
+    let scene = format!(
+        "dt = 0.02\nduration = 6.0\n{}{}[[edit]]\ntime = 4.0\n\
+         set = {{ 'influence.split_at' = 9.0, 'influence.merge_at' = 8.0 }}\n",
+        body("a", 0.0, -1.0),
+        body("b", 2.6, 1.0)
+    );
+    let dir = folder("scene = 'late.toml'\n[[axis]]\nkey = 'dt'\nvalues = [0.02, 0.0125, 0.01]\n");
+    fs::write(dir.file("late.toml"), scene).unwrap();
+    let output = succeeds(&dir, "s.toml --out out");
+    assert!(output.contains("outcomes: merged 3\n"), "{output}");
+}
