@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use super::{
-    Body, Budget, Seam, UnionError,
+    Aabb, Body, Budget, Seam, UnionError,
     distance::{Search, Tree, separation},
     report::{Failure, Meter},
     surface::{Origin, Union},
@@ -12,6 +12,12 @@ use super::{
 
 /// Work steps to find the depth of a point.
 const SAMPLE: u64 = 64;
+/// Triangles larger than this, from the centre to a corner, are sampled more densely than once [radii of the smaller body].
+const COARSE: f64 = 0.5;
+/// Parts of them are divided no further if they are smaller than this, or cannot be deeper than the deepest sample by more
+/// than this [radii of the smaller body].
+const FINE: f64 = 0.05;
+const NEGLIGIBLE: f64 = 0.01;
 /// Bodies this far apart are apart in a union, too [radii]; …
 const APART: f64 = 1e-6;
 /// … plus this fraction of it per unit of their coordinates.
@@ -43,7 +49,8 @@ pub struct PairMeasures {
 ///
 /// The depth is the greatest distance of a sample point on either surface, inside the other body, to that body's
 /// surface. Sample points are the vertices, the midpoints of edges and of the parts of cut edges, and the centres of
-/// triangles. For bodies that intersect themselves, the distance is to the nearest sheet.
+/// triangles; of triangles that are large compared with a body, also the centres of parts, unless the other body may intersect
+/// itself. For bodies that intersect themselves, the distance is to the nearest sheet.
 ///
 /// # Errors
 ///
@@ -143,6 +150,45 @@ fn deepen(united: &Union, body: usize, other: &Tree, deepest: &mut f64, meter: &
         }
         if is_vertex {
             *beside = search.hint;
+        }
+    }
+    deepen_in_coarse(united, body, other, deepest, meter)
+}
+
+/// Raises `deepest` to the greatest depth in triangles that are large compared with one of the bodies. The depth grows by
+/// no more than the way, so that parts that cannot exceed `deepest` are left out.
+fn deepen_in_coarse(
+    united: &Union,
+    body: usize,
+    other: &Tree,
+    deepest: &mut f64,
+    meter: &Meter,
+) -> Result<(), Failure> {
+    let mesh = &united.bodies[body];
+    if other.body.slack() <= 0.0 {
+        return Ok(()); // whether points are inside takes long to tell
+    }
+    let radius = f64::min(mesh.radius, other.body.radius);
+    let centre = |[a, b, c]: [DVec3; 3]| (a + b + c) / 3.0;
+    let size = |corners: [DVec3; 3]| {
+        let centre = centre(corners);
+        corners.iter().map(|corner| corner.distance_squared(centre)).fold(0.0, f64::max).sqrt()
+    };
+    let all = united.removed[body].iter().map(|&t| mesh.corners(t));
+    let mut parts: Vec<[DVec3; 3]> = all.filter(|&corners| size(corners) > COARSE * radius).collect();
+    let mut search = Search::default();
+    while let Some(corners) = parts.pop() {
+        let (at, size) = (centre(corners), size(corners));
+        if !Aabb::of(corners).meets(&other.body.bounds) {
+            continue;
+        }
+        meter.spend(SAMPLE)?;
+        let depth = other.depth_beyond(at, f64::max(*deepest - size, 0.0), &mut search);
+        *deepest = deepest.max(depth.unwrap_or(0.0));
+        if size > FINE * radius && depth.unwrap_or(0.0) + size > *deepest + NEGLIGIBLE * radius {
+            let [a, b, c] = corners;
+            let [ab, bc, ca] = [(a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0];
+            parts.extend([[a, ab, ca], [b, bc, ab], [c, ca, bc], [ab, bc, ca]]);
         }
     }
     Ok(())

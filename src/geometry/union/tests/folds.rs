@@ -188,3 +188,44 @@ fn no_vertex_or_centre_of_a_triangle_is_deeper_than_the_gap() {
     }
     assert!(inside > 200, "{inside} points inside");
 }
+
+/// The deepest point of few large triangles may be anywhere on them: compared with a dense grid of points.
+#[test]
+fn the_depth_of_boxes_is_that_of_any_of_their_points() {
+    const ACROSS: u32 = 60;
+    let mut random = shapes::Random::new(29);
+    let mut inside = 0;
+    for round in 0..20 {
+        let size = if round % 2 == 0 { 1.0f64 } else { 0.4 };
+        let place =
+            (1.1 + 0.3 * random.next()) * size.max(0.8) * DVec3::new(1.0, 0.6 * random.next(), 0.6 * random.next());
+        let turned = glam::DMat3::from_quat(glam::DQuat::from_rotation_x(3.0 * random.next()))
+            * glam::DMat3::from_rotation_z(3.0 * random.next());
+        let shapes = [shapes::cube(), shapes::cube().scaled(size).turned(turned).at(place)];
+        let topologies = [0, 1].map(|k| Topology::new(shapes[k].positions.len(), &shapes[k].triangles).unwrap());
+        let bodies = [0, 1].map(|k| Body::new(&topologies[k], &shapes[k].positions).unwrap());
+        let depth = -pair_measures(&bodies[0], &bodies[1]).gap;
+        let mut deepest = 0.0f64;
+        for (body, other) in [(&shapes[0], 1), (&shapes[1], 0)] {
+            let tree = Tree::new(&bodies[other]);
+            let mut search = Search::default();
+            for corners in body.triangles.iter().map(|t| t.map(|v| body.positions[v as usize])) {
+                for i in 0..=ACROSS {
+                    for j in 0..=ACROSS - i {
+                        let [one, other] = [i, j].map(|k| f64::from(k) / f64::from(ACROSS));
+                        let at = corners[0] + one * (corners[1] - corners[0]) + other * (corners[2] - corners[0]);
+                        deepest = deepest.max(tree.depth_beyond(at, 0.0, &mut search).unwrap_or(0.0));
+                    }
+                }
+            }
+        }
+        if depth > 0.0 {
+            // of the smaller radius: what FINE and NEGLIGIBLE leave, and what this grid does
+            let radius = 3f64.sqrt() * size;
+            let [least, most] = [deepest - 0.06 * radius, deepest + 0.03 * radius];
+            assert!((least..most).contains(&depth), "round {round}: {depth} of {deepest}");
+            inside += 1;
+        }
+    }
+    assert!(inside >= 15, "{inside} overlap");
+}
