@@ -15,6 +15,7 @@ use crate::{
     analysis::worst::Worst,
     colors::SILVER,
     geometry::Mesh,
+    geometry::bounds,
     observe::Schema,
     sdk::{
         self, ApplicationId, Arrows3D, LogMsg, Mesh3D, Points3D, Scalars, StoreId, StoreKind, TextDocument, TextLog,
@@ -136,7 +137,13 @@ impl Comparison {
         let first = plan.listed.first().map(|(first, _)| first.time);
         let pairs: Vec<_> = plan.pairs.iter().map(|&[a, b]| (schema.pair_name(a, b), [a, b])).collect();
         let names: Vec<String> = pairs.iter().map(|(name, _)| name.clone()).collect();
-        for message in blueprint::of_comparison(schema, spheres, (&second, COLORS[1]), (SIDES, &names), first, &store) {
+        // the label of the worst vertex is in view, too
+        let [low, high] = bounds(spheres.iter().copied());
+        let tops = spheres.iter().map(|(centre, _)| centre.dot(schema.up));
+        let top = tops.fold(f64::NEG_INFINITY, f64::max) + f64::from(LABEL_HEIGHT) * radius;
+        let label = (schema.raised(0.5 * (low + high), top), 0.2 * radius);
+        let framed: Vec<_> = spheres.iter().copied().chain([label]).filter(|(at, _)| at.is_finite()).collect();
+        for message in blueprint::of_comparison(schema, &framed, (&second, COLORS[1]), (SIDES, &names), first, &store) {
             sinks.send(message)?;
         }
         let mut chunks = Chunks::new(store);
@@ -314,7 +321,7 @@ impl Comparison {
             let height = heights.fold(f64::NEG_INFINITY, f64::max);
             ([position, schema.raised(position, height)], label)
         });
-        self.worst.log(worst, at, &mut self.chunks);
+        self.worst.log(worst, DVec3::ZERO, at, &mut self.chunks);
         log_difference(&mut self.chunks, TOLERANCE, tolerance, at);
         self.frames += 1;
         if self.frames.is_multiple_of(64) { self.send() } else { Ok(()) }

@@ -53,7 +53,9 @@ pub(super) struct Ended {
     pub at: Instant,
     /// Lines of plots.
     pub lines: BTreeSet<String>,
-    /// Entities that show a state.
+    /// Lanes of states that are known from frames.
+    pub lanes: Vec<String>,
+    /// Other entities.
     pub shown: Vec<String>,
 }
 
@@ -92,11 +94,13 @@ impl FlightRecorder {
             let Some((at, chunks)) = self.frames.pop_front() else { break };
             self.bytes -= size(&chunks);
             if !std::mem::replace(&mut self.has_gap, true) {
-                let is_state = |of: &BTreeMap<ComponentIdentifier, _>| {
-                    !of.contains_key(&StateChange::descriptor_state().component)
-                };
-                let shown = self.held.iter().filter(|(_, of)| is_state(of)).map(|(entity, _)| plain(entity));
-                ended = Some(Ended { at, lines: std::mem::take(&mut self.lines), shown: shown.collect() });
+                let is_lane =
+                    |of: &BTreeMap<ComponentIdentifier, _>| of.contains_key(&StateChange::descriptor_state().component);
+                // phases go on: their changes are always written
+                let (lanes, shown): (Vec<_>, Vec<_>) = self.held.iter().partition(|(_, of)| is_lane(of));
+                let [lanes, shown] =
+                    [lanes, shown].map(|all| all.into_iter().map(|(entity, _)| plain(entity)).collect::<Vec<_>>());
+                ended = Some(Ended { at, lines: std::mem::take(&mut self.lines), lanes, shown });
             }
             chunks.into_iter().for_each(|chunk| self.hold(chunk));
         }

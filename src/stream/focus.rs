@@ -114,6 +114,8 @@ pub struct FocusFinder {
     /// The pairs of events since the last frame, and the box around those of all events, where they were then.
     pairs: Vec<[usize; 2]>,
     events: Option<[DVec3; 2]>,
+    /// Whether there are so many bodies that the labels of events stand far from their pairs.
+    is_crowd: bool,
     /// Number of frames so far, and from one of these extents to the next, as a power of two.
     frames: u64,
     spacing: u32,
@@ -175,6 +177,7 @@ impl FocusFinder {
         if self.frames.is_multiple_of(1_u64 << self.spacing) && schema.variants.is_empty() {
             self.run.push(extent(view));
         }
+        self.is_crowd = recent::is_drawn_alone(schema);
         let bodies = self.pairs.drain(..).flatten();
         let bodies = bodies.map(|body| (frame.bodies[body].centre, schema.bodies[body].radius));
         let bodies: Vec<(DVec3, f64)> = bodies.filter(|(centre, _)| centre.is_finite()).collect();
@@ -222,6 +225,9 @@ impl FocusFinder {
             self.events.into_iter().flat_map(corners).chain(focus.spheres.iter().copied()).collect();
         if width(&whole) <= WIDER * at_instant {
             focus.spheres.extend(whole);
+            if self.is_crowd && width(&events) <= WIDER * at_instant {
+                focus.spheres.extend(events); // and the labels of all events
+            }
         } else if width(&events) <= WIDER_FOR_EVENTS * at_instant {
             focus.spheres = events;
         }

@@ -61,8 +61,8 @@ pub use super::{
 use crate::{
     observe::{Frame, Schema, Simulation, StageFrame, StepSummary, row::rows, verify},
     sdk::{
-        self, AnyValues, ApplicationId, AsComponents, Clear, LogMsg, Points3D, Scalars, StoreId, StoreKind,
-        TextDocument, TextLog, Timeline, ViewCoordinates,
+        self, AnyValues, ApplicationId, AsComponents, Clear, LogMsg, Points3D, Scalars, StateChange, StoreId,
+        StoreKind, TextDocument, TextLog, Timeline, ViewCoordinates,
         components::{MediaType, Scalar, Text},
     },
     text::{counted, significant},
@@ -525,8 +525,10 @@ impl Recorder {
         if is_on {
             self.frames_after = *after;
         }
-        if has_frame && let Some(Ended { at, lines, shown }) = flight.end_frame(summary.at) {
+        if has_frame && let Some(Ended { at, lines, lanes, shown }) = flight.end_frame(summary.at) {
             lines.iter().for_each(|line| self.chunks.log(line, at, &Scalars::new([0.0; 0])));
+            // an empty state is a gap in the lane
+            lanes.iter().for_each(|lane| self.chunks.log(lane, at, &StateChange::single("")));
             shown.iter().for_each(|entity| self.chunks.log(entity, at, &Clear::new(false)));
             for ended in self.chunks.drain() {
                 self.chunks.send(ended);

@@ -150,9 +150,10 @@ const TOTAL_ON_PATHS: &[OfWorld] = &[
     smooth("energy", "total [unit²/s²]", ON_PATHS, |state| state.energy.total()),
     smooth("energy_influence", "influence", ON_PATHS, |state| state.energy.influence),
 ];
-const ON_PATHS: &str = "Total with influence [unit²/s²]";
+const ON_PATHS: &str = "Total with influence [unit²/s²], summed over vertices";
 
-const DEFORMED: &str = "Energy of deformation [unit²/s²]; no balance: energy exchanged with paths is not recorded";
+const DEFORMED: &str =
+    "Energy of deformation [unit²/s²], summed over vertices; no balance: paths bring and take energy";
 /// The plots of what free bodies conserve.
 const MOMENTUM: &str = "Momentum";
 const ANGULAR_MOMENTUM: &str = "Angular momentum";

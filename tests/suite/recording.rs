@@ -990,7 +990,7 @@ impl Run {
                     all.iter().filter(|of| labelled.contains(&of.0)).filter(stronger).copied().collect();
                 look.has_room(index, text_of(index).len(), &before)
             };
-            assert_labelled(&labelled, &acting, net_on, has_room, &at);
+            assert_labelled(&labelled, &acting, net_on, 1e-9 * longest, has_room, &at);
             // the names of others, as far as there is room
             for index in (0..bodies.len()).filter(|&index| bodies.len() <= 32 && all.iter().all(|of| of.0 != index)) {
                 assert!(!look.has_room(index, self.scene.bodies[index].name.len(), &all), "{at}: {index}");
@@ -1062,25 +1062,33 @@ impl Run {
                 assert!(error <= 1e-12 * largest, "step {}: {name} {error}", world.steps_taken());
             }
             ranked.sort_by(|one, other| other.0.total_cmp(&one.0));
+            // what would read 0.000 is left out
+            let least = if ranked[0].0 > 1e-3 { 5e-4 } else { 1e-9 * ranked[0].0 };
             if let Some(ranking) = &ranking {
                 let rows = ranking.held[frame].texts("Points2D:labels");
                 assert_eq!(rows.len(), 8, "step {}", world.steps_taken());
                 for (row, (largest, name)) in rows.iter().zip(&ranked) {
-                    let is_right = match *largest > 0.0 {
+                    let row = row.strip_suffix(" inside").unwrap_or(row);
+                    let is_right = match *largest > least {
                         true => row.starts_with(&format!("{name}:")) && row.ends_with(&format!(" {largest:.3} R")),
-                        false => ["", "no vertex is displaced"].contains(&row.as_str()),
+                        false => ["", "no vertex is displaced"].contains(&row),
                     };
                     assert!(is_right, "step {}: {row}, but {name} {largest}", world.steps_taken());
                 }
             }
             let at = format!("step {}", world.steps_taken());
-            let label_of = |index: usize| match largest_of(&world.body(index)) {
-                0.0 => self.scene.bodies[index].name.clone(),
-                largest => format!("{} {largest:.3} R", self.scene.bodies[index].name),
+            let labels = of_bodies.held[frame].texts("Points3D:labels");
+            let label_of = |index: usize| {
+                let (name, largest) = (&self.scene.bodies[index].name, largest_of(&world.body(index)));
+                let (label, inside) = (format!("{name} {largest:.3} R"), format!("{name} {largest:.3} R inside"));
+                match largest > least {
+                    false => name.clone(),
+                    true if labels.contains(&inside) => inside,
+                    true => label,
+                }
             };
             let mut all: Vec<usize> = (0..self.scene.bodies.len()).collect();
             all.sort_by(|&one, &other| largest_of(&world.body(other)).total_cmp(&largest_of(&world.body(one))));
-            let labels = of_bodies.held[frame].texts("Points3D:labels");
             let labelled: Vec<usize> = all.iter().copied().filter(|&index| labels.contains(&label_of(index))).collect();
             let is_name = |label: &&String| {
                 let of = all.iter().find(|index| self.scene.bodies[**index].name == **label);
@@ -1114,7 +1122,16 @@ impl Run {
                 let before: Vec<_> = before.chain(of_mark.iter().copied()).collect();
                 look.has_room(index, label_of(index).len(), &before)
             };
-            assert_labelled(&labelled, &all, |index| largest_of(&world.body(index)), has_room, &at);
+            assert_labelled(&labelled, &all, |index| largest_of(&world.body(index)), least, has_room, &at);
+            for &index in labelled.iter().filter(|_| frame % 10 == 0) {
+                let body = world.body(index);
+                let most = (0..body.vertex_count()).max_by(|&one, &other| {
+                    let length = |vertex: usize| body.displacement(vertex).length();
+                    length(one).total_cmp(&length(other)).then(other.cmp(&one))
+                });
+                let is_said = label_of(index).ends_with(" inside");
+                assert_eq!(is_said, is_inside(positions[index][most.expect("a vertex")], index), "{at}: {labels:?}");
+            }
             if let Some((displacement, position, label)) = largest {
                 let held = &track.held[frame];
                 let logged = held.texts("Points3D:labels").concat();
@@ -1174,10 +1191,12 @@ impl Run {
                     return;
                 }
                 let [.., end] = &scale.held[frame].texts("Points2D:labels")[..] else { panic!("no numbers") };
-                // the colours end where a tenth of the surface has more, but not below 0.3 of the largest
+                // the colours end where a tenth of the surface has more, but not below 0.3 of the largest, at a round number
                 on_surface.sort_by(f64::total_cmp);
                 let usual = on_surface[(0.9 * on_surface.len() as f64) as usize];
-                let expected = usual.max(0.3 * displacement).max(0.01);
+                let least = usual.max(0.3 * displacement).max(0.01);
+                let round = (0..9).flat_map(|power| [0.01, 0.02, 0.05].map(|end| end * 10f64.powi(power)));
+                let expected = round.into_iter().find(|end| *end >= 0.999_999 * least).expect("a displacement");
                 let (end, beyond) =
                     end.split_once("; up to ").map_or((end.as_str(), None), |(end, at)| (end, Some(at)));
                 let beyond = beyond.map(|text| text.split_once(" on the surface, at ").expect("a vertex"));
@@ -1914,11 +1933,12 @@ impl Look<'_> {
     }
 }
 
-/// Verifies which bodies are labelled: of the five strongest of `all`, those that have room.
+/// Verifies which bodies are labelled: of the five strongest of `all`, those above `least` that have room.
 fn assert_labelled(
     labelled: &[usize],
     all: &[usize],
     strength: impl Fn(usize) -> f64,
+    least: f64,
     has_room: impl Fn(usize) -> bool,
     at: &str,
 ) {
@@ -1932,7 +1952,7 @@ fn assert_labelled(
         match labelled.contains(&body) {
             true => assert!(stronger(body, 1.0 + 1e-12) < 5, "{at}: {body} in {labelled:?}"),
             false => assert!(
-                stronger(body, 1.0 - 1e-12) >= 5 || strength(body) == 0.0 || !has_room(body),
+                stronger(body, 1.0 - 1e-12) >= 5 || strength(body) <= least || !has_room(body),
                 "{at}: {body} beside {labelled:?}"
             ),
         }

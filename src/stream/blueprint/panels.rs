@@ -174,7 +174,8 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame, ne
     } else {
         String::new()
     };
-    let has_net = frame.bodies.iter().any(|now| now.net_force.is_some());
+    // those of a free body are not 0 for long
+    let has_net = frame.bodies.iter().zip(&schema.bodies).any(|(now, body)| now.net_force.is_some() || body.is_free);
     let net_forces =
         if settings.detail != Detail::Surface && has_net && !is_crowd { at_centres(schema) } else { String::new() };
     let is_free = schema.bodies.iter().any(|body| body.is_free);

@@ -426,7 +426,7 @@ impl Layout {
         }
         let scale = self.view(
             "2D",
-            "Displacement [radii]: the colours end where at most a tenth of the surface has more",
+            "Displacement [radii], on the scale of this step: few vertices have more",
             LEGEND.family(),
             &[family(&LEGEND)],
             &[],
@@ -473,7 +473,7 @@ impl Layout {
     /// The cost of a step and of its recording, each as stacked stages, and the resulting speed.
     fn timings_tab(&mut self, schema: &Schema) -> Part {
         let stages = [
-            ("Timings, ms per step: observe copies states, finds touches", false),
+            ("Timings, ms per step, stacked: the top is the whole step (observe copies states, finds touches)", false),
             ("Recording on its own thread, ms per step: extract makes surfaces, log encodes", true),
         ];
         let stages: Vec<Part> = stages.map(|(title, is_recording)| self.stacked(title, schema, is_recording)).into();

@@ -118,7 +118,10 @@ impl BodyForces {
                 }
             }
         }
-        let of_bodies = of_bodies(view.schema, &resultants);
+        let strongest = resultants.iter().map(Resultant::strength).fold(0.0, f64::max);
+        let felt: Vec<Resultant> =
+            resultants.iter().copied().filter(|of| of.strength() > ranking::NOISE * strongest).collect();
+        let of_bodies = of_bodies(view.schema, &felt);
         let now = ResultantRows::of(view, &resultants);
         chunks.push_changed(self.arrows, view.at, &[&now.origins, &now.vectors, &now.colors]);
         let (first, others) = of_bodies.split_at(of_bodies.len().min(ranking::LABELLED));

@@ -14,8 +14,13 @@ use crate::{
 
 /// The line from a point to its label, which stands above it: it ends below the label, which hangs from its place.
 pub fn leader(point: DVec3, label: DVec3) -> [Float3; 2] {
+    [point, below(point, label)].map(|end| end.as_vec3().to_array())
+}
+
+/// Where a line from a point to its label ends.
+fn below(point: DVec3, label: DVec3) -> DVec3 {
     const SHARE: f64 = 0.85;
-    [point, point.lerp(label, SHARE)].map(|end| end.as_vec3().to_array())
+    point.lerp(label, SHARE)
 }
 
 /// A labelled point that moves.
@@ -39,10 +44,13 @@ impl Callout {
         Callout(chunks.track(entity, components))
     }
 
-    /// Logs the point, the place of its label, and the label, or that there is none, if this has changed.
-    pub fn log(&self, mark: Option<([DVec3; 2], String)>, at: Instant, chunks: &mut Chunks) {
+    /// Logs the point, the place of its label, and the label, or that there is none, if this has changed. The line between them
+    /// first goes by `front` [scene unit], so that the body of the point does not hide it.
+    pub fn log(&self, mark: Option<([DVec3; 2], String)>, front: DVec3, at: Instant, chunks: &mut Chunks) {
         let ends: Vec<Float3> = mark.iter().flat_map(|(ends, _)| ends.map(|end| end.as_vec3().to_array())).collect();
-        let leader: Vec<[Float3; 2]> = mark.iter().map(|([from, to], _)| leader(*from, *to)).collect();
+        let leader = |[from, to]: [DVec3; 2]| [from, from + front, below(from + front, to)];
+        let leader: Vec<Vec<Float3>> =
+            mark.iter().map(|(ends, _)| leader(*ends).map(|place| place.as_vec3().to_array()).to_vec()).collect();
         let labels: Vec<String> = mark.into_iter().flat_map(|(_, label)| [String::new(), label]).collect();
         chunks.push_changed(self.0, at, &[&ends, &labels, &leader]);
     }

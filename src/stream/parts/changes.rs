@@ -38,8 +38,9 @@ struct Next {
     level: f64,
     /// Time until q is there if it goes on changing as it does [s]; infinite if it moves away, or if that cannot be told.
     wait: f64,
-    /// Whether q changes, and towards it.
-    moves: bool,
+    /// Rate of q [1/s]; 0 if the pair does not move.
+    rate: f64,
+    /// Whether q changes towards it.
     is_neared: bool,
 }
 
@@ -104,11 +105,12 @@ impl Changes {
                         _ => format!("{leaves}{label} in {wait:.2} s"),
                     }
                 }
-                None => match next.filter(|next| next.moves) {
+                None => match next.filter(|next| next.rate != 0.0) {
                     Some(next) if next.is_neared => {
                         let label = schema.thresholds[next.threshold].name.trim_end_matches("_at");
                         if label == phase.name { format!("moves out of {label}") } else { format!("nears {label}") }
                     }
+                    Some(next) if next.rate < 0.0 => "goes deeper".to_owned(),
                     Some(_) => "moves away".to_owned(),
                     None => "does not move".to_owned(),
                 },
@@ -129,9 +131,9 @@ fn next(schema: &Schema, pair: &PairFrame, [rate, acceleration]: [f64; 2], time:
         let level = schema.level(threshold, [pair.a, pair.b], time)?;
         let wait = first_time(pair.q - level, rate, acceleration);
         let is_told = acceleration.abs() * wait <= MOST_CHANGE * rate.abs();
-        let moves = rate.abs() > STILL;
-        let is_neared = moves && rate * (level - pair.q) > 0.0;
-        Some(Next { threshold, level, wait: if is_told { wait } else { f64::INFINITY }, moves, is_neared })
+        let rate = if rate.abs() > STILL { rate } else { 0.0 };
+        let is_neared = rate * (level - pair.q) > 0.0;
+        Some(Next { threshold, level, wait: if is_told { wait } else { f64::INFINITY }, rate, is_neared })
     });
     nexts.min_by(|one, other| one.cmp(pair.q, other, pair.q))
 }

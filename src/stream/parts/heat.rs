@@ -1,7 +1,8 @@
 //! The colours of displacements: a texture that the displacement view maps onto surfaces, and its colour scale.
 //!
 //! The place of a vertex in the texture is its displacement as a share of one that few vertices on the surface exceed in the
-//! frame: a single spike, perhaps on the far side, would leave the same colour to all others.
+//! frame: a single spike, perhaps on the far side, would leave the same colour to all others. It is rounded up to 1, 2 or
+//! 5 times a power of ten, so that consecutive frames mostly have the same colours for the same displacements.
 
 use std::sync::Arc;
 
@@ -71,6 +72,12 @@ const MARK: palette::Rgb = colors::VERMILION;
 /// textures, so this one is mirrored in its second half, to have the same colour at both ends.
 pub fn place(displacement: f32, end: f64) -> [f32; 2] {
     [0.5 * (displacement / end as f32).min(1.0), 0.5]
+}
+
+/// The least of 1, 2 and 5 times powers of ten that is, but for rounding, not less than a positive number.
+fn rounded_up(x: f64) -> f64 {
+    let decade = 10f64.powf(x.log10().floor());
+    [1.0, 2.0, 5.0, 10.0].map(|step| step * decade).into_iter().find(|&end| end >= x * (1.0 - 1e-9)).unwrap_or(x)
 }
 
 /// The colour of a body's line and row: its own if the scene gives it one that no other body has.
@@ -170,7 +177,11 @@ impl Heat {
             let widest = label.lines().max_by_key(|line| line.chars().count()).unwrap_or_default();
             [(*place, String::new()), (*end, widest.to_owned())]
         });
-        self.mark.log(mark, view.at, chunks);
+        let front = seen.map_or(DVec3::ZERO, |of| {
+            let out = of.position - view.frame.bodies[of.body].centre;
+            0.5 * view.schema.bodies[of.body].radius * (out.normalize_or_zero() + view.towards_eye().normalize())
+        });
+        self.mark.log(mark, front, view.at, chunks);
         let largest = |body: usize| view.frame.bodies[body].max_displacement / view.schema.bodies[body].radius;
         let mut ranked: Vec<usize> = (0..view.schema.bodies.len()).collect();
         for (body, line) in self.lines.iter().enumerate() {
@@ -178,20 +189,26 @@ impl Heat {
             series.log_or_interrupt(chunks, *line, value, view.at);
         }
         ranked.sort_by(|&one, &other| largest(other).total_cmp(&largest(one)));
+        let longest = ranked.first().map_or(0.0, |&body| largest(body));
+        // what would read 0.000, or is rounding
+        let least = if longest > 1e-3 { 5e-4 } else { ranking::NOISE * longest };
+        let displaced = ranked.iter().take_while(|&&body| largest(body) > least).count();
+        let inside = |body: usize| if displacements.is_inside[body] { " inside" } else { "" };
         if let Some(bodies) = &mut self.bodies {
-            let label = |&body: &usize| match largest(body) {
-                0.0 => (body, view.schema.bodies[body].name.clone()),
-                largest => (body, format!("{} {}", view.schema.bodies[body].name, radii(largest))),
+            let label = |&body: &usize| {
+                let of = &view.schema.bodies[body].name;
+                (body, format!("{of} {}{}", radii(largest(body)), inside(body)))
             };
-            let (first, others) = ranked.split_at(ranked.len().min(ranking::LABELLED));
+            let (first, others) = ranked.split_at(displaced.min(ranking::LABELLED));
             let taken = taken.iter().flatten();
-            bodies.log(view, taken, first.iter().map(label), others.iter().copied(), chunks);
+            let named = if ranked.len() > MOST_BODIES { displaced - first.len() } else { others.len() };
+            bodies.log(view, taken, first.iter().map(label), others.iter().copied().take(named), chunks);
         }
         if let Some(ranking) = &self.ranking {
-            let longest = ranked.first().map_or(0.0, |&body| largest(body));
-            let rows = ranked.into_iter().filter(|&body| largest(body) > 0.0).map(|body| {
+            let rows = ranked.into_iter().take(displaced).map(|body| {
                 let vertex = view.frame.bodies[body].most_displaced().unwrap_or(0);
-                let label = format!("{}:{vertex} {}", view.schema.bodies[body].name, radii(largest(body)));
+                let label =
+                    format!("{}:{vertex} {}{}", view.schema.bodies[body].name, radii(largest(body)), inside(body));
                 let color = if self.lines.is_empty() { palette::DOT } else { line_color(view.schema, body) };
                 Row { label, color, marks: vec![(Mark::Bar(largest(body) / longest), color)] }
             });
@@ -238,6 +255,8 @@ pub struct Displacements {
     /// The largest on the surface that is seen from the usual direction of the camera.
     seen: Option<Largest>,
     of_all: Option<Largest>,
+    /// Whether the most displaced vertex of each body is not on the surface.
+    is_inside: Vec<bool>,
     /// The displacement at the end of the colours [radii].
     end: f64,
     /// Scratch storage, reused.
@@ -287,6 +306,8 @@ impl Displacements {
         let [mut outside, mut of_all]: [Option<Largest>; 2] = [None; 2];
         self.lengths.clear();
         self.candidates.clear();
+        self.is_inside.clear();
+        self.is_inside.resize(view.schema.bodies.len(), false);
         let labels = Labels::new(view);
         let present = view.bodies().enumerate().filter(|(_, (_, now))| !now.is_absent);
         let mut by_x: Vec<(f64, usize)> = present.map(|(body, (_, now))| (now.centre.x, body)).collect();
@@ -306,6 +327,7 @@ impl Displacements {
             self.near.clear();
             self.near.extend(others);
             self.normals.clear();
+            let mut most = 0.0;
             for (vertex, &length) in now.lengths.iter().enumerate() {
                 let position = now.centre + now.positions.get(vertex);
                 let found = Largest { displacement: length / body.radius, body: index, vertex, position };
@@ -317,6 +339,9 @@ impl Displacements {
                 larger(&mut of_all);
                 let is_hidden = number.is_some() && !is_on[vertex]
                     || self.near.iter().any(|&(centre, radius)| centre.distance(position) < radius);
+                if length > most {
+                    (most, self.is_inside[index]) = (length, is_hidden);
+                }
                 if !is_hidden {
                     larger(&mut outside);
                     let least = self.candidates.get(CANDIDATES - 1).map_or(0.0, |least| least.displacement);
@@ -349,7 +374,7 @@ impl Displacements {
             Some(_) => f64::from(*self.lengths.select_nth_unstable_by(rank, f32::total_cmp).1),
             None => largest,
         };
-        self.end = usual.max(OF_LARGEST * largest).max(LEAST);
+        self.end = rounded_up(usual.max(OF_LARGEST * largest).max(LEAST));
     }
 
     /// The displacement at the end of the colours [radii].

@@ -122,8 +122,8 @@ struct ScalarLine {
     color: Rgb,
     /// Its first value.
     first: Option<f64>,
-    /// Whether it has been other than 0 in any frame.
-    has_occurred: bool,
+    /// Its largest magnitude in all frames.
+    largest: f64,
 }
 
 /// A stage, the time spent on it since the last frame, and the distribution of that time over previous frames.
@@ -176,7 +176,7 @@ impl FrameNumbers {
             Series::style(chunks, &entity, scalar.label, color, 1.5, shape);
             let id = series.line(chunks, &entity, shape);
             let (first, of, label) = (None, scalar.of, scalar.label);
-            ScalarLine { id, of, value: 0.0, last: 0.0, label, color, first, has_occurred: false }
+            ScalarLine { id, of, value: 0.0, last: 0.0, label, color, first, largest: 0.0 }
         });
         let scalars = scalars.collect();
         let energies = energies.into_iter().enumerate();
@@ -246,11 +246,13 @@ impl FrameNumbers {
             series.log(chunks, line.id, value, view.at);
             line.last = value;
             line.first.get_or_insert(value);
-            line.has_occurred |= value != 0.0;
+            line.largest = line.largest.max(value.abs());
         }
+        let energies = self.energies.iter().flat_map(|(_, scalars)| scalars);
+        let noise = ranking::NOISE * energies.map(|&index| self.scalars[index].largest).fold(0.0, f64::max);
         for (ranking, scalars) in &self.energies {
             let lines = scalars.iter().map(|&index| &self.scalars[index]);
-            let rows = energy_rows(lines.filter(|line| line.has_occurred).collect());
+            let rows = energy_rows(lines.filter(|line| line.largest > noise).collect());
             ranking.log(rows.into_iter(), "all are 0", view.at, chunks);
         }
         for (&line, &value) in self.of_bodies.iter().zip(&view.frame.body_scalars) {

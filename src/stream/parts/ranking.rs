@@ -19,6 +19,8 @@ pub const ROWS: usize = 8;
 const FEW: usize = 3;
 /// Upper limit on the number of bodies of a ranking that are labelled in space.
 pub const LABELLED: usize = 5;
+/// What is smaller is rounding, not a force, a displacement or an energy [largest one].
+pub const NOISE: f64 = 1e-9;
 /// Distance of two rows, and the widths of labels and of marks.
 const PITCH: f32 = 10.0;
 const LABEL: f32 = 112.0;
