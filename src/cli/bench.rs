@@ -153,7 +153,11 @@ fn scenes(arguments: &Arguments, usual: &[&str]) -> Result<Vec<Scene>, Failure> 
     let overrides = Overrides { set: arguments.set.clone(), ..Overrides::default() };
     let usual = usual.iter().map(|name| (*name).to_owned()).collect();
     let names: Vec<String> = if arguments.of.is_empty() { usual } else { arguments.of.clone() };
-    names.iter().map(|name| overrides.apply(scene(name)?, name)).collect()
+    let with_steps = |name: &String| match overrides.apply(scene(name)?, name)? {
+        scene if scene.steps() == 0 => Err(Failure::Input(format!("{name} has no steps: raise duration or lower dt"))),
+        scene => Ok(scene),
+    };
+    names.iter().map(with_steps).collect()
 }
 
 fn error(arguments: &Arguments) -> Result<(), Failure> {

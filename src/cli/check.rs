@@ -151,6 +151,9 @@ fn report(name: &str, difference: &GoldenDifference, is_accepted: bool) {
         (false, false) => "DIFFERENT",
     };
     print(&format!("{name}: {verdict}"));
+    if let Some(cut_short) = &difference.cut_short {
+        print(&format!("  {cut_short}"));
+    }
     if difference.is_rewritten {
         print("  the scene's text differs from that of its golden recording");
     }

@@ -10,6 +10,7 @@ use super::{
 };
 use crate::{
     recording::{diff, existing::Existing},
+    stream::settings::Frames,
     text::{bytes, counted},
 };
 
@@ -47,7 +48,13 @@ pub fn diff(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> {
     drop(progress);
     let (first, second) = (a.path.display(), b.path.display());
     for ([recorded, other], again) in [[&a, &b], [&b, &a]].into_iter().zip(difference.run_again) {
-        let again = if again { "; recorded without surfaces, so it was run again" } else { "" };
+        let again = match again {
+            true if recorded.settings.frames != Frames::Thin => {
+                "; cut short before its frames were complete, so it was run again"
+            }
+            true => "; recorded without surfaces, so it was run again",
+            false => "",
+        };
         print(&format!(
             "{}: {}, {} of {} s{}{}, by meldscope {}{again}",
             recorded.path.display(),
@@ -65,6 +72,7 @@ pub fn diff(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> {
     print_lines(&difference.to_string());
     if difference.instants < 2 {
         let remedy = match a.schema.dt == b.schema.dt {
+            true if a.last() == 0 || b.last() == 0 => "there is no step to compare: record more of them",
             true => "they have no frames of the same steps, or one was cut short: record it again",
             false => "record them with step sizes of which one is a multiple of the other",
         };

@@ -320,13 +320,23 @@ impl Explained<'_> {
         let of_pair = || events.iter().filter(|event| [event.a, event.b] == [a, b]);
         let before = of_pair().rfind(|event| event.step <= frame.at.step);
         let after = of_pair().find(|event| event.step > frame.at.step);
+        // an edit may change a phase by changing its threshold
+        let edit = |from: f64, to: f64| {
+            let is_in = |time: f64| (from - ROUNDING * schema.dt..=to + ROUNDING * schema.dt).contains(&time);
+            let of = schema.scheduled.iter().rfind(|of| of.text.starts_with("edit: ") && is_in(of.time));
+            of.map_or(String::new(), |of| format!("; {} at t = {:.6} s", of.text, of.time))
+        };
         let mut text = format!("\npair {name}: {}", schema.phases[pair.phase].name);
         match before {
             Some(event) => {
                 let _ = write!(
                     text,
-                    " since t = {:.6} s (step {}: {}, q = {:.6})",
-                    event.time, event.step, event.name, event.q
+                    " since t = {:.6} s (step {}: {}, q = {:.6}{})",
+                    event.time,
+                    event.step,
+                    event.name,
+                    event.q,
+                    edit(event.time, event.time)
                 );
             }
             None if found.is_none() => text += " since the start, out of reach",
@@ -352,8 +362,11 @@ impl Explained<'_> {
                 let later = short(event.time - frame.at.time);
                 let _ = write!(
                     text,
-                    "\n  next: {} at t = {:.6} s (step {}), {later} s later",
-                    event.name, event.time, event.step
+                    "\n  next: {} at t = {:.6} s (step {}), {later} s later{}",
+                    event.name,
+                    event.time,
+                    event.step,
+                    edit(frame.at.time, event.time)
                 );
             }
             None => {

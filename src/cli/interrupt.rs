@@ -42,6 +42,9 @@ pub fn end_before_first_step() -> Result<(), Failure> {
     started.map(drop).map_err(|error| Failure::Run(format!("cannot start a thread: {error}")))
 }
 
+/// The user is told of a program that is still ending after this time: the reader of a pipe may have stopped reading.
+const LONG: Duration = Duration::from_secs(2);
+
 /// Installs a handler: the first interrupt sets [`STOP`], a second one ends the program at once.
 pub fn raise_stop() -> Result<(), Failure> {
     let mut first: Option<Instant> = None;
@@ -49,6 +52,11 @@ pub fn raise_stop() -> Result<(), Failure> {
         None => {
             first = Some(Instant::now());
             STOP.store(true, Ordering::Relaxed);
+            let explain = || {
+                std::thread::sleep(LONG);
+                say("note: still ending; press Ctrl-C again to end at once");
+            };
+            std::thread::Builder::new().name("still ending".to_owned()).spawn(explain).ok();
         }
         Some(first) if first.elapsed() < SAME_INTERRUPT => {}
         Some(_) => std::process::exit(STATUS.into()),

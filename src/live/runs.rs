@@ -431,7 +431,8 @@ impl Runs {
                     .map_err(|error| Problem::new(error.to_string()))?;
                 let is_whole = !self.interrupt.load(Ordering::Relaxed);
                 let what = if is_whole { "" } else { ", interrupted" };
-                format!("saved {}: {frames} frames{what}", path.display())
+                let frames = if frames == 1 { "1 frame".to_owned() } else { format!("{frames} frames") };
+                format!("saved {}: {frames}{what}", path.display())
             }
             Save::Scene => {
                 let path = free_name(&self.save, "toml");

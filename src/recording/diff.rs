@@ -17,6 +17,7 @@ use super::{
     events::{self, Change},
     frames::{FrameReader, RecordedFrame},
     quantities::{self, Deviation, Deviations, SENSITIVITY},
+    read::End,
     recorded::RecordedEvent,
 };
 use crate::{
@@ -63,7 +64,7 @@ pub struct Difference {
     pub surfaces: Option<Vec<Deviation>>,
     /// Whether there are quantities that only one of them has.
     pub has_others: bool,
-    /// Whether each recording had to be run again because it has no surfaces.
+    /// Whether each recording had to be run again because it has no surfaces, or none that is complete.
     pub run_again: [bool; 2],
 }
 
@@ -132,8 +133,8 @@ enum FrameSource {
 }
 
 impl FrameSource {
-    fn of(recorded: &Recorded) -> Result<FrameSource, ReadError> {
-        if recorded.settings.frames != Frames::Thin {
+    fn of(recorded: &Recorded, run_again: bool) -> Result<FrameSource, ReadError> {
+        if !run_again {
             return Ok(FrameSource::Stored(Box::new(FrameReader::open(recorded)?)));
         }
         let run = Box::new(Run::again(recorded.start()?, recorded.last()));
@@ -174,12 +175,23 @@ impl FrameSource {
     }
 }
 
+/// Whether a recording has too few frames to compare: it is thin, or cut short before they were complete.
+fn must_run_again(recorded: &Recorded) -> Result<bool, ReadError> {
+    if recorded.settings.frames == Frames::Thin || recorded.end != End::Cut {
+        return Ok(recorded.settings.frames == Frames::Thin);
+    }
+    let mut frames = FrameReader::open(recorded)?;
+    Ok(frames.next()?.is_none() || frames.next()?.is_none())
+}
+
 /// Steps through the instants that are in both recordings.
 fn walk(
     recorded: [&Recorded; 2],
+    run_again: [bool; 2],
     mut visit: impl FnMut([&RecordedFrame; 2]) -> Result<(), SinkError>,
 ) -> Result<Result<[Vec<RecordedEvent>; 2], SinkError>, ReadError> {
-    let [mut first, mut second] = [FrameSource::of(recorded[0])?, FrameSource::of(recorded[1])?];
+    let [mut first, mut second] =
+        [FrameSource::of(recorded[0], run_again[0])?, FrameSource::of(recorded[1], run_again[1])?];
     let (mut a, mut b) = (first.next(recorded[0])?, second.next(recorded[1])?);
     while let (Some(frame_a), Some(frame_b)) = (&a, &b) {
         if (frame_a.time - frame_b.time).abs() <= SAME_TIME {
@@ -212,7 +224,8 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
     check_same_bodies(a, b)?;
     let mut bodies: Vec<Option<Worst>> = vec![None; a.schema.bodies.len()];
     let (mut instants, mut first_beyond) = (Vec::new(), None);
-    let events = walk(recorded, |frames| {
+    let run_again = [must_run_again(a)?, must_run_again(b)?];
+    let events = walk(recorded, run_again, |frames| {
         instants.push(frames.map(|frame| frame.step));
         let mut worst: Option<Worst> = None;
         for (index, body) in bodies.iter_mut().enumerate() {
@@ -269,7 +282,7 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
         first_beyond,
         event_count,
         events: changes,
-        run_again: recorded.map(|recorded| recorded.settings.frames == Frames::Thin),
+        run_again,
     })
 }
 
@@ -349,7 +362,7 @@ pub fn save(
     for deviation in difference.surfaces.iter().flatten().take(LISTED) {
         comparison.deviation(deviation);
     }
-    let walked = walk(recorded, |frames| {
+    let walked = walk(recorded, difference.run_again, |frames| {
         let centres = frames.map(|frame| &frame.centres[..]);
         comparison
             .frame(schema, frames[0].at(), tolerance, centres, |index| frames.map(|frame| frame.world_positions(index)))
@@ -376,7 +389,7 @@ fn check_same_bodies(a: &Recorded, b: &Recorded) -> Result<(), ReadError> {
         return Ok(());
     }
     let what = if first.len() != second.len() {
-        format!("{} bodies, the one in {} has {}", second.len(), a.path.display(), first.len())
+        format!("{}, the one in {} has {}", counted(second.len() as u64, "body"), a.path.display(), first.len())
     } else {
         let name = first.iter().zip(&second).find(|(a, b)| a != b).map_or("", |(_, (name, _))| name);
         format!("a body \"{name}\" where the one in {} has another", a.path.display())

@@ -234,6 +234,8 @@ pub enum GoldenOutcome {
 /// The differences between a scene and its golden recording.
 #[derive(Clone, Debug)]
 pub struct GoldenDifference {
+    /// In words, what a golden recording without an end lacks.
+    pub cut_short: Option<String>,
     /// Golden and current number of steps, if they differ.
     pub steps: Option<[u64; 2]>,
     /// Golden and current vertices and triangles, if they differ.
@@ -351,6 +353,7 @@ pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -
     }
 
     let mut difference = GoldenDifference {
+        cut_short: recorded.cut_short(),
         steps: (steps[0] != steps[1]).then_some(steps),
         counts: other_counts.map(|then| [then, counts_now]),
         is_rewritten,

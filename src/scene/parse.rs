@@ -185,6 +185,11 @@ pub(super) fn read_document(
     document: &DeTable<'_>,
     meshes: &mut Meshes<'_>,
 ) -> Result<Scene, SceneError> {
+    if document.get("axis").is_some() && document.get("body").is_none() && document.get("grid").is_none() {
+        let file = source.file;
+        let help = format!("`{} sweep {file}` runs it", crate::text::program());
+        return Err(SceneError::plain(file, format!("{file} is a sweep, not a scene")).with_help(&help));
+    }
     let root = Table::root(source, document, &keys::SCENE)?;
 
     // tables first, so that a key below the wrong header is reported as misplaced, not as missing where it belongs

@@ -98,8 +98,8 @@ pub enum Toil {
     },
     /// Forces that change too often, or too many forces.
     #[error(
-        "the forces on body \"{body}\" change too fast for its {vertices} vertices to be followed through {spheres} influence \
-         spheres in reach; lower dt, frequencies, alpha and beta or planes' stiffness, raise tolerance, or overlap fewer bodies"
+        "the forces on body \"{body}\" change too fast to be followed (vertices: {vertices}, influence spheres in reach: \
+         {spheres}); lower dt, frequencies, alpha and beta or planes' stiffness, raise tolerance, or overlap fewer bodies"
     )]
     Forces {
         /// Name of the body that took the most work.
@@ -111,8 +111,8 @@ pub enum Toil {
     },
     /// Free bodies that act on each other, and are stepped together.
     #[error(
-        "{bodies} bodies that act on each other, among them \"{body}\", are stepped together; they have {pairs} pairs, and took {steps} \
-         steps in this frame for {changes} phase changes; {}",
+        "{bodies} bodies that act on each other, among them \"{body}\", are stepped together, and took {steps} \
+         steps in this frame (pairs: {pairs}, phase changes: {changes}); {}",
         remedy(*changes, *steps, *tolerance)
     )]
     Together {

@@ -137,3 +137,20 @@ fn a_full_disk_ends_the_run_and_keeps_what_was_written() {
     let replay = program(&dir, &["replay", "full.rrd.partial"]).output().expect("it runs");
     assert_eq!(replay.status.code(), Some(0));
 }
+
+/// A claim to a file needs more than one handle.
+#[test]
+fn too_few_open_files_do_not_keep_a_run_waiting() {
+    let dir = Dir::new();
+    for files in 4..=8 {
+        let script = format!("ulimit -n {files}; exec '{}' run two --save few.rrd", env!("CARGO_BIN_EXE_meldscope"));
+        let mut command = Command::new("sh");
+        command.args(["-c", &script]).current_dir(dir.path()).stderr(Stdio::null());
+        let mut run = Running(command.spawn().expect("a shell"));
+        let start = Instant::now();
+        while run.0.try_wait().expect("a child").is_none() {
+            assert!(start.elapsed() < Duration::from_secs(60), "with {files} open files it does not end");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+}

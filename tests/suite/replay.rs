@@ -872,6 +872,21 @@ fn diff_reads_the_frames_of_a_flight_recorder() {
     }
 }
 
+/// A file that ends before what completes its frames is run again, like one that has none.
+#[test]
+fn diff_compares_a_recording_that_is_cut_short() {
+    let dir = Dir::new();
+    succeeds(&dir, &["run", "two", "--quiet", "--save", "whole.rrd"]);
+    let whole = fs::read(dir.file("whole.rrd")).expect("a recording");
+    for share in [0.4, 0.7] {
+        fs::write(dir.file("cut.rrd"), &whole[..(share * whole.len() as f64) as usize]).expect("disk space");
+        let (status, output, warnings) = meldscope(&dir, &["diff", "whole.rrd", "cut.rrd"]);
+        assert_eq!(status, 0, "{share}: {output}{warnings}");
+        assert!(output.contains("bits: the same") && output.contains("no body differs"), "{share}: {output}");
+        assert!(warnings.starts_with("warning: cut.rrd is cut short"), "{share}: {warnings}");
+    }
+}
+
 /// Surfaces may touch and part at other times though all phases change at the same.
 #[test]
 fn diff_compares_when_surfaces_touch_and_part() {
@@ -943,6 +958,14 @@ fn a_flight_recorder_keeps_whole_lines() {
     for pair in ["a~b", "b~c"] {
         assert_eq!(steps(&format!("/pairs/{pair}/merge_at")), steps(&format!("/pairs/{pair}/distance")), "{pair}");
     }
+    // lanes of what only frames tell end with them
+    let lane = kept.changes("/pairs/a~b/contact");
+    let state =
+        |row: &crate::recording::Row| row.get::<sdk::datatypes::Utf8>("StateChange:state")[0].as_str().to_owned();
+    let (ends, others): (Vec<_>, Vec<_>) = lane.iter().partition(|row| state(row).is_empty());
+    let [ends, others] = [ends, others].map(|rows| rows.iter().map(|row| row.step).collect::<Vec<i64>>());
+    assert!(!ends.is_empty() && ends.iter().all(|step| gaps.contains(step)), "{ends:?}");
+    assert!(!others.is_empty() && others.iter().all(|step| windows.contains(step)), "{others:?}");
     // and it is read back with the frames that it has
     let recorded = Recorded::open(&dir.file("three.rrd")).expect("a recording");
     let mut frames = meldscope::recording::frames::FrameReader::open(&recorded).expect("a recording");

@@ -57,7 +57,10 @@ pub struct Simulated {
 
 impl Simulated {
     /// Finishes every destination. A file that a flight recorder has written no frame to is removed.
-    pub fn conclude(self, console: &Console) -> Result<(Outcome, Finished), Failure> {
+    pub fn conclude(mut self, console: &Console) -> Result<(Outcome, Finished), Failure> {
+        if STOP.load(Ordering::Relaxed) {
+            self.sinks.hurry();
+        }
         let finished = match self.outcome.is_unwritten() {
             true => {
                 let (finished, file) = self.sinks.complete();

@@ -27,7 +27,7 @@ pub enum Flaw {
     },
     /// Edges of one triangle only.
     #[error(
-        "it is not closed: {count} edges belong to one triangle only, the first from {from} to {to}; fill its holes"
+        "it is not closed: at {count} of its edges there is one triangle only, the first from {from} to {to}; fill its holes"
     )]
     Open {
         /// Number of such edges.
@@ -39,7 +39,7 @@ pub enum Flaw {
     },
     /// Edges of two triangles that run along them in the same direction.
     #[error(
-        "its triangles are not consistently oriented: at {count} edges one is inside out, the first from {from} to {to}; make \
+        "its triangles are not consistently oriented: at {count} of its edges one is inside out, the first from {from} to {to}; make \
              normals consistent"
     )]
     Inconsistent {
@@ -52,8 +52,8 @@ pub enum Flaw {
     },
     /// Edges of more than two triangles.
     #[error(
-        "it touches itself: {count} edges belong to more than two triangles, the first from {from} to {to}; separate the \
-         parts that meet there, or merge them"
+        "it touches itself: at {count} of its edges more than two triangles meet, the first from {from} to {to}; separate \
+         the parts that meet there, or merge them"
     )]
     Crowded {
         /// Number of such edges.
@@ -64,7 +64,9 @@ pub enum Flaw {
         to: DVec3,
     },
     /// Vertices at which parts of the surface meet without a common edge.
-    #[error("it touches itself: at {count} vertices, the first at {position}; separate the parts that meet there")]
+    #[error(
+        "it touches itself at {count} of its vertices, the first at {position}; separate the parts that meet there"
+    )]
     Pinched {
         /// Number of such vertices.
         count: usize,
@@ -72,7 +74,7 @@ pub enum Flaw {
         position: DVec3,
     },
     /// Vertices whose triangles have no area.
-    #[error("the triangles about {count} vertices have no area, the first at {position}; remove these vertices")]
+    #[error("the triangles about {count} of its vertices have no area, the first at {position}; remove such vertices")]
     Massless {
         /// Number of such vertices.
         count: usize,
@@ -96,10 +98,10 @@ pub enum Flaw {
         triangles: usize,
     },
     /// The triangles enclose nothing.
-    #[error("it is flat: it encloses no volume")]
+    #[error("it encloses no volume: it is flat, or a part of it is inside out")]
     Flat,
     /// The triangles are oriented inwards.
-    #[error("it is inside out: it encloses a volume of {volume:e}; flip its normals")]
+    #[error("it is inside out: it encloses a volume of {volume:.3e}; flip its normals")]
     InsideOut {
         /// The signed volume.
         volume: f64,

@@ -234,7 +234,7 @@ fn every_flaw_is_reported() {
     assert_eq!(flaw(&|soup| soup.triangles.clear()), Flaw::Empty);
     let open = flaw(&|soup| _ = soup.triangles.pop());
     assert!(matches!(open, Flaw::Open { count: 3, .. }), "{open}");
-    assert!(open.to_string().contains("3 edges belong to one triangle only"), "{open}");
+    assert!(open.to_string().contains("at 3 of its edges there is one triangle only"), "{open}");
     let inconsistent = flaw(&|soup| soup.triangles[0].swap(0, 1));
     assert!(matches!(inconsistent, Flaw::Inconsistent { count: 3, .. }), "{inconsistent}");
     let inside_out = flaw(&|soup| soup.triangles.iter_mut().for_each(|triangle| triangle.swap(0, 1)));

@@ -104,7 +104,7 @@ pub fn check(scene: &Scene) -> Result<(), Unsupported> {
     let (scheme, remedy) = match scene.model {
         Model::Fem => (
             "finite elements take implicit steps",
-            "remove the key integrator: with \"exponential\", the default, the model uses its own scheme",
+            "remove the key integrator, or the option --integrator: with \"exponential\", the default, the model uses its own scheme",
         ),
         _ => (
             "a lattice takes steps of euler or verlet",

@@ -458,9 +458,8 @@ fn idle(scene: &Scene) -> Option<String> {
         (scene.tolerance != Scene::DEFAULT_TOLERANCE, "tolerance"),
     ];
     let given: Vec<&str> = given.into_iter().filter(|(is_given, _)| *is_given).map(|(_, name)| name).collect();
-    (!given.is_empty()).then(|| {
-        format!("metaballs have no dynamics: {} of this scene has no effect with this model", given.join(", "))
-    })
+    (!given.is_empty())
+        .then(|| format!("metaballs have no dynamics: this model ignores {} of the scene", given.join(", ")))
 }
 
 /// The density of a scene's balls.

@@ -146,7 +146,7 @@ mod tests {
         let error = |name, file, mesh| load(name, file, mesh).unwrap_err().to_string();
         let open = error("open", "mesh.obj", "v 0 0 0\nv 3 0 0\nv 0 3 0\nf 1 3 2\n");
         assert!(
-            open.contains("scene.toml:5:18: body[\"a\"].shape.mesh: \"mesh.obj\": it is not closed: 3 edges"),
+            open.contains("scene.toml:5:18: body[\"a\"].shape.mesh: \"mesh.obj\": it is not closed: at 3 of its edges"),
             "{open}"
         );
         let missing = error("missing", "nothing.obj", "");

@@ -121,8 +121,10 @@ impl Claim {
             match atomic::create_new(&partial) {
                 Ok(file) => {
                     let locked = lock(&file, path);
-                    if matches!(locked, Ok(None)) || locked.is_ok() && leads_to(&partial, &file) {
+                    let is_there = if locked.is_ok() { leads_to(&partial, &file) } else { Ok(false) };
+                    if matches!(locked, Ok(None)) || !matches!(is_there, Ok(false)) {
                         let partial = Some(Partial { path: partial, is_kept: false });
+                        is_there.map_err(|err| file_error("create", err))?;
                         return Ok(Claim { path: path.clone(), file, partial, is_stale: false, there });
                     }
                     atomic::forget(&partial); // another run's
@@ -154,7 +156,7 @@ impl Claim {
             }
             // The run that held the lock may have renamed this very file to `path` in the meantime. Then it is a
             // finished recording.
-            if !leads_to(&partial, &file) {
+            if !leads_to(&partial, &file).map_err(|err| file_error("read the .partial file of", err))? {
                 continue;
             }
             if !may_be_replaced(&file).map_err(|err| file_error("read the .partial file of", err))? {
@@ -216,10 +218,18 @@ fn lock(file: &File, path: &Path) -> Result<Option<()>, SinkError> {
 }
 
 /// Whether `path` is a regular file, not a link, and the same file as `file`.
-fn leads_to(path: &Path, file: &File) -> bool {
-    let is_file = std::fs::symlink_metadata(path).is_ok_and(|there| there.is_file());
-    let open = file.try_clone().and_then(Handle::from_file);
-    is_file && matches!((open, Handle::from_path(path)), (Ok(open), Ok(named)) if open == named)
+///
+/// # Errors
+/// The operating system's error, for example that too many files are open.
+fn leads_to(path: &Path, file: &File) -> io::Result<bool> {
+    let open = Handle::from_file(file.try_clone()?)?;
+    let named =
+        std::fs::symlink_metadata(path).and_then(|there| Ok(there.is_file() && Handle::from_path(path)? == open));
+    match named {
+        // Windows denies access to a file that is about to go
+        Err(err) if matches!(err.kind(), io::ErrorKind::NotFound | io::ErrorKind::PermissionDenied) => Ok(false),
+        named => named,
+    }
 }
 
 #[cfg(unix)]
@@ -402,7 +412,7 @@ impl Complete {
         };
         // another file may have been put at the destination during the run
         let written = partial.path.display();
-        if !leads_to(&partial.path, &file) {
+        if !leads_to(&partial.path, &file).map_err(|err| target.error("rename the .partial file to", err))? {
             return Err(SinkError::taken(path, &format!("another program has replaced {written}; record it again")));
         }
         if let Ok(found) = std::fs::symlink_metadata(path) {

@@ -292,6 +292,11 @@ impl Sinks {
         self.writers.iter().try_for_each(Writer::flush)
     }
 
+    /// Waits for viewers that make no progress no longer than a second: the user wants the program to end.
+    pub fn hurry(&mut self) {
+        self.patience = self.patience.min(Duration::from_secs(1));
+    }
+
     /// Finishes all destinations: writes footers, syncs and renames files, and delivers the remaining messages to
     /// viewers that still accept them. Every destination is finished even if one fails; the first failure is returned.
     ///
