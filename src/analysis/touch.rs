@@ -33,17 +33,18 @@ const PRECISION: f64 = 1e-7;
 const MAX_BISECTIONS: u32 = 60;
 /// Upper limit on the watched pairs. If there are more, the closest are watched.
 const MAX_PAIRS: usize = 64;
-/// Surfaces are compared within a step each time that they have moved by this much [radii of the smaller body] …
+/// Surfaces are compared within a step each time that they have moved by this much [radii of the smaller body], …
 const FAR: f64 = 0.1;
-/// … or have turned and vibrated by this much [radii of the smaller body] …
+/// … and each time that they have turned and vibrated by this much [radii of the smaller body], …
 const FAR_AROUND: f64 = 0.25;
-/// … surfaces that touch at both ends of the step, if it is more than this …
+/// … which in surfaces that touch at both ends of the step must be more than this in all [radii of the smaller body].
 const STIRRED: f64 = 0.75;
-/// … and this often where something scheduled makes forces jump, which no cubic follows …
+/// Least number of comparisons in a step in which something scheduled makes forces jump: no cubic follows that.
 const AT_JUMPS: u32 = 4;
-/// … but at most this often …
+/// Largest number of comparisons in a step.
 const MAX_SAMPLES: f64 = 32.0;
-/// … and where the centre distance turns by more than this [radii of the smaller body].
+/// Surfaces are compared at an extremum of the centre distance that differs from it at the ends of the step by more than
+/// this [radii of the smaller body].
 const TREMBLE: f64 = 1e-6;
 /// Upper limit on the phase changes of a step for which the surfaces are compared.
 const MAX_CHANGES: usize = 16;
@@ -128,8 +129,8 @@ impl Touches {
     /// every step.
     ///
     /// Surfaces are compared at the end of the step and, for visits that are shorter than a step, at the extremum of the
-    /// centre distance, each time that they have moved by a tenth of the smaller radius or turned and vibrated by a fourth, and
-    /// several times where something scheduled, such as an edit, makes forces jump.
+    /// centre distance, each time that they have moved by a tenth of the smaller radius or turned and vibrated by a
+    /// fourth, and several times where something scheduled, such as an edit, makes forces jump.
     pub fn step(
         &mut self,
         simulation: &dyn Simulation,

@@ -117,7 +117,7 @@ pub struct Arguments {
     /// Run no faster than real time.
     #[arg(long, help_heading = "Viewer")]
     realtime: bool,
-    /// Restart in the same viewer whenever the scene file changes; requires --spawn, --connect or --serve.
+    /// Restart in the viewer whenever the scene file changes; with --spawn, --connect or --serve, and no --save.
     #[arg(long, conflicts_with_all = ["save", "stdout"], help_heading = "Viewer")]
     watch: bool,
     /// The tab that the viewer opens first.

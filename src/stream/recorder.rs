@@ -302,7 +302,6 @@ impl Recorder {
     /// for a while would lose the user's arrangement.
     pub fn measured_layout(&self, simulation: &dyn Simulation, tab: Tab) -> Vec<LogMsg> {
         let Some(parts) = &self.parts else { return Vec::new() };
-        let focus = parts.focus.focus();
         let pairs = parts.told(&self.schema);
         let measured = Measured {
             duration: self.at.time,
@@ -313,7 +312,7 @@ impl Recorder {
             lines: parts.series.outlines().collect(),
             pairs,
             stages: self.opening_stages,
-            focus: focus.filter(|_| self.flight.is_none()), // a flight recorder may have dropped it
+            focus: parts.focus.focus(),
             kept: self.kept.first().zip(self.kept.last()).map(|(first, last)| [first.first.time, last.last.time]),
             have_acted: parts.body_forces.as_ref().map_or(&[], BodyForces::have_acted),
         };

@@ -53,7 +53,8 @@ pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
     stages
 }
 
-/// Adds the states at the phase changes of a step of a coupled scene, or of one that edits divide, without forces. Returns the name of the last stage.
+/// Adds the states at the phase changes of a step of a coupled scene, or of one that edits divide, without forces. Returns
+/// the name of the last stage.
 fn at_events(ends: [&Frame; 2], world: &World, max: usize, stages: &mut Vec<StageFrame>) -> String {
     let (events, schema) = (&world.report().events, Simulation::schema(world));
     let all: Vec<usize> = (0..world.body_count()).collect();

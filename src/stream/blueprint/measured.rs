@@ -165,7 +165,8 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     if let Some(focus) = &measured.focus {
         match measured.stages.filter(|_| tab == Tab::Stages) {
             Some(stages) => layout.open_at_stages(stages),
-            None if tab == Tab::Stages => {}
+            // a flight recorder may have dropped the frames of the event
+            None if tab == Tab::Stages || measured.kept.is_some() => {}
             None => layout.open_at(focus.interval(measured.duration)),
         }
         let spaces = std::mem::take(&mut layout.spaces);
@@ -185,7 +186,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     }
     let Told { moving, left_out, changed, met, all } = &measured.pairs;
     let drawn = if *left_out > 0 {
-        format!("q of {} pairs, those with changes first", moving.len())
+        format!("q of {} of {} pairs, those with changes first", moving.len(), moving.len() + left_out)
     } else {
         PAIR_DISTANCES.to_owned()
     };

@@ -58,7 +58,7 @@ pub fn arrows(schema: &Schema) -> String {
         return "No force can act in this scene.\n".to_owned();
     }
     format!(
-        "**By body**, plots and rows: means over a body; arrows up to 1.5 R long, of small bodies less; labels: the net force and its \
+        "**By body**, plots and rows: means over a body; arrows on a scale of each step, up to 1.5 R long, of small bodies less; labels: the net force and its \
          strongest cause [unit/s²]. **Others**: at vertices{}; an arrow of **1 R = {} unit** means: {}.\n",
         if is_uniform { "; uniform forces at the centre" } else { "" },
         rounded(radius),

@@ -473,7 +473,10 @@ impl Layout {
     /// The cost of a step and of its recording, each as stacked stages, and the resulting speed.
     fn timings_tab(&mut self, schema: &Schema) -> Part {
         let stages = [
-            ("Timings, ms per step, stacked: the top is the whole step (observe copies states, finds touches)", false),
+            (
+                "Timings, ms per step, stacked: the top is the step without waits (observe copies states, finds touches)",
+                false,
+            ),
             ("Recording on its own thread, ms per step: extract makes surfaces, log encodes", true),
         ];
         let stages: Vec<Part> = stages.map(|(title, is_recording)| self.stacked(title, schema, is_recording)).into();
@@ -508,7 +511,7 @@ impl Layout {
     fn speed(&mut self) -> Part {
         let contents = [&SPEED, &LAG].map(|line| including(line.path));
         let lag = colors::name(numbers::LAG_COLOR);
-        let title = format!("Steps per second; with --realtime, also the lag in ms ({lag})");
+        let title = format!("Steps per second, of each step; with --realtime, also the lag in ms ({lag})");
         let plot = self.plot(&title, "/", &contents, Corner2D::LeftTop);
         // it would cover the first steps
         self.hide_legend(&plot);

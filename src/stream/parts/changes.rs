@@ -105,14 +105,11 @@ impl Changes {
                         _ => format!("{leaves}{label} in {wait:.2} s"),
                     }
                 }
-                None => match next.filter(|next| next.rate != 0.0) {
-                    Some(next) if next.is_neared => {
-                        let label = schema.thresholds[next.threshold].name.trim_end_matches("_at");
-                        if label == phase.name { format!("moves out of {label}") } else { format!("nears {label}") }
-                    }
-                    Some(next) if next.rate < 0.0 => "goes deeper".to_owned(),
-                    Some(_) => "moves away".to_owned(),
-                    None => "does not move".to_owned(),
+                None => match next.map_or(0.0, |next| next.rate) {
+                    0.0 => "does not move".to_owned(),
+                    ..0.0 if phase.is_joined => "goes deeper".to_owned(),
+                    ..0.0 => "comes closer".to_owned(),
+                    _ => "moves apart".to_owned(),
                 },
             };
             let label = format!("{} {:.3}: {what}", schema.pair_name(pair.a, pair.b), pair.q);
