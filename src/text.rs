@@ -107,6 +107,12 @@ pub fn short(x: f64) -> String {
     }
 }
 
+/// The round numbers next to a positive one, ascending: 1, 2, 5 and 10 times the power of ten below it.
+pub fn round_numbers(x: f64) -> [f64; 4] {
+    let decade = 10f64.powf(x.log10().floor());
+    [1.0, 2.0, 5.0, 10.0].map(|step| step * decade)
+}
+
 /// A number with at least three digits; large numbers have no fraction.
 #[cfg(feature = "cli")]
 pub fn number(x: f64) -> String {

@@ -4,8 +4,9 @@
 //! integrator, these states are its own solution: the step is repeated up to that time, so the error is within its
 //! tolerance. This holds for bodies on paths and for free bodies. The explicit schemes use cubic Hermite interpolation
 //! between steps, whose error is of fourth order in the step. So does the exponential integrator for a step of bodies
-//! on paths that took more work than a step is allowed. Fourth is also the order of `rk4`; with the other schemes,
-//! the times have the lower order of the scheme.
+//! on paths that took more work than a step is allowed, and for a step in which a large scene has edits, or any scene
+//! more than sixteen. Fourth is also the order of `rk4`; with the other schemes, the times have the lower order of the
+//! scheme.
 
 use std::{
     collections::BTreeMap,
@@ -751,7 +752,7 @@ mod tests {
                 let fine = first(1.0 / 960.0);
                 for dt in [1.0 / 60.0, 0.05, 0.1] {
                     let coarse = first(dt);
-                    assert!((coarse - fine).abs() < 1e-6, "{b}, {edits:?}, {dt}: {coarse} instead of {fine}");
+                    assert!((coarse - fine).abs() < 2e-7, "{b}, {edits:?}, {dt}: {coarse} instead of {fine}");
                 }
             }
         }
@@ -768,7 +769,7 @@ mod tests {
         assert!(fine.len() >= 18, "{fine:?}");
         assert_eq!(coarse.len(), fine.len(), "{coarse:?} {fine:?}");
         let far = coarse.iter().zip(&fine).map(|(coarse, fine)| (coarse - fine).abs()).fold(0.0, f64::max);
-        assert!(far < 1e-5, "{far}: {coarse:?} {fine:?}");
+        assert!(far < 2e-7, "{far}: {coarse:?} {fine:?}");
     }
 
     /// The cubic interpolation preserves the order of the explicit schemes if no phase changes earlier.

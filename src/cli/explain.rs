@@ -15,7 +15,7 @@ use super::{
 use crate::{
     analysis::{Approaches, surface::Merger},
     geometry::Vectors,
-    observe::{BodyFrame, Frame, PairEvent, PairFrame, Run, Schema, Simulation, Want},
+    observe::{BodyFrame, Frame, PairEvent, PairFrame, Run, Schema, Simulation, Want, schema::Scheduled},
     recording::existing::Existing,
     text::{aligned, counted, did_you_mean, short, thousands, trimmed},
 };
@@ -323,7 +323,7 @@ impl Explained<'_> {
         // an edit may change a phase by changing its threshold
         let edit = |from: f64, to: f64| {
             let is_in = |time: f64| (from - ROUNDING * schema.dt..=to + ROUNDING * schema.dt).contains(&time);
-            let of = schema.scheduled.iter().rfind(|of| of.text.starts_with("edit: ") && is_in(of.time));
+            let of = schema.scheduled.iter().rfind(|of| of.text.starts_with(Scheduled::EDIT) && is_in(of.time));
             of.map_or(String::new(), |of| format!("; {} at t = {:.6} s", of.text, of.time))
         };
         let mut text = format!("\npair {name}: {}", schema.phases[pair.phase].name);

@@ -100,6 +100,11 @@ pub struct Scheduled {
     pub text: String,
 }
 
+impl Scheduled {
+    /// How the text of an edit begins, which changes the scene itself.
+    pub(crate) const EDIT: &str = "edit: ";
+}
+
 /// Influence spheres and planes from an instant on.
 #[derive(Clone, Debug)]
 pub struct SchemaChange {

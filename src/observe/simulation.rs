@@ -139,23 +139,26 @@ pub fn state_within(
 /// linearly, rotations spherically. The error of the cubics is of fourth order in the step, unless a force jumps within
 /// it.
 pub fn between(schema: &Schema, ends: [&Frame; 2], time: f64, bodies: &[usize], frame: &mut Frame) {
-    let [start, end] = ends.map(|end| end.at.time);
-    let z = if end > start { ((time - start) / (end - start)).clamp(0.0, 1.0) } else { 1.0 };
-    let cubic = Hermite::new([start, end], time);
+    let instants = ends.map(|end| end.at.time);
     frame.at = Instant { step: ends[1].at.step, time };
     frame.bodies.resize_with(schema.bodies.len(), BodyFrame::default);
     for &index in bodies {
-        body_between(&schema.bodies[index], ends.map(|end| &end.bodies[index]), (&cubic, z), &mut frame.bodies[index]);
+        let ends = ends.map(|end| &end.bodies[index]);
+        body_between(&schema.bodies[index], ends, instants, time, &mut frame.bodies[index]);
     }
 }
 
-/// Like [`between`] for a body, with the cubic and the share of the time that has passed.
+/// Like [`between`] for a body, whose states at both ends are those at two `instants` [s].
 pub(crate) fn body_between(
     body: &BodySchema,
     [from, to]: [&BodyFrame; 2],
-    (cubic, z): (&Hermite, f64),
+    instants: [f64; 2],
+    time: f64,
     now: &mut BodyFrame,
 ) {
+    let [start, end] = instants;
+    let z = if end > start { ((time - start) / (end - start)).clamp(0.0, 1.0) } else { 1.0 };
+    let cubic = Hermite::new(instants, time);
     now.centre = from.centre.lerp(to.centre, z);
     now.rotation = from.rotation.slerp(to.rotation, z);
     if let (Some(start), Some(end)) = (from.motion, to.motion) {

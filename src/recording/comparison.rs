@@ -321,7 +321,7 @@ impl Comparison {
             let height = heights.fold(f64::NEG_INFINITY, f64::max);
             ([position, schema.raised(position, height)], label)
         });
-        self.worst.log(worst, DVec3::ZERO, at, &mut self.chunks);
+        self.worst.log(worst, None, at, &mut self.chunks);
         log_difference(&mut self.chunks, TOLERANCE, tolerance, at);
         self.frames += 1;
         if self.frames.is_multiple_of(64) { self.send() } else { Ok(()) }

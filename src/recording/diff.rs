@@ -177,8 +177,11 @@ impl FrameSource {
 
 /// Whether a recording has too few frames to compare: it is thin, or cut short before they were complete.
 fn must_run_again(recorded: &Recorded) -> Result<bool, ReadError> {
-    if recorded.settings.frames == Frames::Thin || recorded.end != End::Cut {
-        return Ok(recorded.settings.frames == Frames::Thin);
+    if recorded.settings.frames == Frames::Thin {
+        return Ok(true);
+    }
+    if recorded.end == End::Whole {
+        return Ok(false);
     }
     let mut frames = FrameReader::open(recorded)?;
     Ok(frames.next()?.is_none() || frames.next()?.is_none())

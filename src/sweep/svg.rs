@@ -31,7 +31,10 @@ pub fn svg(map: &Map, title: &str, about: &str) -> String {
     let rows = panels.len().div_ceil(columns);
     let height_of_map = if map.axes.len() > 1 { MAP[1] } else { 60.0 };
     let panel = [LEFT + MAP[0] + RIGHT, ABOVE + height_of_map + BELOW];
-    let mut svg = Svg::new([panel[0] * columns as f64 + LEGEND, HEADER + panel[1] * rows as f64]);
+    let beside = [panel[0] * columns as f64 + 4.0, HEADER + ABOVE];
+    let bottom = legend(&mut Svg::new([0.0; 2]), map, panels, beside);
+    let height = f64::max(HEADER + panel[1] * rows as f64, bottom);
+    let mut svg = Svg::new([panel[0] * columns as f64 + LEGEND, height]);
     svg.write([20.0, 32.0], 24.0, INK, Anchor::Start, title);
     for (number, line) in about.lines().enumerate() {
         svg.write([20.0, 56.0 + 18.0 * number as f64], 14.0, GREY, Anchor::Start, line);
@@ -41,7 +44,7 @@ pub fn svg(map: &Map, title: &str, about: &str) -> String {
         let y = HEADER + ABOVE + panel[1] * (number / columns) as f64;
         svg.group([x, y], 0.0, |svg| draw(svg, map, slice, height_of_map));
     }
-    legend(&mut svg, map, panels, [panel[0] * columns as f64 + 4.0, HEADER + ABOVE]);
+    legend(&mut svg, map, panels, beside);
     svg.finish()
 }
 
@@ -127,7 +130,8 @@ fn fill(svg: &mut Svg, map: &Map, slice: &Slice, height: f64) {
     }
 }
 
-fn legend(svg: &mut Svg, map: &Map, panels: &[Slice], [x, mut y]: [f64; 2]) {
+/// Draws the legend; returns where it ends.
+fn legend(svg: &mut Svg, map: &Map, panels: &[Slice], [x, mut y]: [f64; 2]) -> f64 {
     let has_thresholds = panels.iter().any(|slice| !slice.thresholds.is_empty());
     if let Some([low, high]) = map.range {
         svg.write([x, y + 4.0], 15.0, INK, Anchor::Start, &map.color);
@@ -159,8 +163,9 @@ fn legend(svg: &mut Svg, map: &Map, panels: &[Slice], [x, mut y]: [f64; 2]) {
         y = explain(svg, [x + 30.0, y + 11.0], "where it changes, bisected to 1e-9") + 6.0;
     }
     if let Some(text) = map.about_undecided() {
-        explain(svg, [x, y + 11.0], &text);
+        y = explain(svg, [x, y + 11.0], &text);
     }
+    y
 }
 
 /// Writes a small text in lines; returns where the next one would be.

@@ -256,7 +256,7 @@ pub fn on_path(scene: &Scene, body: usize, time: f64) -> Option<[DVec3; 2]> {
 
 /// The edits of a scene, and the starts and ends of pushes and force points.
 fn scheduled(scene: &Scene) -> Vec<Scheduled> {
-    let edits = scene.edits.iter().map(|edit| (edit.time, format!("edit: {}", edit.set.join(", "))));
+    let edits = scene.edits.iter().map(|edit| (edit.time, format!("{}{}", Scheduled::EDIT, edit.set.join(", "))));
     let pushes = scene.pushes.iter().flat_map(|push| {
         let what = format!("push on {}", scene.bodies[push.body].name);
         [(push.start, format!("{what} begins")), (push.end(), format!("{what} ends"))]

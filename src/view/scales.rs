@@ -3,6 +3,7 @@
 use crate::{
     scene::{Body, Scene},
     sim::terms::free_fall,
+    text::round_numbers,
 };
 
 /// Length per acceleration of net force arrows: about a radius for gravity or for a quarter of the strongest influence,
@@ -61,7 +62,6 @@ fn arrow_length(radius: f64, strongest: f64) -> f64 {
     if !(wanted.is_finite() && wanted > 0.0) {
         return 0.01;
     }
-    let decade = 10f64.powf(wanted.log10().floor());
-    let step = [5.0, 2.0, 1.0].into_iter().find(|step| step * decade <= wanted * 1.0001).unwrap_or(1.0);
-    step * decade
+    let [least, two, five, _] = round_numbers(wanted);
+    [five, two].into_iter().find(|length| *length <= wanted * 1.0001).unwrap_or(least)
 }

@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 
 use super::frames::add_forces;
 use crate::{
-    model::{hermite::Hermite, phase::Phase},
+    model::phase::Phase,
     observe::{BodyFrame, Frame, Instant, PairFrame, Simulation, StageFrame, Want, body_between, state_within},
     scene::{Integrator, Scene},
     sim::{
@@ -221,13 +221,12 @@ pub fn step_of_solver<'a>(
         }
         None => before,
     };
-    let start = before.at.time;
-    let (cubic, z) = (Hermite::new([start, end], time), (time - start) / (end - start));
     for &index in bodies {
         let mut last = BodyFrame::default();
         observe(part, end, index, &mut last);
         let body = super::body_schema(&world.scene().bodies[index]);
-        body_between(&body, [&before.bodies[index], &last], (&cubic, z), &mut frame.bodies[index]);
+        let ends = [&before.bodies[index], &last];
+        body_between(&body, ends, [before.at.time, end], time, &mut frame.bodies[index]);
     }
     Some(StepOfSolver { before, world: part, end })
 }

@@ -152,5 +152,6 @@ fn too_few_open_files_do_not_keep_a_run_waiting() {
             assert!(start.elapsed() < Duration::from_secs(60), "with {files} open files it does not end");
             std::thread::sleep(Duration::from_millis(5));
         }
+        assert!(!dir.file("few.rrd.partial").exists(), "with {files} open files an unfinished file is left");
     }
 }

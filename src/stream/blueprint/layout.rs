@@ -32,6 +32,7 @@ use crate::{
         parts::ranking,
         settings::{Entities, Settings},
     },
+    text::round_numbers,
 };
 
 /// A line of a view's contents: an entity.
@@ -118,9 +119,8 @@ impl Ground {
     fn under(spheres: &[(DVec3, f64)], up: DVec3) -> Option<Ground> {
         let height = spheres.iter().map(|&(centre, radius)| centre.dot(up) - radius).fold(f64::INFINITY, f64::min);
         let largest = spheres.iter().map(|&(_, radius)| radius).fold(0.0, f64::max);
-        let decade = 10f64.powf(largest.log10().floor());
-        let steps = [1.0, 2.0, 5.0].map(|step| step * decade);
-        let spacing = steps.into_iter().rfind(|&step| step <= largest).unwrap_or(decade);
+        let [least, two, five, _] = round_numbers(largest);
+        let spacing = [five, two].into_iter().find(|&step| step <= largest).unwrap_or(least);
         (height.is_finite() && spacing.is_finite() && spacing > 0.0).then_some(Ground { height, spacing })
     }
 }

@@ -118,7 +118,8 @@ impl BodyForces {
                 }
             }
         }
-        let strongest = resultants.iter().map(Resultant::strength).fold(0.0, f64::max);
+        let finite = resultants.iter().map(Resultant::strength).filter(|strength| strength.is_finite());
+        let strongest = finite.fold(0.0, f64::max);
         let felt: Vec<Resultant> =
             resultants.iter().copied().filter(|of| of.strength() > ranking::NOISE * strongest).collect();
         let of_bodies = of_bodies(view.schema, &felt);

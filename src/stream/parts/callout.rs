@@ -14,13 +14,8 @@ use crate::{
 
 /// The line from a point to its label, which stands above it: it ends below the label, which hangs from its place.
 pub fn leader(point: DVec3, label: DVec3) -> [Float3; 2] {
-    [point, below(point, label)].map(|end| end.as_vec3().to_array())
-}
-
-/// Where a line from a point to its label ends.
-fn below(point: DVec3, label: DVec3) -> DVec3 {
     const SHARE: f64 = 0.85;
-    point.lerp(label, SHARE)
+    [point, point.lerp(label, SHARE)].map(|end| end.as_vec3().to_array())
 }
 
 /// A labelled point that moves.
@@ -45,12 +40,14 @@ impl Callout {
     }
 
     /// Logs the point, the place of its label, and the label, or that there is none, if this has changed. The line between them
-    /// first goes by `front` [scene unit], so that the body of the point does not hide it.
-    pub fn log(&self, mark: Option<([DVec3; 2], String)>, front: DVec3, at: Instant, chunks: &mut Chunks) {
+    /// first goes by `front` [scene unit], if given, so that the body of the point does not hide it.
+    pub fn log(&self, mark: Option<([DVec3; 2], String)>, front: Option<DVec3>, at: Instant, chunks: &mut Chunks) {
         let ends: Vec<Float3> = mark.iter().flat_map(|(ends, _)| ends.map(|end| end.as_vec3().to_array())).collect();
-        let leader = |[from, to]: [DVec3; 2]| [from, from + front, below(from + front, to)];
-        let leader: Vec<Vec<Float3>> =
-            mark.iter().map(|(ends, _)| leader(*ends).map(|place| place.as_vec3().to_array()).to_vec()).collect();
+        let line = |&([from, to], _): &([DVec3; 2], String)| -> Vec<Float3> {
+            let first = front.map(|_| from.as_vec3().to_array());
+            first.into_iter().chain(leader(from + front.unwrap_or_default(), to)).collect()
+        };
+        let leader: Vec<Vec<Float3>> = mark.iter().map(line).collect();
         let labels: Vec<String> = mark.into_iter().flat_map(|(_, label)| [String::new(), label]).collect();
         chunks.push_changed(self.0, at, &[&ends, &labels, &leader]);
     }

@@ -36,7 +36,7 @@ use crate::stream::{
     palette::{self, color},
     series::{Interpolation, LineId, Series},
 };
-use crate::text::significant;
+use crate::text::{round_numbers, significant};
 use crate::{
     colors,
     geometry::{Vectors, mesh},
@@ -76,8 +76,7 @@ pub fn place(displacement: f32, end: f64) -> [f32; 2] {
 
 /// The least of 1, 2 and 5 times powers of ten that is, but for rounding, not less than a positive number.
 fn rounded_up(x: f64) -> f64 {
-    let decade = 10f64.powf(x.log10().floor());
-    [1.0, 2.0, 5.0, 10.0].map(|step| step * decade).into_iter().find(|&end| end >= x * (1.0 - 1e-9)).unwrap_or(x)
+    round_numbers(x).into_iter().find(|&end| end >= x * (1.0 - 1e-9)).unwrap_or(x)
 }
 
 /// The colour of a body's line and row: its own if the scene gives it one that no other body has.
@@ -177,7 +176,7 @@ impl Heat {
             let widest = label.lines().max_by_key(|line| line.chars().count()).unwrap_or_default();
             [(*place, String::new()), (*end, widest.to_owned())]
         });
-        let front = seen.map_or(DVec3::ZERO, |of| {
+        let front = seen.map(|of| {
             let out = of.position - view.frame.bodies[of.body].centre;
             0.5 * view.schema.bodies[of.body].radius * (out.normalize_or_zero() + view.towards_eye().normalize())
         });
@@ -190,8 +189,7 @@ impl Heat {
         }
         ranked.sort_by(|&one, &other| largest(other).total_cmp(&largest(one)));
         let longest = ranked.first().map_or(0.0, |&body| largest(body));
-        // what would read 0.000, or is rounding
-        let least = if longest > 1e-3 { 5e-4 } else { ranking::NOISE * longest };
+        let least = if longest > 2.0 * INVISIBLE { INVISIBLE } else { ranking::NOISE * longest };
         let displaced = ranked.iter().take_while(|&&body| largest(body) > least).count();
         let inside = |body: usize| if displacements.is_inside[body] { " inside" } else { "" };
         if let Some(bodies) = &mut self.bodies {
@@ -221,6 +219,9 @@ impl Heat {
 const HEIGHT: usize = 10;
 /// Places of its numbers, as shares of the range.
 const TICKS: [f64; 3] = [0.0, 0.5, 1.0];
+
+/// A displacement that reads 0.000 [radii]; left out unless all are that small.
+const INVISIBLE: f64 = 5e-4;
 
 /// A displacement [radii].
 fn radii(x: f64) -> String {

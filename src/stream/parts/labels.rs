@@ -108,39 +108,27 @@ impl<'a> Labels<'a> {
     }
 
     /// Takes a place for the label of a body, on the visible part of its surface, if there is one with room: that of the last
-    /// frame, `side`, or else one where the label is on as few other bodies as possible, away from neighbours. Returns it and
-    /// its side.
+    /// frame, `side`, unless it is on more other bodies there than elsewhere; or else one where it is on as few as possible,
+    /// away from neighbours. Returns it and its side.
     fn take_on(&mut self, body: usize, label: &str, side: Option<u8>) -> Option<(DVec3, u8)> {
         let (away, half_width) = (self.away(body), self.half_size(label).x);
-        let kept = side.map(|side| (self.place(body, side), side));
-        if let Some((place, side)) = kept.filter(|(place, _)| self.count_under(body, *place, half_width) == 0)
-            && self.keep(body, place, label)
-        {
-            return Some((place, side));
+        let at = |labels: &Self, side: u8| {
+            let place = labels.place(body, side);
+            (side, place, labels.count_under(body, place, half_width))
+        };
+        if let Some((side, place, count)) = side.map(|side| at(self, side)) {
+            let is_best = count == 0 || (0..=SIDES).all(|other| at(self, other).2 >= count);
+            if is_best && self.take_if(place, label, KEPT_SIZE, |labels| labels.is_seen(body, place, KEPT_DEPTH)) {
+                return Some((place, side));
+            }
         }
-        let mut sides: Vec<(u8, DVec3, usize)> = (0..=SIDES)
-            .map(|side| {
-                let place = self.place(body, side);
-                (side, place, self.count_under(body, place, half_width))
-            })
-            .collect();
-        let least = sides.iter().map(|(.., count)| *count).min();
-        if let Some(&(side, place, _)) = sides.iter().find(|(of, _, count)| Some(*of) == side && Some(*count) == least)
-            && self.keep(body, place, label)
-        {
-            return Some((place, side));
-        }
+        let mut sides: Vec<(u8, DVec3, usize)> = (0..=SIDES).map(|side| at(self, side)).collect();
         let along = |side: u8| if side == SIDES { f64::NEG_INFINITY } else { self.towards(side).dot(away) };
         sides.sort_by(|one, other| one.2.cmp(&other.2).then(along(other.0).total_cmp(&along(one.0))));
         sides.into_iter().find_map(|(side, place, _)| {
             let is_seen = |labels: &Labels<'_>| labels.is_seen(body, place, NEW_DEPTH);
             self.take_if(place, label, 1.0, is_seen).then_some((place, side))
         })
-    }
-
-    /// Takes the place that the label of a body had in the last frame, if there is still room.
-    fn keep(&mut self, body: usize, place: DVec3, label: &str) -> bool {
-        self.take_if(place, label, KEPT_SIZE, |labels| labels.is_seen(body, place, KEPT_DEPTH))
     }
 
     /// Where a place is in the view, and how much larger things are there than at the middle of all bodies.

@@ -87,7 +87,7 @@ impl Moves {
             }
         }
         chunks.push_changed(self.arrows, view.at, &[&arrows.origins, &arrows.vectors]);
-        self.mark.log(mark, DVec3::ZERO, view.at, chunks);
+        self.mark.log(mark, None, view.at, chunks);
         furthest
     }
 }

@@ -122,7 +122,7 @@ struct ScalarLine {
     color: Rgb,
     /// Its first value.
     first: Option<f64>,
-    /// Its largest magnitude in all frames.
+    /// Its largest finite magnitude in all frames.
     largest: f64,
 }
 
@@ -246,13 +246,13 @@ impl FrameNumbers {
             series.log(chunks, line.id, value, view.at);
             line.last = value;
             line.first.get_or_insert(value);
-            line.largest = line.largest.max(value.abs());
+            line.largest = line.largest.max(if value.is_finite() { value.abs() } else { 0.0 });
         }
         let energies = self.energies.iter().flat_map(|(_, scalars)| scalars);
         let noise = ranking::NOISE * energies.map(|&index| self.scalars[index].largest).fold(0.0, f64::max);
         for (ranking, scalars) in &self.energies {
             let lines = scalars.iter().map(|&index| &self.scalars[index]);
-            let rows = energy_rows(lines.filter(|line| line.largest > noise).collect());
+            let rows = energy_rows(lines.filter(|line| line.largest > noise || !line.last.is_finite()).collect());
             ranking.log(rows.into_iter(), "all are 0", view.at, chunks);
         }
         for (&line, &value) in self.of_bodies.iter().zip(&view.frame.body_scalars) {
