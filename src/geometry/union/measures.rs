@@ -1,5 +1,7 @@
 //! Geometric measures of a pair of bodies: distance or depth, overlap, and neck.
 
+use std::{cmp::Ordering, collections::BinaryHeap};
+
 use glam::DVec3;
 
 use super::{
@@ -18,6 +20,8 @@ const COARSE: f64 = 0.5;
 /// than this [radii of the smaller body].
 const FINE: f64 = 0.05;
 const NEGLIGIBLE: f64 = 0.01;
+/// Most parts of one body in one other. Only bodies many times larger than their spheres need more.
+const PARTS: usize = 16_384;
 /// Bodies this far apart are apart in a union, too [radii]; …
 const APART: f64 = 1e-6;
 /// … plus this fraction of it per unit of their coordinates.
@@ -156,7 +160,7 @@ fn deepen(united: &Union, body: usize, other: &Tree, deepest: &mut f64, meter: &
 }
 
 /// Raises `deepest` to the greatest depth in triangles that are large compared with one of the bodies. The depth grows by
-/// no more than the way, so that parts that cannot exceed `deepest` are left out.
+/// no more than the way, so that parts that cannot exceed `deepest` are left out; those that may be deepest come first.
 fn deepen_in_coarse(
     united: &Union,
     body: usize,
@@ -169,30 +173,63 @@ fn deepen_in_coarse(
         return Ok(()); // whether points are inside takes long to tell
     }
     let radius = f64::min(mesh.radius, other.body.radius);
-    let centre = |[a, b, c]: [DVec3; 3]| (a + b + c) / 3.0;
-    let size = |corners: [DVec3; 3]| {
-        let centre = centre(corners);
-        corners.iter().map(|corner| corner.distance_squared(centre)).fold(0.0, f64::max).sqrt()
-    };
-    let all = united.removed[body].iter().map(|&t| mesh.corners(t));
-    let mut parts: Vec<[DVec3; 3]> = all.filter(|&corners| size(corners) > COARSE * radius).collect();
     let mut search = Search::default();
-    while let Some(corners) = parts.pop() {
-        let (at, size) = (centre(corners), size(corners));
-        if !Aabb::of(corners).meets(&other.body.bounds) {
-            continue;
+    let mut sample = |corners: [DVec3; 3], least_size: f64, deepest: &mut f64| {
+        let at = corners.iter().sum::<DVec3>() / 3.0;
+        let size = corners.iter().map(|corner| corner.distance_squared(at)).fold(0.0, f64::max).sqrt();
+        if size <= least_size || !Aabb::of(corners).meets(&other.body.bounds) {
+            return None;
         }
-        meter.spend(SAMPLE)?;
-        let depth = other.depth_beyond(at, f64::max(*deepest - size, 0.0), &mut search);
-        *deepest = deepest.max(depth.unwrap_or(0.0));
-        if size > FINE * radius && depth.unwrap_or(0.0) + size > *deepest + NEGLIGIBLE * radius {
-            let [a, b, c] = corners;
+        let depth = other.depth_beyond(at, f64::max(*deepest - size, 0.0), &mut search).unwrap_or(0.0);
+        *deepest = deepest.max(depth);
+        Some(Part { corners, size, limit: depth + size })
+    };
+    let mut parts = BinaryHeap::new();
+    for &t in &united.removed[body] {
+        parts.extend(sample(mesh.corners(t), COARSE * radius, deepest));
+    }
+    for _ in 0..PARTS / 4 {
+        let Some(part) = parts.pop().filter(|part| part.limit > *deepest + NEGLIGIBLE * radius) else { break };
+        if part.size > FINE * radius {
+            meter.spend(4 * SAMPLE)?;
+            let [a, b, c] = part.corners;
             let [ab, bc, ca] = [(a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0];
-            parts.extend([[a, ab, ca], [b, bc, ab], [c, ca, bc], [ab, bc, ca]]);
+            for corners in [[a, ab, ca], [b, bc, ab], [c, ca, bc], [ab, bc, ca]] {
+                parts.extend(sample(corners, 0.0, deepest));
+            }
         }
     }
     Ok(())
 }
+
+/// A part of a triangle.
+struct Part {
+    corners: [DVec3; 3],
+    /// From the centre to the farthest corner.
+    size: f64,
+    /// The depth that no point of it exceeds.
+    limit: f64,
+}
+
+impl Ord for Part {
+    fn cmp(&self, other: &Part) -> Ordering {
+        self.limit.total_cmp(&other.limit)
+    }
+}
+
+impl PartialOrd for Part {
+    fn partial_cmp(&self, other: &Part) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl PartialEq for Part {
+    fn eq(&self, other: &Part) -> bool {
+        self.cmp(other).is_eq()
+    }
+}
+
+impl Eq for Part {}
 
 /// A point on a body's surface.
 #[derive(Clone, Copy)]
