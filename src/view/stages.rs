@@ -86,6 +86,7 @@ fn intervals(
     let (start, end) = (before.at.time, world.time());
     let frame = |t: f64, phases_at: f64, states: Vec<States>| frame_of(recomputed, before, world, t, phases_at, states);
     let mut states: Vec<States> = (0..world.body_count()).map(|index| states_before(before, world, index)).collect();
+    let mut pushes: Vec<_> = (0..world.body_count()).map(|index| recomputed.pushes(index)).collect();
     let flown = states.iter().enumerate().map(|(index, states)| recomputed.flow(index, states)).collect();
     let mut last = "end".to_owned();
     let without = StageFrame { name: "end if no sphere acted".to_owned(), frame: frame(end, start, flown) };
@@ -98,8 +99,8 @@ fn intervals(
                     last = format!("end; sub-steps from {number} to {} are left out", breaks.len() - 1);
                     break;
                 }
-                for (index, states) in states.iter_mut().enumerate() {
-                    recomputed.advance(index, from, to, states);
+                for (index, (states, pushes)) in states.iter_mut().zip(&mut pushes).enumerate() {
+                    recomputed.advance(index, from, to, states, pushes);
                 }
                 if breaks.len() > 2 {
                     let name = format!("after sub-step {number}, at t = {to:.9} s");
@@ -254,12 +255,12 @@ pub fn within(
     }
     breaks.push(time);
     for &index in bodies {
-        let mut states = states_before(before, world, index);
+        let (mut states, mut pushes) = (states_before(before, world, index), recomputed.pushes(index));
         for ends in breaks.windows(2) {
-            recomputed.advance(index, ends[0], ends[1], &mut states);
-        }
-        if recomputed.is_over() {
-            return false;
+            recomputed.advance(index, ends[0], ends[1], &mut states, &mut pushes);
+            if recomputed.is_over() {
+                return false;
+            }
         }
         let now = &mut frame.bodies[index];
         now.centre = recomputed.path(index).position(time);

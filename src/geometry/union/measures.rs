@@ -20,8 +20,8 @@ const COARSE: f64 = 0.5;
 /// than this [radii of the smaller body].
 const FINE: f64 = 0.05;
 const NEGLIGIBLE: f64 = 0.01;
-/// Most parts of one body in one other. Only bodies many times larger than their spheres need more.
-const PARTS: usize = 16_384;
+/// Most parts of one body in one other. Only surfaces many times larger than their spheres need more.
+const PARTS: usize = 2_048;
 /// Bodies this far apart are apart in a union, too [radii]; …
 const APART: f64 = 1e-6;
 /// … plus this fraction of it per unit of their coordinates.

@@ -129,10 +129,18 @@ impl<'a> Recomputed<'a> {
         States { displacement, velocity }
     }
 
-    /// Advances a body over an interval without a jump, each vertex separately.
-    pub fn advance(&self, index: usize, from: f64, to: f64, states: &mut States) {
+    /// The pushes on a body, before it is [advanced](Recomputed::advance) from the start of the step.
+    pub fn pushes(&self, index: usize) -> PushField {
+        let (body, mut pushes) = (self.body(index), PushField::default());
+        pushes.begin(&body.pushes, Span { start: self.before.time, end: self.end }, &every_vertex_of(body), LANES);
+        pushes
+    }
+
+    /// Advances a body over an interval without a jump, each vertex separately. Intervals follow one another.
+    pub fn advance(&self, index: usize, from: f64, to: f64, states: &mut States, pushes: &mut PushField) {
         let scene = self.world.scene();
         let (this, body) = (&scene.bodies[index], self.body(index));
+        self.work.spend(body.pushes.len() as u64);
         let surroundings = self.surroundings(index, from, from, states);
         // a sphere may come within reach during the interval
         let mut spheres = Vec::new();
@@ -142,10 +150,9 @@ impl<'a> Recomputed<'a> {
         if is_still && spheres.is_empty() && surroundings.is_idle() && self.path(index).is_fixed() {
             return;
         }
-        let every: Vec<u32> = (0..body.rest().len() as u32).collect();
-        let mut pushes = PushField::default();
-        pushes.begin(&body.pushes, Span { start: from, end: to }, &every, LANES);
-        pushes.advance(from + 0.5 * (to - from), body.rest(), &every);
+        let every = every_vertex_of(body);
+        let changes = pushes.advance(from + 0.5 * (to - from), body.rest(), &every);
+        self.work.spend((changes * every.len()) as u64);
         let tracks = &self.prescribed.tracks;
         let course = Course {
             scene,
@@ -177,6 +184,10 @@ impl<'a> Recomputed<'a> {
             states.velocity.set(i, carried.u + own.u);
         }
     }
+}
+
+fn every_vertex_of(body: &Body) -> Vec<u32> {
+    (0..body.rest().len() as u32).collect()
 }
 
 impl Phases for &Recomputed<'_> {
