@@ -111,16 +111,17 @@ fn strips<const N: usize>(lengths: impl Iterator<Item = usize>, points: Vec<[f32
 
 /// The values of one component in a row.
 pub trait Cell {
-    /// Appends them to a column of the same type, which they create if it is empty; returns their number.
-    fn append(&self, column: &mut Option<Box<dyn Values>>) -> usize;
+    /// Appends them to a column of the same type, which they create with space for `expected` values if there is none;
+    /// returns their number.
+    fn append(&self, column: &mut Option<Box<dyn Values>>, expected: usize) -> usize;
 
     /// Whether they are the last `count` values of a column of the same type; one that is not there has none.
     fn ends(&self, column: &mut Option<Box<dyn Values>>, count: usize) -> bool;
 }
 
 impl<T: Element> Cell for Vec<T> {
-    fn append(&self, column: &mut Option<Box<dyn Values>>) -> usize {
-        append(self, column)
+    fn append(&self, column: &mut Option<Box<dyn Values>>, expected: usize) -> usize {
+        append(self, column, expected)
     }
 
     fn ends(&self, column: &mut Option<Box<dyn Values>>, count: usize) -> bool {
@@ -129,8 +130,8 @@ impl<T: Element> Cell for Vec<T> {
 }
 
 impl<T: Element, const N: usize> Cell for [T; N] {
-    fn append(&self, column: &mut Option<Box<dyn Values>>) -> usize {
-        append(self, column)
+    fn append(&self, column: &mut Option<Box<dyn Values>>, expected: usize) -> usize {
+        append(self, column, expected)
     }
 
     fn ends(&self, column: &mut Option<Box<dyn Values>>, count: usize) -> bool {
@@ -138,8 +139,8 @@ impl<T: Element, const N: usize> Cell for [T; N] {
     }
 }
 
-fn append<T: Element>(cell: &[T], column: &mut Option<Box<dyn Values>>) -> usize {
-    let values = column.get_or_insert_with(|| Box::new(Vec::<T>::new()));
+fn append<T: Element>(cell: &[T], column: &mut Option<Box<dyn Values>>, expected: usize) -> usize {
+    let values = column.get_or_insert_with(|| Box::new(Vec::<T>::with_capacity(expected)));
     // a column has values of one type, which is that of its component
     if let Some(values) = values.as_any().downcast_mut::<Vec<T>>() {
         values.extend_from_slice(cell);
@@ -160,8 +161,8 @@ pub trait Values: Send {
     fn as_any(&mut self) -> &mut dyn Any;
     /// Their size [bytes].
     fn bytes(&self) -> usize;
-    /// No values, with the capacity for as many.
-    fn fresh(&self) -> Box<dyn Values>;
+    /// Their number.
+    fn count(&self) -> usize;
     /// A copy of the values from `first` on.
     fn values_from(&self, first: usize) -> Box<dyn Values>;
     /// The values as an array.
@@ -180,8 +181,8 @@ impl<T: Element> Values for Vec<T> {
         T::bytes(self)
     }
 
-    fn fresh(&self) -> Box<dyn Values> {
-        Box::new(Vec::<T>::with_capacity(self.len()))
+    fn count(&self) -> usize {
+        self.len()
     }
 
     fn values_from(&self, first: usize) -> Box<dyn Values> {
@@ -212,6 +213,8 @@ struct Column {
     descriptor: ComponentDescriptor,
     /// `None` before the first row.
     values: Option<Box<dyn Values>>,
+    /// The number of values for which space is reserved at the first row.
+    expected: usize,
     lengths: Vec<usize>,
     /// The values of the last row that was taken, and their number.
     taken: (Option<Box<dyn Values>>, usize),
@@ -219,7 +222,8 @@ struct Column {
 
 impl Columns {
     pub fn new(entity: &str, descriptors: Vec<ComponentDescriptor>) -> Columns {
-        let column = |descriptor| Column { descriptor, values: None, lengths: Vec::new(), taken: (None, 0) };
+        let column =
+            |descriptor| Column { descriptor, values: None, expected: 0, lengths: Vec::new(), taken: (None, 0) };
         Columns {
             entity: EntityPath::from(entity),
             ids: Vec::new(),
@@ -241,7 +245,7 @@ impl Columns {
             }
         }
         for (column, cell) in self.columns.iter_mut().zip(cells) {
-            column.lengths.push(cell.append(&mut column.values));
+            column.lengths.push(cell.append(&mut column.values, column.expected));
         }
     }
 
@@ -315,7 +319,7 @@ impl Columns {
 }
 
 impl Column {
-    /// The column after its rows are taken: empty, with the same capacity.
+    /// The column after its rows are taken: empty, as many expected.
     fn fresh(&mut self) -> Column {
         let taken = match self.lengths.split_last() {
             Some((&count, before)) => {
@@ -326,8 +330,9 @@ impl Column {
         };
         Column {
             descriptor: self.descriptor.clone(),
-            values: self.values.as_ref().map(|values| values.fresh()),
-            lengths: Vec::with_capacity(self.lengths.len()),
+            values: None,
+            expected: self.values.as_ref().map_or(0, |values| values.count()),
+            lengths: Vec::new(),
             taken,
         }
     }
@@ -338,6 +343,7 @@ impl Column {
         Column {
             descriptor: self.descriptor.clone(),
             values: self.values.as_ref().map(|values| values.values_from(before)),
+            expected: 0,
             lengths: self.lengths[first..].to_vec(),
             taken: (None, 0),
         }
