@@ -36,10 +36,10 @@ const MAX_BISECTIONS: u32 = 60;
 const MAX_PAIRS: usize = 64;
 /// Surfaces are compared within a step each time that they have moved by this much [radii of the smaller body], …
 const FAR: f64 = 0.1;
-/// … and each time that they have turned and vibrated by this much [radii of the smaller body], …
-const FAR_AROUND: f64 = 0.25;
+/// … and each time that they have turned and vibrated by this much [radii of the smaller body], or once if by a fifth, …
+const FAR_AROUND: f64 = 0.125;
 /// … which in surfaces that touch at both ends of the step must be more than this in all [radii of the smaller body].
-const STIRRED: f64 = 0.75;
+const STIRRED: f64 = 0.3;
 /// Least number of comparisons in a step in which something scheduled makes forces jump: no cubic follows that.
 const AT_JUMPS: u32 = 4;
 /// Largest number of comparisons in a step.
@@ -413,7 +413,12 @@ impl Touches {
         let far = [from, to].map(|pair| (pair.apart.length() - distance).abs()).into_iter().fold(f64::MAX, f64::min);
         let is_turning = !has_changed && ends[0] < time && time < ends[1] && far > TREMBLE * smaller;
         let is_held = before.is_touching && known.is_touching && around < STIRRED * smaller;
-        let count = count(path, if is_held { 0.0 } else { around }).max(if is_scheduled { AT_JUMPS } else { 0 });
+        let around = if is_held { 0.0 } else { around };
+        let least = match is_scheduled {
+            true => AT_JUMPS,
+            false => u32::from(around > 0.2 * FAR_AROUND * smaller),
+        };
+        let count = count(path, around).max(least);
         Samples { count, extremum: is_turning.then_some(time) }
     }
 
@@ -770,6 +775,27 @@ mod tests {
         assert_eq!(coarse.len(), fine.len(), "{coarse:?} {fine:?}");
         let far = coarse.iter().zip(&fine).map(|(coarse, fine)| (coarse - fine).abs()).fold(0.0, f64::max);
         assert!(far < 2e-7, "{far}: {coarse:?} {fine:?}");
+    }
+
+    /// The tip of an octahedron brushes an edge for less than a step, six times.
+    #[test]
+    fn a_tip_that_brushes_an_edge_within_a_step_touches() {
+        let text = "duration = 1.0\n[material]\nomega = 4000.0\ndamping = 0.0\n\
+            [influence]\nalpha = 0\nbeta = 0\nmerge_at = 0.3\nsplit_at = 0.4\n\
+            [[body]]\nname = \"a\"\nradius = 1.0\nshape = { sphere = { stacks = 2, slices = 4 } }\n\
+            motion = { free = { from = [0, 0, 0], spin = [0, 0, 10] } }\n\
+            [[body]]\nname = \"b\"\nradius = 1.0\nshape = { sphere = { stacks = 2, slices = 3 } }\n\
+            motion = { fixed = [1.498, 0, 0] }\n";
+        // while cos θ > 0.998
+        let half = libm::acos(0.998) / 10.0;
+        for dt in [0.01, 1.0 / 60.0, 0.025, 0.05] {
+            let touches = touches_of(text, dt);
+            assert_eq!(touches.len(), 6, "{dt}: {touches:?}");
+            for (number, touch) in (1..).zip(touches) {
+                let expected = 0.05 * std::f64::consts::PI * f64::from(number) - half;
+                assert!((touch - expected).abs() < 2e-5, "{dt}: {touch}, not {expected}");
+            }
+        }
     }
 
     /// The cubic interpolation preserves the order of the explicit schemes if no phase changes earlier.

@@ -65,7 +65,8 @@ pub(super) fn live(program: Program<'_>, arguments: Arguments) -> Result<(), Fai
     // what is saved has these values in its text
     let overridden = |scene: Scene| {
         let invalid = |error| Failure::Input(format!("--set: {error}"));
-        let scene = scene.with(&arguments.set, &arguments.scene).map_err(invalid)?;
+        let scene =
+            scene.with_files(&arguments.set, &arguments.scene, load::folder(&arguments.scene)).map_err(invalid)?;
         load::supported(scene, &arguments.scene, None)?.rewritten(&arguments.scene).map_err(invalid)
     };
     let first = match program {

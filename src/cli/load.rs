@@ -60,6 +60,12 @@ pub fn scene(name: &str) -> Result<Scene, Failure> {
     }
 }
 
+/// The folder of a scene file, with the meshes that it names.
+pub fn folder(name: &str) -> Option<&Path> {
+    let path = Path::new(name);
+    if path.is_file() { path.parent() } else { None }
+}
+
 /// Rejects what is neither the name of a built-in scene or sweep nor that of a file.
 pub fn file(what: &str, name: &str, builtin: &[&str], help: &str) -> Result<(), Failure> {
     if Path::new(name).exists() || name.contains(['/', '\\', '.']) {

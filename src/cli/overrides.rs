@@ -1,6 +1,6 @@
 //! Options that override keys of a scene: the same for every command that runs one.
 
-use std::sync::Arc;
+use std::{path::Path, sync::Arc};
 
 use super::{Failure, load};
 use crate::{
@@ -39,15 +39,15 @@ impl Overrides {
                 return Err(Failure::Input(format!("--{option} and --set {option}=… are both given: leave one out")));
             }
         }
-        let mut scene = with(scene, &self.set, file)?;
+        let mut scene = with(scene, &self.set, file, load::folder(file))?;
         scene.integrator = self.integrator.unwrap_or(scene.integrator);
         scene.model = self.model.unwrap_or(scene.model);
         load::supported(scene, file, self.integrator.map(|_| "integrator"))
     }
 }
 
-fn with(scene: Scene, set: &[Override], file: &str) -> Result<Scene, Failure> {
-    scene.with(set, file).map_err(|error| Failure::Input(format!("--set: {error}")))
+fn with(scene: Scene, set: &[Override], file: &str, folder: Option<&Path>) -> Result<Scene, Failure> {
+    scene.with_files(set, file, folder).map_err(|error| Failure::Input(format!("--set: {error}")))
 }
 
 /// The scene of a recording with these changes.
@@ -56,7 +56,7 @@ pub fn rerun(set: &[Override], recorded: &Recorded) -> Result<Arc<dyn Experiment
     // a scene without a name has that of its file
     let file = format!("{}.toml", was.name);
     let scene = Scene::parse(&was.source, &file).map_err(Failure::input)?;
-    let scene = with(scene, set, &file)?;
+    let scene = with(scene, set, &file, None)?;
     let values: [(&str, toml::Value); 4] = [
         ("integrator", scene.integrator.name().into()),
         ("model", scene.model.name().into()),

@@ -314,8 +314,10 @@ impl Saver {
         let sinks = arguments.save.as_ref().map(open).transpose()?;
         // the stages of a step start from the state of the previous step
         let steps = match arguments.detail {
-            Detail::Stages { .. } => steps.start().saturating_sub(1)..=*steps.end(),
-            Detail::Surface | Detail::Forces => steps,
+            Detail::Stages { from, to } if (from..=to).contains(steps.start()) => {
+                steps.start().saturating_sub(1)..=*steps.end()
+            }
+            Detail::Stages { .. } | Detail::Surface | Detail::Forces => steps,
         };
         let settings = Settings {
             steps: Some(*steps.end()),

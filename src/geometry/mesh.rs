@@ -226,16 +226,29 @@ fn normals(positions: &Vectors, triangles: &[[u32; 3]], sums: &mut Vec<DVec3>) -
 /// Whether triangles of a mesh hide one of its vertices from an eye.
 pub fn hides(positions: &Vectors, triangles: &[[u32; 3]], vertex: usize, eye: DVec3) -> bool {
     let from = positions.get(vertex);
-    let way = eye - from;
-    within(triangles, positions.len()).filter(|corners| !corners.contains(&(vertex as u32))).any(|corners| {
-        // Möller & Trumbore, Fast, minimum storage ray/triangle intersection, 1997
-        let [a, b, c] = corners.map(|corner| positions.get(corner as usize));
-        let (ab, ac, to) = (b - a, c - a, from - a);
-        let (p, q) = (way.cross(ac), to.cross(ab));
-        let determinant = ab.dot(p);
-        let [u, v, t] = [to.dot(p), way.dot(q), ac.dot(q)].map(|part| part / determinant);
-        u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > 0.0 && t < 1.0
-    })
+    within(triangles, positions.len())
+        .filter(|corners| !corners.contains(&(vertex as u32)))
+        .any(|corners| place_of_crossing(positions, *corners, from, eye - from).is_some_and(|place| place < 1.0))
+}
+
+/// Whether a point is inside a closed mesh: a ray from it crosses an odd number of triangles.
+pub fn encloses(positions: &Vectors, triangles: &[[u32; 3]], point: DVec3) -> bool {
+    let crossings = within(triangles, positions.len());
+    crossings.filter(|&&corners| place_of_crossing(positions, corners, point, ASKEW).is_some()).count() % 2 == 1
+}
+
+/// A direction that meets no edge of a mesh with symmetries.
+const ASKEW: DVec3 = DVec3::new(0.5570, 0.7417, 0.3736);
+
+/// Where a ray crosses a triangle, in lengths of `way`.
+fn place_of_crossing(positions: &Vectors, corners: [u32; 3], from: DVec3, way: DVec3) -> Option<f64> {
+    // Möller & Trumbore, Fast, minimum storage ray/triangle intersection, 1997
+    let [a, b, c] = corners.map(|corner| positions.get(corner as usize));
+    let (ab, ac, to) = (b - a, c - a, from - a);
+    let (p, q) = (way.cross(ac), to.cross(ab));
+    let determinant = ab.dot(p);
+    let [u, v, t] = [to.dot(p), way.dot(q), ac.dot(q)].map(|part| part / determinant);
+    (u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > 0.0).then_some(t)
 }
 
 /// Appends the smooth unit normals of a deformed mesh in single precision: for each vertex, the normalised, area-weighted
@@ -253,6 +266,23 @@ pub fn append_normals(
 mod tests {
     use super::*;
     use crate::geometry::{Shape, shape::Solid as _};
+
+    #[test]
+    fn a_closed_mesh_encloses_its_inside() {
+        for kind in Shape::KINDS {
+            let defaults: Vec<u32> = kind.parameters.iter().map(|parameter| parameter.default).collect();
+            let mesh = (kind.make)(&defaults).mesh();
+            let positions = mesh.positions();
+            let place = |i: usize| {
+                let angle = 2.4 * i as f64;
+                DVec3::new(libm::sin(angle), libm::cos(angle), libm::sin(0.7 * angle)).normalize()
+            };
+            for at in (0..200).map(place).chain(positions.iter()) {
+                assert!(encloses(positions, mesh.triangles(), 0.3 * at), "{} {at}", kind.name);
+                assert!(!encloses(positions, mesh.triangles(), 1.8 * at), "{} {at}", kind.name);
+            }
+        }
+    }
 
     #[test]
     fn every_shape_is_closed_oriented_outwards_and_centred() {

@@ -184,14 +184,27 @@ impl Scene {
     /// # Errors
     /// A key does not exist, or the resulting scene is invalid.
     pub fn with(self, overrides: &[Override], file: &str) -> Result<Scene, SceneError> {
+        self.with_files(overrides, file, None)
+    }
+
+    /// Like [`Scene::with`]; meshes that the text does not contain are read from `folder`, and added to it.
+    ///
+    /// # Errors
+    /// Those of [`Scene::with`], or a mesh cannot be read.
+    pub fn with_files(self, overrides: &[Override], file: &str, folder: Option<&Path>) -> Result<Scene, SceneError> {
         if overrides.is_empty() {
             return Ok(self);
         }
         let set = [&self.set, overrides].concat();
-        let scene = on_deep_stack(|| {
-            Template::new(&self.source, file, None)?.scene(set.iter().map(|one| (&one.key, &one.value)))
+        let (scene, source) = on_deep_stack(|| {
+            let template = Template::new(&self.source, file, folder)?;
+            let settings = written(set.iter().map(|one| (&one.key, &one.value)));
+            let (scene, meshes) = template.read(&settings)?;
+            let source =
+                meshes.is_longer_than(&template.meshes).then(|| meshes.carried_by(Scene::without_meshes(&self.source)));
+            Ok((scene, source))
         })?;
-        Ok(Scene { source: self.source, set, ..scene })
+        Ok(Scene { source: source.unwrap_or(self.source), set, ..scene })
     }
 
     /// The error that the value at the path `key` cannot be used: where it stands in the text, or if it is a default, the
@@ -257,6 +270,18 @@ impl<'a> Template<'a> {
         })
     }
 
+    /// The text of the scene with the meshes of all its variations embedded, to be compared. Settings that make it invalid
+    /// are left out.
+    pub fn with_meshes<'s>(&self, settings: impl IntoIterator<Item = (&'s KeyPath, &'s Setting)>) -> String {
+        let mut meshes = self.meshes.clone();
+        for setting in settings {
+            if let Ok(document) = self.varied(&written([setting])) {
+                read_document(&self.source, &document, &mut meshes).ok();
+            }
+        }
+        meshes.carried_by(Scene::without_meshes(self.source.text))
+    }
+
     /// The scene as its text describes it.
     pub fn base(&self) -> &Scene {
         &self.base
@@ -270,13 +295,18 @@ impl<'a> Template<'a> {
         &self,
         settings: impl IntoIterator<Item = (&'s KeyPath, impl fmt::Display)>,
     ) -> Result<Scene, SceneError> {
-        let settings = written(settings);
-        let document = self.varied(&settings)?;
+        Ok(self.read(&written(settings))?.0)
+    }
+
+    /// The scene with these values, and its meshes.
+    fn read(&self, settings: &[(&KeyPath, String)]) -> Result<(Scene, Meshes<'a>), SceneError> {
+        let (document, mut meshes) = (self.varied(settings)?, self.meshes.clone());
         // a mesh that the text does not name may be read from its file
-        read_document(&self.source, &document, &mut self.meshes.clone()).map_err(|error| {
+        let scene = read_document(&self.source, &document, &mut meshes).map_err(|error| {
             // the position would be inside the replaced value, not in the text
             SceneError { place: None, ..error }
-        })
+        })?;
+        Ok((scene, meshes))
     }
 
     /// The text of the scene with these values at these keys, without comments. It parses to the scene of

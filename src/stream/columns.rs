@@ -331,7 +331,7 @@ impl Column {
         Column {
             descriptor: self.descriptor.clone(),
             values: None,
-            expected: self.values.as_ref().map_or(0, |values| values.count()),
+            expected: self.values.as_ref().map_or(self.expected, |values| values.count()),
             lengths: Vec::new(),
             taken,
         }

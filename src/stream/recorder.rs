@@ -110,8 +110,8 @@ pub struct Recorder {
     stage_count: u64,
     /// The first and the last stage of the step with the event at which the viewer opens.
     opening_stages: Option<[u64; 2]>,
-    /// Whether the run has failed.
-    has_failed: bool,
+    /// Why the run has failed, if it has.
+    failure: Option<String>,
     /// The last step.
     at: Instant,
     watch: StepWatch,
@@ -236,7 +236,7 @@ impl Recorder {
             }),
             stage_count: 0,
             opening_stages: None,
-            has_failed: false,
+            failure: None,
             at: now(simulation),
             watch: StepWatch::new(simulation, &settings),
             step: StepRecord::default(),
@@ -480,9 +480,11 @@ impl Recorder {
         self.log_property(FAILURE, cause);
         let line = TextLog::new(cause).with_level("error").with_color(palette::color(crate::colors::VERMILION));
         self.chunks.log(FAILED.path, self.at, &line);
-        self.has_failed = true;
+        self.failure = Some(cause.to_owned());
         /// A body that is displaced further is what failed, or shows it best [radii].
         const FAR: f64 = 1.0;
+        /// Vertices further out may be out of view [radii].
+        const MOST: f64 = 10.0;
         if let (Some(parts), Some((body, displacement, centre))) = (&mut self.parts, self.worst)
             && displacement > FAR
             && centre.is_finite()
@@ -495,7 +497,8 @@ impl Recorder {
             // above the body: at its centre are other labels
             let place = centre + 1.3 * of.radius * self.schema.up;
             self.chunks.log(NOT_RECORDED.path, self.at, &notice(place, &text));
-            parts.focus.fail(self.at.time, (centre, of.radius));
+            let seen = of.radius * (1.0 + displacement.min(MOST));
+            parts.focus.fail(self.at.time, (centre, seen));
         }
     }
 
@@ -618,7 +621,7 @@ impl Recorder {
     pub fn finish(&mut self) {
         let is_waiting = match &self.settings.frames {
             // a step that was not completed was not observed either
-            Frames::Last { on, .. } => !(on.is_empty() || self.has_failed && on.contains(&Trigger::Diverge)),
+            Frames::Last { on, .. } => !(on.is_empty() || self.failure.is_some() && on.contains(&Trigger::Diverge)),
             _ => false,
         };
         if !is_waiting || self.frames_after > 0 {
@@ -657,12 +660,13 @@ impl Recorder {
             let head = if number == 0 { "\nNearest without a change of phase:\n" } else { "" };
             nearest += &format!("{head}- {line}\n");
         }
-        if !(kept.is_empty() && nearest.is_empty()) {
+        let failed = self.failure.as_ref().map(|cause| format!("**Failed**: {cause}.\n\n"));
+        if failed.is_some() || !(kept.is_empty() && nearest.is_empty()) {
             // without an event, they are what there is to say
             let is_first = self.parts.as_ref().is_some_and(|parts| parts.focus.focus().is_none());
             let [first, later] = if is_first { [nearest + "\n", String::new()] } else { [String::new(), nearest] };
             let about = blueprint::about(&self.schema, &self.settings, self.first, &self.frame, &later);
-            log_about(kept + &first + &about, &mut self.chunks);
+            log_about(failed.unwrap_or_default() + &kept + &first + &about, &mut self.chunks);
         }
         self.checksums.log(&mut self.chunks, true);
         self.log_property(DIGEST, &format!("{:016x}", self.checksums.digest()));

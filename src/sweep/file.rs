@@ -305,6 +305,20 @@ impl Sweep {
         Template::new(&self.scene_text, &self.scene_file, self.folder.as_deref())
     }
 
+    /// The text of the scene, with the meshes of all runs embedded.
+    pub fn scene_with_meshes(&self) -> String {
+        let listed = self.design.axes.iter().flat_map(|axis| match &axis.values {
+            Values::List(values) => values.iter().map(|value| (&axis.key, value)).collect(),
+            Values::Range { .. } => Vec::new(),
+        });
+        let texts = self.set.iter().map(|(key, value)| (key, value)).chain(listed);
+        let texts = texts.filter(|(_, value)| matches!(value, Setting::Text(_)));
+        match self.template() {
+            Ok(template) if self.experiment.is_none() => template.with_meshes(texts),
+            _ => self.scene_text.clone(),
+        }
+    }
+
     /// The settings of a point: those fixed for all runs, and those of the axes.
     pub fn settings<'s>(&'s self, point: &'s [Setting]) -> impl Iterator<Item = (&'s KeyPath, &'s Setting)> {
         let same = self.set.iter().map(|(key, setting)| (key, setting));

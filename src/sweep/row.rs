@@ -52,7 +52,8 @@ pub const RESULTS: [Column; 19] = [
     Column::new(
         "closest",
         Kind::Float,
-        "smallest centre distance over the sum of the radii, among pairs that came within reach",
+        "smallest centre distance over the sum of the radii, among pairs that came within reach; of free bodies, within a step, \
+         on a cubic through its ends",
     ),
     Column::new("closest_time", Kind::Float, "time of the closest approach [s]"),
     Column::new("energy_by_events", Kind::Float, "energy that phase changes brought to free bodies [mass unit²/s²]"),

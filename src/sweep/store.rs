@@ -122,7 +122,7 @@ impl Store {
     pub fn open(path: &Path, sweep: &Sweep, columns: Vec<Column>) -> Result<Store, StoreError> {
         let store = Store { path: path.to_owned(), columns };
         fs::create_dir_all(path).map_err(|error| store.error("create the folder", path, error))?;
-        for (file, text) in [("sweep.toml", &sweep.text), ("scene.toml", &sweep.scene_text)] {
+        for (file, text) in [("sweep.toml", &sweep.text), ("scene.toml", &sweep.scene_with_meshes())] {
             let there = path.join(file);
             if !there.exists()
                 && let Err(error) = atomic::write_new(&there, text)

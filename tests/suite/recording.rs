@@ -1016,13 +1016,13 @@ impl Run {
             let now = diagonal(world);
             largest_diagonal = largest_diagonal.max(now);
             let widest = largest_diagonal.min(1.6 * now);
-            // whether a vertex lies in another body: of merged ones by winding number, of others within 0.95 of the radius
+            // whether a vertex lies in another body, by winding number; for the colours, of one not merged within 0.95 of the radius
             let positions: Vec<Vec<DVec3>> = world.bodies().map(|body| body.positions().collect()).collect();
             let groups = groups(world);
-            let is_inside = |at: DVec3, index: usize| {
+            let is_inside = |at: DVec3, index: usize, exactly: bool| {
                 world.bodies().enumerate().filter(|(other, _)| *other != index).any(|(other, body)| {
                     let distance = body.centre().distance(at) / body.scene().radius;
-                    match groups[other] == groups[index] {
+                    match exactly || groups[other] == groups[index] {
                         true => {
                             let farthest = 1.0 + body.max_displacement() / body.scene().radius;
                             distance < farthest && winding_number(&positions[other], body.mesh().triangles(), at) > 0.5
@@ -1040,11 +1040,10 @@ impl Run {
                     let displacement = body.displacement(vertex).length() / body.scene().radius;
                     of_all = of_all.max(displacement);
                     let is_larger = displacement > largest.as_ref().map_or(0.0, |(largest, ..)| *largest);
-                    if !(is_larger || is_counted && body.max_displacement() > 0.0) || is_inside(position, index) {
-                        continue;
+                    if is_counted && body.max_displacement() > 0.0 && !is_inside(position, index, false) {
+                        on_surface.push(displacement);
                     }
-                    on_surface.extend((body.max_displacement() > 0.0).then_some(displacement));
-                    if is_larger {
+                    if is_larger && !is_inside(position, index, true) {
                         let name = &body.scene().name;
                         let label = format!("largest on the surface: {name}:{vertex}, {displacement:.3} R");
                         largest = Some((displacement, position, label));
@@ -1130,7 +1129,11 @@ impl Run {
                     length(one).total_cmp(&length(other)).then(other.cmp(&one))
                 });
                 let is_said = label_of(index).ends_with(" inside");
-                assert_eq!(is_said, is_inside(positions[index][most.expect("a vertex")], index), "{at}: {labels:?}");
+                assert_eq!(
+                    is_said,
+                    is_inside(positions[index][most.expect("a vertex")], index, true),
+                    "{at}: {labels:?}"
+                );
             }
             if let Some((displacement, position, label)) = largest {
                 let held = &track.held[frame];

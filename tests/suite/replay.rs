@@ -558,12 +558,20 @@ fn a_recording_carries_its_meshes() {
     let text = "duration = 0.5\n[[body]]\nname = \"a\"\nradius = 1\nshape = { mesh = \"tetrahedron.obj\" }\nmotion = { free = { from = [0, 0, 0] } }\n\
         [[body]]\nname = \"b\"\nradius = 1\nmotion = { free = { from = [1.5, 0, 0] } }\n";
     fs::write(dir.file("own.toml"), text).expect("disk space");
+    fs::write(dir.file("other.obj"), "v 0 0 0\nv 2 0 0\nv 0 3 0\nv 0 0 3\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+        .expect("disk space");
+    let with_other = ["--set", "body.a.shape.mesh=other.obj", "--save", "other.rrd"];
     succeeds(&dir, &["run", "own.toml", "--quiet"]);
-    fs::remove_file(dir.file("tetrahedron.obj")).expect("it exists");
+    succeeds(&dir, &[&["run", "own.toml", "--quiet"] as &[_], &with_other].concat());
+    for mesh in ["tetrahedron.obj", "other.obj"] {
+        fs::remove_file(dir.file(mesh)).expect("it exists");
+    }
     let rejected = fails(&dir, 2, &["run", "own.toml", "--quiet"]);
     assert!(rejected.contains("tetrahedron.obj"), "{rejected}");
-    let out = succeeds(&dir, &["replay", "own.rrd"]);
-    assert!(out.contains("identical, 30 steps"), "{out}");
+    for recording in ["own.rrd", "other.rrd"] {
+        let out = succeeds(&dir, &["replay", recording]);
+        assert!(out.contains("identical, 30 steps"), "{out}");
+    }
 }
 
 // ---- check ---------------------------------------------------------------------------------------------------------
@@ -824,7 +832,7 @@ fn a_comparison_has_an_event_at_the_end_of_its_step() {
     }
 }
 
-/// Where a run failed, the body with the largest displacement is labelled, above its centre.
+/// Where a run failed, the body with the largest displacement is labelled, above its centre; the panel begins with the reason.
 #[test]
 fn a_failed_run_shows_where() {
     let dir = Dir::new();
@@ -837,6 +845,8 @@ fn a_failed_run_shows_where() {
     assert!(label.starts_with("failed; largest displacement: "), "{label}");
     let failure = recording.rows(&"/events/failure".into());
     assert_eq!(failure.last().map(|(_, row)| row.step), Some(row.step));
+    let panel = recording.fixed("/about").text("TextDocument:text");
+    assert!(panel.starts_with("**Failed**: "), "{panel}");
 }
 
 /// The frames of a flight recorder are those of the whole run.

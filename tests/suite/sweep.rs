@@ -465,6 +465,31 @@ fn two_sweeps_never_share_a_folder() {
     }
 }
 
+/// Meshes beside the scene, and those that an axis names, belong to the sweep.
+#[test]
+fn a_sweep_with_another_mesh_is_another_sweep() {
+    let sweep = "scene = 'passing.toml'\n[[axis]]\nkey = 'body.b.shape.mesh'\nvalues = ['own.obj', 'other.obj']\n";
+    let dir = folder(sweep);
+    let own = "shape = { mesh = 'own.obj' }\nmotion = { line";
+    let scene = PASSING.replace("shape = { sphere = { stacks = 3, slices = 4 } }\nmotion = { line", own);
+    let scene =
+        scene.replace("shape = { sphere = { stacks = 3, slices = 4 } }\n                       motion = { line", own);
+    assert!(scene.contains("own.obj"), "{scene}");
+    fs::write(dir.file("passing.toml"), scene).unwrap();
+    let mesh = |x: f64| format!("v 0 0 0\nv {x} 0 0\nv 0 3 0\nv 0 0 3\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n");
+    for name in ["own.obj", "other.obj"] {
+        fs::write(dir.file(name), mesh(3.0)).unwrap();
+    }
+    succeeds(&dir, "s.toml --out out --quiet");
+    succeeds(&dir, "s.toml --out out --quiet");
+    for name in ["own.obj", "other.obj"] {
+        fs::write(dir.file(name), mesh(2.0)).unwrap();
+        let (status, output) = run(&dir, "s.toml --out out --quiet");
+        assert!(status == 2 && output.contains("its scene.toml differs"), "{name}: {output}");
+        fs::write(dir.file(name), mesh(3.0)).unwrap();
+    }
+}
+
 /// Where a plane moves a body out, rows that place it differently are the same run.
 #[test]
 fn a_sweep_warns_of_a_body_that_a_plane_moves() {

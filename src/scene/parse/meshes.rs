@@ -88,6 +88,11 @@ impl<'a> Meshes<'a> {
         Ok(Shape::Mesh(loaded.mesh))
     }
 
+    /// Whether they embed more than others.
+    pub fn is_longer_than(&self, others: &Meshes<'_>) -> bool {
+        self.text.len() > others.text.len()
+    }
+
     /// Adds these tables, which the text of the scene had, to those that are embedded in it.
     pub fn carry(&mut self, tables: &str) {
         self.text.insert_str(0, tables);

@@ -23,6 +23,10 @@ const MAX_HALVINGS: u32 = 6;
 const MEMORY: usize = 256 << 20;
 /// Largest number of states of a step that are kept.
 const MOST_STATES: usize = 256;
+/// Largest work for states within a step, in multiples of that of the step …
+const MOST_WORK: u64 = 20;
+/// … and besides [units].
+const LEAST_WORK: u64 = 10_000_000;
 
 /// The states of a step.
 pub(super) struct DenseOutput {
@@ -34,6 +38,8 @@ pub(super) struct DenseOutput {
     spans: Vec<Interval>,
     own_spans: usize,
     most_states: usize,
+    /// Work that may still be done for states within the step [units].
+    left: u64,
 }
 
 /// The state at an instant.
@@ -100,8 +106,17 @@ impl DenseOutput {
         let most_states = (MEMORY / size.max(1)).clamp(8, MOST_STATES);
         let field = parts.field.clone();
         let (states, spans) = (Vec::new(), Vec::new());
-        let mut dense =
-            DenseOutput { field, tolerance, scratch: Scratch::default(), states, spans, own_spans: 0, most_states };
+        let mut dense = DenseOutput {
+            field,
+            tolerance,
+            scratch: Scratch::default(),
+            states,
+            spans,
+            own_spans: 0,
+            most_states,
+            left: 0,
+        };
+        let before = work.done();
         let mut island = Island::resume(parts, tolerance, start);
         let mut scratch = scratch;
         let mut advance = island.begin(&mut scratch, end, paths);
@@ -115,6 +130,7 @@ impl DenseOutput {
         }
         dense.spans = (1..dense.states.len()).map(|i| Interval { ends: [i - 1, i], halves: None }).collect();
         (dense.own_spans, dense.scratch) = (dense.spans.len(), scratch);
+        dense.left = LEAST_WORK + MOST_WORK * (work.done() - before);
         Some(dense)
     }
 
@@ -142,7 +158,8 @@ impl DenseOutput {
         });
     }
 
-    /// Calls `write` with the states of some of the bodies at a time [s], if it can be found within `work`.
+    /// Calls `write` with the states of some of the bodies at a time [s], if it can be found within `work`. Once the work of
+    /// the step is done, they are interpolated between states that are known.
     pub fn at(
         &mut self,
         time: f64,
@@ -166,6 +183,10 @@ impl DenseOutput {
                 return Some(());
             }
         }
+        if self.left == 0 {
+            bodies.iter().for_each(|&body| write(body, &self.interpolate(span, time, body)));
+            return Some(());
+        }
         let found = self.exactly(span, time, paths, work)?.0;
         let at = Hermite { values: [1.0, 0.0], rates: [0.0; 2] };
         bodies.iter().for_each(|&body| write(body, &Interpolated { bodies: [&found[body]; 2], at }));
@@ -180,7 +201,7 @@ impl DenseOutput {
         }
         let [start, end] = [from, to].map(|end| self.states[end].time);
         let time = start + 0.5 * (end - start);
-        if self.states.len() >= self.most_states || time <= start || time >= end {
+        if self.left == 0 || self.states.len() >= self.most_states || time <= start || time >= end {
             return Some(None);
         }
         let (bodies, pairs) = self.exactly(span, time, paths, work)?;
@@ -208,7 +229,10 @@ impl DenseOutput {
             ..Parts::default()
         };
         let mut island = Island::resume(parts, self.tolerance, from.time);
-        island.advance_with(&mut self.scratch, time, paths, work, &mut Report::default()).ok()?;
+        let before = work.done();
+        let done = island.advance_with(&mut self.scratch, time, paths, work, &mut Report::default());
+        self.left = self.left.saturating_sub(work.done() - before);
+        done.ok()?;
         let parts = island.into_parts();
         Some((parts.bodies, parts.pairs))
     }

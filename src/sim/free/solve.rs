@@ -25,6 +25,8 @@ use crate::sim::numerics::{
 const PARALLEL_VERTICES: usize = 4096;
 /// Work of the force of a plane on a vertex, a solution of nine equations in two parts [units].
 const HOLD: u64 = 200;
+/// Work of finding whether a push begins or ends to act on a vertex [units].
+const PUSH: u64 = 8;
 /// Work of a sweep for each part of a step of a vertex that is advanced alone [units].
 const LEG: u64 = 200;
 
@@ -134,6 +136,8 @@ impl Island {
             let held = scratch.courses.iter().map(|course| course.held.len() as u64).sum();
             report.held = report.held.max(held);
             work.spend(HOLD * held);
+            let pushes = scratch.courses.iter().zip(&scratch.acting);
+            work.spend(pushes.map(|(course, acting)| PUSH * acting.pushes_on(course.active.len())).sum());
             let legs = scratch.courses.iter().flat_map(|course| &course.splits).map(|split| split.legs().len() as u64);
             work.spend(LEG * legs.sum::<u64>());
             // largest correction over the wanted size

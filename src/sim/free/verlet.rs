@@ -423,7 +423,10 @@ impl Island {
         while k < count {
             let t = start + (k + 0.5) * h;
             let contacts: u64 = all.iter().zip(&self.bodies).map(|(own, b)| (own.pulls.len() * b.x.len()) as u64).sum();
-            if !work.spend(substep_work + contacts + self.pairs.len() as u64) {
+            let pushes = self.field.pushes.iter().filter(|push| push.acts_at(t));
+            let pushes: u64 = pushes.map(|push| 3 * self.bodies[push.body].x.len() as u64).sum();
+            let pushes = pushes + self.field.pushes.len() as u64;
+            if !work.spend(substep_work + contacts + pushes + self.pairs.len() as u64) {
                 return Err(self.stopped());
             }
             for (i, body) in self.bodies.iter().enumerate() {

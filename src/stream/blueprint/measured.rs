@@ -87,8 +87,12 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             let [low, high] = readable([0.0, if is_whole { longest } else { end }]);
             if longest > high {
                 let (count, share) = durations.beyond(high);
-                let title =
-                    format!("{title}; {} beyond: {:.0} % of stage time", counted(count, "frame"), 100.0 * share);
+                let title = format!(
+                    "{title}; {} cut off, up to {} ms, {:.0} % of the time",
+                    counted(count, "frame"),
+                    significant(longest),
+                    100.0 * share
+                );
                 layout.log(&plot, &ViewBlueprint::update_fields().with_display_name(title));
             }
             layout.set_range(&plot, [low, high]);

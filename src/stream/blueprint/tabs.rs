@@ -426,7 +426,7 @@ impl Layout {
         }
         let scale = self.view(
             "2D",
-            "Displacement [radii], on the scale of this step: few vertices have more",
+            "Displacement [radii], on the scale of this step",
             LEGEND.family(),
             &[family(&LEGEND)],
             &[],

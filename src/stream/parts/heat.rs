@@ -58,10 +58,13 @@ const LEAST: f64 = 0.01;
 const SHARE: f64 = 0.9;
 /// … but at least this share of the largest one, so that a small dent has more than one colour.
 const OF_LARGEST: f64 = 0.3;
-/// A vertex this close to the centre of a body with which its own is not merged is hidden by it [radii of that body].
+/// A vertex closer to the centre of a body with which its own is not merged than this share of its radius is inside it if it
+/// is not dented, and closer than this share of the distance of its nearest vertex, inside it.
 const INSIDE: f64 = 0.95;
-/// Number of vertices in front, the most displaced ones, of which one is marked that its own body does not hide.
-const CANDIDATES: usize = 16;
+/// Number of vertices in front, the most displaced ones, of which one is marked that no body hides.
+const CANDIDATES: usize = 32;
+/// Number of vertices, the most displaced ones, for which the mesh of a body tells whether they are inside.
+const MOST_TESTED: usize = 32;
 /// How far above all bodies the label of the largest displacement is at most [largest radius].
 const ABOVE: f64 = 3.0;
 
@@ -262,9 +265,12 @@ pub struct Displacements {
     end: f64,
     /// Scratch storage, reused.
     lengths: Vec<f32>,
-    near: Vec<(DVec3, f64)>,
+    /// The distances of the nearest and the farthest vertex of each body from its centre [scene unit].
+    extents: Vec<[f64; 2]>,
+    near: Vec<Near>,
     normals: Vec<DVec3>,
     candidates: Vec<Largest>,
+    doubtful: Vec<Largest>,
     /// `[body_count]`
     merged: Vec<PartOfSurface>,
 }
@@ -275,6 +281,38 @@ fn outward_normals(triangles: &[[u32; 3]], positions: &Vectors, normals: &mut Ve
     let corners = triangles.iter().map(|corners| corners.map(|corner| positions.get(corner as usize)));
     if mesh::signed_volume(corners) < 0.0 {
         normals.iter_mut().for_each(|normal| *normal = -*normal); // it is inside out
+    }
+}
+
+/// Another body, with which a body is not merged.
+#[derive(Clone, Copy)]
+struct Near {
+    body: usize,
+    centre: DVec3,
+    /// Points closer to the centre than this are inside it … [scene unit]
+    surely: f64,
+    /// … usually … [scene unit]
+    usually: f64,
+    /// … and farther ones are outside [scene unit].
+    reach: f64,
+}
+
+impl Near {
+    /// Whether a point in the world is inside.
+    fn contains(&self, view: FrameView<'_>, point: DVec3) -> bool {
+        let (body, now) = (&view.schema.bodies[self.body], &view.frame.bodies[self.body]);
+        let distance = self.centre.distance(point);
+        let encloses =
+            |positions: &Vectors| mesh::encloses(positions, now.mesh_of(body).triangles(), point - self.centre);
+        distance < self.surely
+            || distance < self.reach
+                && if now.is_at_rest {
+                    let mut positions = Vectors::default();
+                    now.local_positions(now.rest_of(body), &mut positions);
+                    encloses(&positions)
+                } else {
+                    encloses(&now.positions)
+                }
     }
 }
 
@@ -313,22 +351,47 @@ impl Displacements {
         let present = view.bodies().enumerate().filter(|(_, (_, now))| !now.is_absent);
         let mut by_x: Vec<(f64, usize)> = present.map(|(body, (_, now))| (now.centre.x, body)).collect();
         by_x.sort_unstable_by(|one, other| one.0.total_cmp(&other.0));
-        let widest = INSIDE * view.schema.largest_radius();
+        self.extents.clear();
+        self.extents.extend(view.bodies().map(|(body, now)| {
+            let range = |squares: &mut dyn Iterator<Item = f64>| {
+                squares.fold([f64::INFINITY, 0.0], |[least, most], of| [least.min(of), most.max(of)]).map(f64::sqrt)
+            };
+            let rest = now.rest_of(body);
+            match now.is_at_rest {
+                true if now.mesh_of(body).is_round() => [body.radius; 2],
+                true => range(&mut (0..rest.len()).map(|vertex| rest.position(vertex).length_squared())),
+                false => range(&mut now.positions.iter().map(DVec3::length_squared)),
+            }
+        }));
+        let extents = &self.extents;
+        let widest = by_x.iter().map(|&(_, body)| extents[body][1]).fold(0.0, f64::max);
+        let others = |index: usize, merged: &[PartOfSurface], near: &mut Vec<Near>| {
+            let (centre, reach) = (view.frame.bodies[index].centre, extents[index][1]);
+            let first = by_x.partition_point(|(x, _)| *x < centre.x - widest - reach);
+            let others = by_x[first..].iter().take_while(|(x, _)| *x <= centre.x + widest + reach);
+            near.clear();
+            near.extend(others.filter_map(|&(_, other)| {
+                let are_merged = merged[index].number.is_some() && merged[other].number == merged[index].number;
+                let (now, radius) = (&view.frame.bodies[other], view.schema.bodies[other].radius);
+                let [least, reach_of_other] = extents[other];
+                let count = now.mesh_of(&view.schema.bodies[other]).vertex_count();
+                let other = Near {
+                    body: other,
+                    centre: now.centre,
+                    // the middles of triangles are closer than vertices: by 5 over their number, squared, if all are alike
+                    surely: INSIDE * least * (1.0 - 5.0 / count as f64).max(0.0).sqrt(),
+                    usually: INSIDE * radius,
+                    reach: reach_of_other,
+                };
+                let is_near = now.centre.distance(centre) < other.reach + reach;
+                (other.body != index && !are_merged && is_near).then_some(other)
+            }));
+        };
+        self.doubtful.clear();
         for (index, (body, now)) in view.bodies().enumerate().filter(|(_, (_, now))| now.max_displacement > 0.0) {
-            let reach = body.radius + now.max_displacement;
+            others(index, &self.merged, &mut self.near);
             let PartOfSurface { number, is_on } = &self.merged[index];
-            let (x, within) = (now.centre.x, widest + reach);
-            let first = by_x.partition_point(|(other, _)| *other < x - within);
-            let others =
-                by_x[first..].iter().take_while(|(other, _)| *other <= x + within).filter_map(|&(_, other)| {
-                    let are_merged = number.is_some() && self.merged[other].number == *number;
-                    let (at, radius) = (view.frame.bodies[other].centre, INSIDE * view.schema.bodies[other].radius);
-                    (other != index && !are_merged && at.distance(now.centre) < radius + reach).then_some((at, radius))
-                });
-            self.near.clear();
-            self.near.extend(others);
             self.normals.clear();
-            let mut most = 0.0;
             for (vertex, &length) in now.lengths.iter().enumerate() {
                 let position = now.centre + now.positions.get(vertex);
                 let found = Largest { displacement: length / body.radius, body: index, vertex, position };
@@ -338,13 +401,26 @@ impl Displacements {
                     }
                 };
                 larger(&mut of_all);
-                let is_hidden = number.is_some() && !is_on[vertex]
-                    || self.near.iter().any(|&(centre, radius)| centre.distance(position) < radius);
-                if length > most {
-                    (most, self.is_inside[index]) = (length, is_hidden);
+                let is_off = number.is_some() && !is_on[vertex];
+                let is_within = |radius: fn(&Near) -> f64| {
+                    self.near.iter().any(|near| near.centre.distance_squared(position) < radius(near).powi(2))
+                };
+                if is_off {
+                    continue;
                 }
-                if !is_hidden {
+                let is_free = !is_within(|near| near.usually);
+                if is_free {
+                    self.lengths.push(found.displacement as f32);
+                }
+                if is_within(|near| near.surely) {
+                    continue;
+                }
+                if is_within(|near| near.reach) {
+                    self.doubtful.push(found);
+                } else {
                     larger(&mut outside);
+                }
+                if is_free {
                     let least = self.candidates.get(CANDIDATES - 1).map_or(0.0, |least| least.displacement);
                     if found.displacement > least {
                         if self.normals.is_empty() {
@@ -357,15 +433,28 @@ impl Displacements {
                             self.candidates.truncate(CANDIDATES);
                         }
                     }
-                    self.lengths.push(found.displacement as f32);
                 }
             }
+            if let Some(vertex) = now.most_displaced() {
+                let position = now.centre + now.positions.get(vertex);
+                let is_off = number.is_some() && !is_on[vertex];
+                self.is_inside[index] = is_off || self.near.iter().any(|near| near.contains(view, position));
+            }
         }
+        let (merged, near) = (&self.merged, &mut self.near);
+        let mut is_outside = |of: &Largest| {
+            others(of.body, merged, near);
+            !near.iter().any(|near| near.contains(view, of.position))
+        };
+        self.doubtful.sort_by(|one, other| other.displacement.total_cmp(&one.displacement));
+        let least = outside.map_or(0.0, |outside| outside.displacement);
+        let larger = self.doubtful.iter().take_while(|of| of.displacement > least).take(MOST_TESTED);
+        outside = larger.copied().find(&mut is_outside).or(outside);
         // its own body may hide it, too
         let is_clear = |of: &&Largest| {
             let (body, now) = (&view.schema.bodies[of.body], &view.frame.bodies[of.body]);
             let triangles = now.mesh_of(body).triangles();
-            !mesh::hides(&now.positions, triangles, of.vertex, labels.eye() - now.centre)
+            !mesh::hides(&now.positions, triangles, of.vertex, labels.eye() - now.centre) && is_outside(of)
         };
         self.seen = self.candidates.iter().find(is_clear).copied();
         (self.outside, self.of_all) = (outside.or(of_all), of_all);
