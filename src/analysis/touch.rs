@@ -36,7 +36,7 @@ const MAX_BISECTIONS: u32 = 60;
 const MAX_PAIRS: usize = 64;
 /// Surfaces are compared within a step each time that they have moved by this much [radii of the smaller body], …
 const FAR: f64 = 0.1;
-/// … and each time that they have turned and vibrated by this much [radii of the smaller body], or once if by a fifth, …
+/// … and each time that they have turned and vibrated by this much [radii of the smaller body], …
 const FAR_AROUND: f64 = 0.125;
 /// … which in surfaces that touch at both ends of the step must be more than this in all [radii of the smaller body].
 const STIRRED: f64 = 0.3;
@@ -413,12 +413,7 @@ impl Touches {
         let far = [from, to].map(|pair| (pair.apart.length() - distance).abs()).into_iter().fold(f64::MAX, f64::min);
         let is_turning = !has_changed && ends[0] < time && time < ends[1] && far > TREMBLE * smaller;
         let is_held = before.is_touching && known.is_touching && around < STIRRED * smaller;
-        let around = if is_held { 0.0 } else { around };
-        let least = match is_scheduled {
-            true => AT_JUMPS,
-            false => u32::from(around > 0.2 * FAR_AROUND * smaller),
-        };
-        let count = count(path, around).max(least);
+        let count = count(path, if is_held { 0.0 } else { around }).max(if is_scheduled { AT_JUMPS } else { 0 });
         Samples { count, extremum: is_turning.then_some(time) }
     }
 
