@@ -130,8 +130,8 @@ impl Touches {
     /// every step.
     ///
     /// Surfaces are compared at the end of the step and, for visits that are shorter than a step, at the extremum of the
-    /// centre distance, each time that they have moved by a tenth of the smaller radius or turned and vibrated by a
-    /// fourth, and several times where something scheduled, such as an edit, makes forces jump.
+    /// centre distance, each time that they have moved by a tenth of the smaller radius or turned and vibrated by an
+    /// eighth, and several times where something scheduled, such as an edit, makes forces jump.
     pub fn step(
         &mut self,
         simulation: &dyn Simulation,

@@ -146,7 +146,7 @@ impl Failure {
     }
 }
 
-/// The entry point of this crate's own program.
+/// The entry point of this crate's own program. Ends the process.
 pub fn main() -> ! {
     let status = start(Arguments::<OwnCommand>::command(), std::env::args_os(), |command| match command {
         OwnCommand::Any(command) => command.run(Program::Scenes),
@@ -158,8 +158,8 @@ pub fn main() -> ! {
             Ok(())
         }),
     });
-    // Not `std::process::exit`: the allocator's exit handler gives back its memory piece by piece, which takes a tenth of the
-    // time of a short run.
+    // Not `std::process::exit`: the allocator's exit handler gives back its memory piece by piece, which takes up to a tenth of
+    // the time of a short run.
     signal_hook::low_level::exit(status.into())
 }
 

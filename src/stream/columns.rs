@@ -111,17 +111,16 @@ fn strips<const N: usize>(lengths: impl Iterator<Item = usize>, points: Vec<[f32
 
 /// The values of one component in a row.
 pub trait Cell {
-    /// Appends them to a column of the same type, which they create with space for `expected` values if there is none;
-    /// returns their number.
-    fn append(&self, column: &mut Option<Box<dyn Values>>, expected: usize) -> usize;
+    /// Appends them to a column of the same type, which they create if there is none; returns their number.
+    fn append(&self, column: &mut Option<Box<dyn Values>>) -> usize;
 
     /// Whether they are the last `count` values of a column of the same type; one that is not there has none.
     fn ends(&self, column: &mut Option<Box<dyn Values>>, count: usize) -> bool;
 }
 
 impl<T: Element> Cell for Vec<T> {
-    fn append(&self, column: &mut Option<Box<dyn Values>>, expected: usize) -> usize {
-        append(self, column, expected)
+    fn append(&self, column: &mut Option<Box<dyn Values>>) -> usize {
+        append(self, column)
     }
 
     fn ends(&self, column: &mut Option<Box<dyn Values>>, count: usize) -> bool {
@@ -130,8 +129,8 @@ impl<T: Element> Cell for Vec<T> {
 }
 
 impl<T: Element, const N: usize> Cell for [T; N] {
-    fn append(&self, column: &mut Option<Box<dyn Values>>, expected: usize) -> usize {
-        append(self, column, expected)
+    fn append(&self, column: &mut Option<Box<dyn Values>>) -> usize {
+        append(self, column)
     }
 
     fn ends(&self, column: &mut Option<Box<dyn Values>>, count: usize) -> bool {
@@ -139,8 +138,8 @@ impl<T: Element, const N: usize> Cell for [T; N] {
     }
 }
 
-fn append<T: Element>(cell: &[T], column: &mut Option<Box<dyn Values>>, expected: usize) -> usize {
-    let values = column.get_or_insert_with(|| Box::new(Vec::<T>::with_capacity(expected)));
+fn append<T: Element>(cell: &[T], column: &mut Option<Box<dyn Values>>) -> usize {
+    let values = column.get_or_insert_with(|| Box::new(Vec::<T>::new()));
     // a column has values of one type, which is that of its component
     if let Some(values) = values.as_any().downcast_mut::<Vec<T>>() {
         values.extend_from_slice(cell);
@@ -161,8 +160,6 @@ pub trait Values: Send {
     fn as_any(&mut self) -> &mut dyn Any;
     /// Their size [bytes].
     fn bytes(&self) -> usize;
-    /// Their number.
-    fn count(&self) -> usize;
     /// A copy of the values from `first` on.
     fn values_from(&self, first: usize) -> Box<dyn Values>;
     /// The values as an array.
@@ -179,10 +176,6 @@ impl<T: Element> Values for Vec<T> {
 
     fn bytes(&self) -> usize {
         T::bytes(self)
-    }
-
-    fn count(&self) -> usize {
-        self.len()
     }
 
     fn values_from(&self, first: usize) -> Box<dyn Values> {
@@ -213,8 +206,6 @@ struct Column {
     descriptor: ComponentDescriptor,
     /// `None` before the first row.
     values: Option<Box<dyn Values>>,
-    /// The number of values for which space is reserved at the first row.
-    expected: usize,
     lengths: Vec<usize>,
     /// The values of the last row that was taken, and their number.
     taken: (Option<Box<dyn Values>>, usize),
@@ -222,8 +213,7 @@ struct Column {
 
 impl Columns {
     pub fn new(entity: &str, descriptors: Vec<ComponentDescriptor>) -> Columns {
-        let column =
-            |descriptor| Column { descriptor, values: None, expected: 0, lengths: Vec::new(), taken: (None, 0) };
+        let column = |descriptor| Column { descriptor, values: None, lengths: Vec::new(), taken: (None, 0) };
         Columns {
             entity: EntityPath::from(entity),
             ids: Vec::new(),
@@ -245,7 +235,7 @@ impl Columns {
             }
         }
         for (column, cell) in self.columns.iter_mut().zip(cells) {
-            column.lengths.push(cell.append(&mut column.values, column.expected));
+            column.lengths.push(cell.append(&mut column.values));
         }
     }
 
@@ -319,7 +309,7 @@ impl Columns {
 }
 
 impl Column {
-    /// The column after its rows are taken: empty, as many expected.
+    /// The column after its rows are taken.
     fn fresh(&mut self) -> Column {
         let taken = match self.lengths.split_last() {
             Some((&count, before)) => {
@@ -328,13 +318,7 @@ impl Column {
             }
             None => std::mem::take(&mut self.taken),
         };
-        Column {
-            descriptor: self.descriptor.clone(),
-            values: None,
-            expected: self.values.as_ref().map_or(self.expected, |values| values.count()),
-            lengths: Vec::new(),
-            taken,
-        }
+        Column { descriptor: self.descriptor.clone(), values: None, lengths: Vec::new(), taken }
     }
 
     /// A copy of the rows from `first` on.
@@ -343,7 +327,6 @@ impl Column {
         Column {
             descriptor: self.descriptor.clone(),
             values: self.values.as_ref().map(|values| values.values_from(before)),
-            expected: 0,
             lengths: self.lengths[first..].to_vec(),
             taken: (None, 0),
         }

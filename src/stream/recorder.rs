@@ -494,10 +494,10 @@ impl Recorder {
                 true => format!("failed; largest displacement: {}, {} R", of.name, significant(displacement)),
                 false => format!("failed: {} is not finite", of.name),
             };
-            // above the body: at its centre are other labels
-            let place = centre + 1.3 * of.radius * self.schema.up;
-            self.chunks.log(NOT_RECORDED.path, self.at, &notice(place, &text));
             let seen = of.radius * (1.0 + displacement.min(MOST));
+            // above the body: at its centre are other labels
+            let place = centre + seen * self.schema.up;
+            self.chunks.log(NOT_RECORDED.path, self.at, &notice(place, &text));
             parts.focus.fail(self.at.time, (centre, seen));
         }
     }

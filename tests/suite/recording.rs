@@ -2076,6 +2076,19 @@ fn every_phase_is_recorded_exactly() {
     assert_eq!(rows.len(), 5);
 }
 
+/// A frame has no positions of a body at rest, which hides vertices all the same.
+#[test]
+fn a_body_at_rest_hides_the_vertices_inside_it() {
+    let text = "duration = 1.5\n[influence]\nmerge_at = 0.2\nsplit_at = 0.3\nbeta = 20\n\
+        [[body]]\nname = \"a\"\nradius = 1.0\nreach = 0.01\nmotion = { line = { from = [-2.6, 0.1, 0], velocity = [1.2, 0, 0] } }\n\
+        [[body]]\nname = \"b\"\nradius = 1.0\nmotion = { fixed = [0, 0, 0] }\n";
+    let run = Run::new(&Scene::parse(text, "rest.toml").expect("a valid scene"));
+    run.verify_largest();
+    let labels = run.recording.changes("/largest/bodies");
+    let inside = labels.iter().filter(|row| row.texts("Points3D:labels").concat().contains(" inside")).count();
+    assert!(inside > 10, "{inside} frames");
+}
+
 #[test]
 fn skipped_frames_keep_their_events() {
     for scene in [crossing(), builtin("three")] {

@@ -20,7 +20,7 @@ const COARSE: f64 = 0.5;
 /// than this [radii of the smaller body].
 const FINE: f64 = 0.05;
 const NEGLIGIBLE: f64 = 0.01;
-/// Most parts of one body in one other. Only surfaces many times larger than their spheres need more.
+/// Most parts of the triangles of one body in another: a surface may be any number of times larger than the radius.
 const PARTS: usize = 2_048;
 /// Bodies this far apart are apart in a union, too [radii]; …
 const APART: f64 = 1e-6;
@@ -186,6 +186,7 @@ fn deepen_in_coarse(
     };
     let mut parts = BinaryHeap::new();
     for &t in &united.removed[body] {
+        meter.spend(SAMPLE)?;
         parts.extend(sample(mesh.corners(t), COARSE * radius, deepest));
     }
     for _ in 0..PARTS / 4 {

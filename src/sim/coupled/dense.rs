@@ -23,10 +23,10 @@ const MAX_HALVINGS: u32 = 6;
 const MEMORY: usize = 256 << 20;
 /// Largest number of states of a step that are kept.
 const MOST_STATES: usize = 256;
-/// Largest work for states within a step, in multiples of that of the step …
+/// States within a step may take this many times the work of the step, …
 const MOST_WORK: u64 = 20;
-/// … and besides [units].
-const LEAST_WORK: u64 = 10_000_000;
+/// … and this much besides [units].
+const FREE_WORK: u64 = 10_000_000;
 
 /// The states of a step.
 pub(super) struct DenseOutput {
@@ -130,7 +130,7 @@ impl DenseOutput {
         }
         dense.spans = (1..dense.states.len()).map(|i| Interval { ends: [i - 1, i], halves: None }).collect();
         (dense.own_spans, dense.scratch) = (dense.spans.len(), scratch);
-        dense.left = LEAST_WORK + MOST_WORK * (work.done() - before);
+        dense.left = FREE_WORK + MOST_WORK * (work.done() - before);
         Some(dense)
     }
 
@@ -158,8 +158,8 @@ impl DenseOutput {
         });
     }
 
-    /// Calls `write` with the states of some of the bodies at a time [s], if it can be found within `work`. Once the work of
-    /// the step is done, they are interpolated between states that are known.
+    /// Calls `write` with the states of some of the bodies at a time [s], if it can be found within `work`. Once too much
+    /// has been done for states within this step, they are interpolated between those that are known.
     pub fn at(
         &mut self,
         time: f64,

@@ -194,11 +194,6 @@ impl Acting {
         self.pushes.extend(field.pushes.iter().filter(acts));
     }
 
-    /// The number of pushes, for each of some vertices.
-    pub fn pushes_on(&self, vertices: usize) -> u64 {
-        (self.pushes.len() * vertices) as u64
-    }
-
     /// Finds the vertices on which a contact begins or ceases to act within the step, and those on which a plane or a
     /// push acts throughout. Returns whether the set of individually advanced vertices changed. Adds their [load](split::Split::load)
     /// to `load`, and leaves vertices out once that is too much.

@@ -136,8 +136,9 @@ impl Island {
             let held = scratch.courses.iter().map(|course| course.held.len() as u64).sum();
             report.held = report.held.max(held);
             work.spend(HOLD * held);
-            let pushes = scratch.courses.iter().zip(&scratch.acting);
-            work.spend(pushes.map(|(course, acting)| PUSH * acting.pushes_on(course.active.len())).sum());
+            let bodies = scratch.courses.iter().zip(&scratch.acting);
+            let pushes: usize = bodies.map(|(course, acting)| acting.pushes.len() * course.active.len()).sum();
+            work.spend(PUSH * pushes as u64);
             let legs = scratch.courses.iter().flat_map(|course| &course.splits).map(|split| split.legs().len() as u64);
             work.spend(LEG * legs.sum::<u64>());
             // largest correction over the wanted size

@@ -58,8 +58,7 @@ const LEAST: f64 = 0.01;
 const SHARE: f64 = 0.9;
 /// … but at least this share of the largest one, so that a small dent has more than one colour.
 const OF_LARGEST: f64 = 0.3;
-/// A vertex closer to the centre of a body with which its own is not merged than this share of its radius is inside it if it
-/// is not dented, and closer than this share of the distance of its nearest vertex, inside it.
+/// A point this close to the centre of a round body is inside it, whatever its triangles cut off [radii].
 const INSIDE: f64 = 0.95;
 /// Number of vertices in front, the most displaced ones, of which one is marked that no body hides.
 const CANDIDATES: usize = 32;
@@ -289,11 +288,11 @@ fn outward_normals(triangles: &[[u32; 3]], positions: &Vectors, normals: &mut Ve
 struct Near {
     body: usize,
     centre: DVec3,
-    /// Points closer to the centre than this are inside it … [scene unit]
+    /// Points closer to the centre than this are inside it, if it is star-shaped [scene unit].
     surely: f64,
-    /// … usually … [scene unit]
+    /// Points closer than this are inside it, if it is not deformed [scene unit].
     usually: f64,
-    /// … and farther ones are outside [scene unit].
+    /// Points farther than this are outside [scene unit].
     reach: f64,
 }
 
