@@ -33,7 +33,7 @@
 //! let octahedra = Octahedra::two(3.0);
 //! observe::verify(&octahedra, 100).map_err(|mistakes| mistakes.join("\n"))?;
 //!
-//! let destinations = Destinations { save: Some("octahedra.rrd".into()), ..Destinations::default() };
+//! let destinations = Destinations::file("octahedra.rrd");
 //! stream::record(&octahedra, Settings::of(&octahedra), &destinations)?;
 //!
 //! let open = |path: &str| Recorded::open_as(path.as_ref(), &|name, text, run| octahedra.read(name, text, run));

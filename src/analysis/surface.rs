@@ -288,7 +288,9 @@ impl Merger {
         merged.is_merged.resize(schema.bodies.len(), false);
         merged.overlapping = groups.iter().filter(|group| group.is_none()).count();
         let last = std::mem::take(&mut merged.groups);
-        for group in groups.into_iter().flatten() {
+        // another program's groups may be wrong
+        let is_valid = |of: &Group| !of.bodies.is_empty() && of.bodies.iter().all(|&body| body < schema.bodies.len());
+        for group in groups.into_iter().flatten().filter(is_valid) {
             group.bodies.iter().for_each(|&body| merged.is_merged[body] = true);
             merged.groups.push(last.iter().find(|known| ***known == group).cloned().unwrap_or_else(|| Arc::new(group)));
         }

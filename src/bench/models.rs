@@ -13,7 +13,7 @@ use super::{
 use crate::{
     Scene,
     analysis::{surface::Merger, touch::Touches},
-    geometry::{Vectors, mesh::signed_volume},
+    geometry::{Vectors, mesh::signed_volume_of},
     models::SceneRun,
     observe::{Experiment as _, Frame, Run, Schema, SurfaceEvent, Want, schema::titled, surface::Finding},
     scene::Model,
@@ -182,7 +182,7 @@ pub(super) fn observe(scene: &Scene) -> Result<Row, String> {
 fn volume(schema: &Schema, frame: &Frame, body: usize, local: &mut Vectors) -> f64 {
     let (of, now) = (&schema.bodies[body], &frame.bodies[body]);
     now.local_positions(now.rest_of(of), local);
-    signed_volume(now.mesh_of(of).triangles().iter().map(|corners| corners.map(|v| local.get(v as usize))))
+    signed_volume_of(local, now.mesh_of(of).triangles())
 }
 
 /// The motion in a run with some step.

@@ -101,12 +101,22 @@ pub struct Verification {
     pub replay: f64,
 }
 
-/// A new name for a recording in the system's temporary folder; an interrupt removes it.
-fn temporary_file() -> Result<PathBuf, String> {
-    let name = atomic::unique_name("meldscope-bench-", ".rrd").map_err(|error| error.to_string())?;
-    let file = std::env::temp_dir().join(name);
-    atomic::add(&file);
-    Ok(file)
+/// A recording in the system's temporary folder, which is removed in the end, or by an interrupt.
+struct Temporary(PathBuf);
+
+impl Temporary {
+    fn new() -> Result<Temporary, String> {
+        let name = atomic::unique_name("meldscope-bench-", ".rrd").map_err(|error| error.to_string())?;
+        let file = std::env::temp_dir().join(name);
+        atomic::add(&file);
+        Ok(Temporary(file))
+    }
+}
+
+impl Drop for Temporary {
+    fn drop(&mut self) {
+        std::fs::remove_file(&self.0).ok();
+    }
 }
 
 /// Measures a scene in every way.
@@ -137,14 +147,14 @@ struct Bench<'a> {
     frames: Vec<(StepRecord, Frame)>,
     /// Payload of `frames` [bytes].
     payload: u64,
-    file: PathBuf,
+    file: Temporary,
 }
 
 impl Bench<'_> {
     fn new(scene: &Scene, detail: Detail) -> Result<Bench<'_>, String> {
         let settings = Settings { detail, ..Settings::of(scene) };
         let schema = scene.schema();
-        let mut bench = Bench { scene, settings, schema, frames: Vec::new(), payload: 0, file: temporary_file()? };
+        let mut bench = Bench { scene, settings, schema, frames: Vec::new(), payload: 0, file: Temporary::new()? };
         let (mut world, mut kept) = (world(scene)?, 0);
         let mut watch = StepWatch::new(&world, &bench.settings);
         for _ in 0..scene.steps() {
@@ -166,7 +176,7 @@ impl Bench<'_> {
 
     fn measure(&self, destination: Destination, is_simulated: bool) -> Result<Measurement, String> {
         let destinations = match destination {
-            Destination::File => Destinations { save: Some(self.file.clone()), ..Destinations::default() },
+            Destination::File => Destinations::file(&self.file.0),
             Destination::Server => {
                 let serve = Serve { web_port: 0, grpc_port: 0, ..Serve::default() };
                 Destinations { serve: Some(serve), ..Destinations::default() }
@@ -184,7 +194,7 @@ impl Bench<'_> {
             if destination == Destination::Log {
                 let stream = self.log().map_err(|error| error.to_string())?;
                 stream.flush_blocking().map_err(|error| error.to_string())?;
-                let size = std::fs::metadata(&self.file).map_err(|error| error.to_string())?.len();
+                let size = std::fs::metadata(&self.file.0).map_err(|error| error.to_string())?.len();
                 bytes = Some(bytes.unwrap_or(0) + size);
             } else if is_simulated {
                 match sinks.take() {
@@ -200,9 +210,8 @@ impl Bench<'_> {
         if let Some(sinks) = sinks {
             let finished = sinks.finish().map_err(|error| error.to_string())?;
             bytes = finished.save.map(|saved| saved.bytes);
-            entities = bytes.map(|_| entities_in(&self.file)).transpose()?;
+            entities = bytes.map(|_| entities_in(&self.file.0)).transpose()?;
         }
-        std::fs::remove_file(&self.file).ok();
         let (scene, bodies, detail) = (self.scene.name.clone(), self.scene.bodies.len(), self.settings.detail);
         let payload = self.payload * frames / self.frames.len().max(1) as u64;
         Ok(Measurement { scene, bodies, detail, destination, is_simulated, frames, seconds, bytes, payload, entities })
@@ -236,7 +245,8 @@ impl Bench<'_> {
     /// Logs the precomputed states with the SDK: positions, normals and arrows, one entity at a time.
     fn log(&self) -> RecordingStreamResult<RecordingStream> {
         let (mut extractor, mut surface, mut origins) = (Extractor::default(), Surface::default(), Vec::new());
-        let stream: RecordingStream = RecordingStreamBuilder::new("meldscope_bench").enabled(true).save(&self.file)?;
+        let stream: RecordingStream =
+            RecordingStreamBuilder::new("meldscope_bench").enabled(true).save(&self.file.0)?;
         for body in &self.schema.bodies {
             let mesh = Mesh3D::update_fields().with_triangle_indices(body.mesh.triangles().iter().copied());
             stream.log_static(BODY_SURFACE.of(&[&body.name]), &mesh)?;
@@ -309,10 +319,10 @@ fn entities_in(file: &Path) -> Result<usize, String> {
 /// # Errors
 /// A description of what failed.
 pub fn verify(scene: &Scene) -> Result<Verification, String> {
-    let file = temporary_file()?;
+    let file = Temporary::new()?;
     let experiment = SceneRun { scene: scene.clone(), options: Options::default() };
     let settings = Settings { frames: Frames::Thin, ..Settings::of(scene) };
-    let destinations = Destinations { save: Some(file.clone()), ..Destinations::default() };
+    let destinations = Destinations::file(&file.0);
     record(&experiment, settings, &destinations).map_err(|error| error.to_string())?;
     let mut best = vec![[f64::INFINITY; 2]; scene.steps() as usize];
     let (mut run, mut replay) = (f64::INFINITY, f64::INFINITY);
@@ -339,14 +349,13 @@ pub fn verify(scene: &Scene) -> Result<Verification, String> {
         (0..scene.steps()).for_each(|_| _ = world.step());
         run = run.min(start.elapsed().as_secs_f64());
         let start = Instant::now();
-        let recorded = Recorded::open(&file).map_err(|error| error.to_string())?;
+        let recorded = Recorded::open(&file.0).map_err(|error| error.to_string())?;
         let verdict = replay::verify(&recorded, |_| true).map_err(|error| error.to_string())?;
         replay = replay.min(start.elapsed().as_secs_f64());
         if verdict != Verdict::Identical {
             return Err(format!("a replay of {} differs; this is a bug, please report it", scene.name));
         }
     }
-    std::fs::remove_file(&file).ok();
     let [step, both] = [0, 1].map(|which| best.iter().map(|best| best[which]).sum::<f64>() / best.len() as f64);
     Ok(Verification { scene: scene.name.clone(), step, checksum: both - step, run, replay })
 }

@@ -233,7 +233,7 @@ fn save(all: &SideBySide, path: &Path) -> Result<(), Failure> {
     let schema = all.schema();
     let new = Existing { application: application(&schema.name), kind: Some(Kind::Run) };
     let note = may_save(path, &[], &new)?;
-    let destinations = Destinations { save: Some(path.to_owned()), ..Destinations::default() };
+    let destinations = Destinations::file(path);
     let progress = Progress::new("recording all models", Work::Uncounted).with_file(path);
     let recorded = stream::record(all, Settings::of(all), &destinations);
     let frames = recorded.map_err(|error| Failure::Run(error.to_string()))?;

@@ -25,7 +25,7 @@ use crate::{
     recording::{
         ReadError, events,
         existing::{Existing, Kind, REASONS, replace},
-        golden::{self, Blessed, GoldenDifference, GoldenOutcome, Moved},
+        golden::{self, BlessError, Blessed, GoldenDifference, GoldenOutcome, Moved},
     },
     stream::{settings::application, sinks::Complete},
     text::{self, bytes, counted, thousands, vector},
@@ -180,10 +180,9 @@ fn report(name: &str, difference: &GoldenDifference, is_accepted: bool) {
                 let listed: Vec<String> = vertices.iter().take(LISTED).map(usize::to_string).collect();
                 let more = if vertices.len() > LISTED { ", …" } else { "" };
                 print(&format!(
-                    "    body \"{body}\", {} {}{more}: {} of its vertices differ{}",
-                    if vertices.len() == 1 { "vertex" } else { "vertices" },
+                    "    body \"{body}\", {}: {}{more}{}",
+                    counted(vertices.len() as u64, "vertex"),
                     listed.join(", "),
-                    thousands(vertices.len() as u64),
                     match first.bodies.len() {
                         1 => String::new(),
                         2 => ", and some of another body".to_owned(),
@@ -270,7 +269,8 @@ fn bless(scripts: &[Script], reason: &str) -> Result<(), Failure> {
                 made.push((script, blessed, file));
                 notes.push(note);
             }
-            Err(error) => failed.push((script, error.to_string())),
+            Err(BlessError::Sink(error)) => failed.push((script, Failure::from(error))),
+            Err(BlessError::Scene(error)) => failed.push((script, Failure::Run(error))),
         }
     }
     // The reasons come first: whenever the machine fails, no golden recording is without its reason.
@@ -297,17 +297,19 @@ fn bless(scripts: &[Script], reason: &str) -> Result<(), Failure> {
                 let size = bytes(blessed.bytes);
                 print(&format!("{}: {:016x}, {} ({size})", script.name, blessed.digest, script.golden.display()));
             }
-            Err(error) => failed.push((script, error)),
+            Err(error) => failed.push((script, Failure::Run(error))),
         }
     }
+    let is_input = failed.iter().all(|(_, error)| matches!(error, Failure::Input(_)));
+    let failure = if is_input { Failure::Input } else { Failure::Run };
     match failed.as_slice() {
         [] => Ok(()),
-        [(script, error)] => Err(Failure::Run(format!("{}: {error}", script.name))),
+        [(script, error)] => Err(failure(format!("{}: {error}", script.name))),
         all => {
             all.iter().for_each(|(script, error)| say(&format!("{}: {error}", script.name)));
             let names: Vec<&str> = all.iter().map(|(script, _)| script.name.as_str()).collect();
             let (count, of) = (all.len(), scripts.len());
-            Err(Failure::Run(format!("{count} of {of} scenes were not blessed: {}", names.join(", "))))
+            Err(failure(format!("{count} of {of} scenes were not blessed: {}", names.join(", "))))
         }
     }
 }

@@ -6,7 +6,7 @@ use super::{
     Failure, may_print, may_save, print, print_lines,
     program::Program,
     progress::{Progress, Work},
-    say_note, sink_failure,
+    say_note,
 };
 use crate::{
     recording::{diff, existing::Existing},
@@ -82,7 +82,7 @@ pub fn diff(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> {
         )));
     }
     if let Some(save) = &arguments.save {
-        let saved = diff::save([&a, &b], &difference, tolerance, save)?.map_err(sink_failure)?;
+        let saved = diff::save([&a, &b], &difference, tolerance, save)??;
         say_note(note);
         if let Some(saved) = saved {
             print(&format!("saved {}: {}", saved.path.display(), bytes(saved.bytes)));

@@ -5,7 +5,7 @@ use std::{fmt::Write as _, path::Path};
 use glam::DVec3;
 
 use super::{
-    Failure, interrupt,
+    Failure, interrupt, must_reproduce,
     overrides::Overrides,
     print, print_lines,
     program::Program,
@@ -16,7 +16,7 @@ use crate::{
     analysis::{Approaches, surface::Merger},
     geometry::Vectors,
     observe::{BodyFrame, Frame, PairEvent, PairFrame, Run, Schema, Simulation, Want, schema::Scheduled},
-    recording::existing::Existing,
+    recording::{Recorded, existing::Existing},
     text::{aligned, counted, did_you_mean, short, thousands, trimmed},
 };
 
@@ -46,16 +46,16 @@ pub struct Arguments {
 /// Simulates a run and explains one of its steps.
 pub fn explain(program: Program<'_>, arguments: &Arguments) -> Result<(), Failure> {
     let path = Path::new(&arguments.subject);
-    let (simulation, last) = if Existing::is_recording(path) {
+    let (simulation, last, recorded) = if Existing::is_recording(path) {
         let recorded = program.recorded(path)?;
-        (recorded.start().map_err(Failure::input)?, recorded.last())
+        (recorded.start().map_err(Failure::input)?, recorded.last(), Some(recorded))
     } else {
         let subject = program.subject(&arguments.subject, &Overrides::default())?;
         let simulation = subject.experiment(Some(&interrupt::STOP)).start().map_err(Failure::Input)?;
         let schema = simulation.schema();
         warnings(&schema).iter().for_each(|line| say(line));
         let last = schema.steps;
-        (simulation, last)
+        (simulation, last, None)
     };
     if arguments.step > last {
         return Err(Failure::Input(format!(
@@ -65,7 +65,7 @@ pub fn explain(program: Program<'_>, arguments: &Arguments) -> Result<(), Failur
     }
     let schema = simulation.schema();
     let wanted = Wanted::of(arguments, &schema)?;
-    let history = History::of(simulation, &schema, arguments.step, last)?;
+    let history = History::of((simulation, recorded.as_ref()), &schema, arguments.step, last)?;
     let explained = Explained { schema: &schema, history: &history };
     let time = history.frame.at.time;
     print(&format!("{}, step {} of {}, t = {time:.6} s", schema.name, arguments.step, thousands(last)));
@@ -156,7 +156,13 @@ struct History {
 }
 
 impl History {
-    fn of(simulation: Box<dyn Simulation>, schema: &Schema, step: u64, last: u64) -> Result<History, Failure> {
+    /// That of a simulation, which must reproduce the recording, if it is of one.
+    fn of(
+        (simulation, recorded): (Box<dyn Simulation>, Option<&Recorded>),
+        schema: &Schema,
+        step: u64,
+        last: u64,
+    ) -> Result<History, Failure> {
         let progress = Progress::new("simulating", Work::Units("step", Some(last)));
         let mut approaches = Approaches::new(&*simulation, schema);
         let (mut frame, mut events) = (Frame::default(), Vec::new());
@@ -164,6 +170,7 @@ impl History {
         loop {
             let simulation = &*run.simulation;
             progress.step(simulation.steps_taken(), simulation.time());
+            must_reproduce(recorded, simulation)?;
             if simulation.steps_taken() == step {
                 simulation.observe(Want::ALL, &mut frame);
             }

@@ -11,7 +11,7 @@ use std::{
 };
 
 use super::{
-    Failure, expense, is_marked, is_same_file, one_of,
+    Failure, expense, is_marked, is_same_file, must_reproduce, one_of,
     overrides::Overrides,
     print,
     program::Program,
@@ -26,7 +26,7 @@ use crate::{
     scene::template::Override,
     stream::settings::file_stem,
     table::Table,
-    text::{self, bytes, counted},
+    text::{bytes, counted},
 };
 use formats::{Format, GENERATOR};
 use tables::{BY_STEP, EVENTS, StepData, add_event};
@@ -126,13 +126,7 @@ pub fn export(program: Program<'_>, arguments: Arguments) -> Result<(), Failure>
         let simulation = &*run.simulation;
         let step = simulation.steps_taken();
         progress.step(step, simulation.time());
-        if let Some(recorded) = &recorded
-            && recorded.checksum(step).is_some_and(|checksum| checksum != simulation.checksum())
-        {
-            let path = recorded.path.display();
-            let help = format!("see `{} replay`", text::program());
-            return Err(Failure::Run(format!("{path} is not reproduced from step {step} on: {help}")));
-        }
+        must_reproduce(recorded.as_ref(), simulation)?;
         if is_wanted(step) && needs_frames {
             simulation.observe(want, &mut frame);
             verify::frame(&schema, &frame, want).map_err(Failure::Run)?;

@@ -14,7 +14,7 @@ use super::{
     overrides::Overrides,
     print_always,
     program::{Program, Subject},
-    run, say, sink_failure,
+    run, say,
 };
 use crate::{
     live::{self, Live, change::Problem},
@@ -81,7 +81,7 @@ pub(super) fn live(program: Program<'_>, arguments: Arguments) -> Result<(), Fai
     let is_loopback = arguments.bind.bind.is_loopback();
     interrupt::raise_stop()?;
     let options = live::Options { serve: arguments.bind, save, interrupt: &OUTDATED };
-    let live = Live::start(first, options).map_err(sink_failure)?;
+    let live = Live::start(first, options)?;
     print_always(&live.address);
     say("Open this address in a browser. Ctrl-C ends.");
     if !is_loopback {

@@ -42,9 +42,9 @@ use clap::{
 
 use crate::{
     atomic,
-    observe::{Experiment, Schema},
+    observe::{Experiment, Schema, Simulation},
     recording::{
-        ReadError,
+        ReadError, Recorded,
         existing::{self, Existing},
         read::expects_panics,
     },
@@ -128,6 +128,12 @@ impl From<ReadError> for Failure {
             ReadError::Failed { .. } => Failure::Run(error.to_string()),
             _ => Failure::Input(error.to_string()),
         }
+    }
+}
+
+impl From<SinkError> for Failure {
+    fn from(error: SinkError) -> Failure {
+        if error.is_usage() { Failure::input(error) } else { Failure::Run(error.to_string()) }
     }
 }
 
@@ -298,11 +304,26 @@ impl Command {
     }
 }
 
+/// Whether the state of a simulation is the recorded one, if there is a recording.
+fn must_reproduce(recorded: Option<&Recorded>, simulation: &dyn Simulation) -> Result<(), Failure> {
+    let step = simulation.steps_taken();
+    match recorded.filter(|of| of.checksum(step).is_some_and(|checksum| checksum != simulation.checksum())) {
+        None => Ok(()),
+        Some(Recorded { path, .. }) => {
+            let help = format!("see `{} replay`", text::program());
+            Err(Failure::Run(format!("{} is not reproduced from step {step} on: {help}", path.display())))
+        }
+    }
+}
+
 /// Records a scene as `run SCENE --save F.rrd --steps N` does.
 fn record(scene: &Path, recording: &Path, steps: u64) -> Result<(), Failure> {
-    let steps = steps.to_string();
-    let line = ["meldscope".as_ref(), "run".as_ref(), scene.as_os_str(), "--save".as_ref(), recording.as_os_str()];
-    let line = line.into_iter().chain(["--steps".as_ref(), steps.as_ref()]);
+    // so that a path that begins with a dash is no option
+    let mut save = OsString::from("--save=");
+    save.push(recording);
+    let steps = format!("--steps={steps}");
+    let line =
+        ["meldscope".as_ref(), "run".as_ref(), save.as_os_str(), steps.as_ref(), "--".as_ref(), scene.as_os_str()];
     Arguments::<Command>::try_parse_from(line).map_err(Failure::input)?.command.run(Program::Scenes)
 }
 
@@ -387,7 +408,7 @@ fn may_save(path: &Path, inputs: &[(&Path, &str)], new: &Existing) -> Result<Opt
             )));
         }
     }
-    existing::replace(path, new).map_err(sink_failure)
+    Ok(existing::replace(path, new)?)
 }
 
 /// Rejects an input file that is also standard output.
@@ -399,10 +420,6 @@ fn may_print(input: &Path) -> Result<(), Failure> {
         }
         false => Ok(()),
     }
-}
-
-fn sink_failure(error: SinkError) -> Failure {
-    if error.is_usage() { Failure::input(error) } else { Failure::Run(error.to_string()) }
 }
 
 /// Whether a file is empty, or has near its beginning the mark of what writes such files here.

@@ -6,7 +6,7 @@ use super::{
     Failure, may_print, may_save, print,
     program::Program,
     progress::{Progress, Work},
-    say, say_note, sink_failure,
+    say, say_note,
 };
 use crate::{
     observe::{Frame, Run, Schema, Simulation, Want},
@@ -306,8 +306,8 @@ impl Saver {
         let new = Existing { application: application(&schema.name), kind: Some(Kind::Run) };
         let open = |save: &PathBuf| {
             let note = may_save(save, &[(&recorded.path, "the recording to be replayed")], &new)?;
-            let destinations = Destinations { save: Some(save.clone()), ..Destinations::default() };
-            let sinks = Sinks::open(&destinations).map_err(sink_failure)?;
+            let destinations = Destinations::file(save);
+            let sinks = Sinks::open(&destinations)?;
             say_note(note);
             Ok::<_, Failure>(sinks)
         };
@@ -380,7 +380,7 @@ impl Saver {
             return Ok(());
         }
         let Some(PipelineEnd { recorder, sinks, .. }) = self.end else { return Ok(()) };
-        let finished = sinks.finish().map_err(sink_failure)?;
+        let finished = sinks.finish()?;
         if let Some(saved) = finished.save {
             print(&format!(
                 "saved {}: steps {} to {}, {}, {}",

@@ -18,7 +18,7 @@ use super::{
     overrides::Overrides,
     program::Program,
     progress::{Progress, Work},
-    say_note, sink_failure,
+    say_note,
 };
 use crate::{
     observe::{Experiment, Schema, Simulation},
@@ -168,7 +168,7 @@ pub fn run(program: Program<'_>, mut arguments: Arguments) -> Result<(), Failure
     let note = destinations.save.as_ref().map(|save| may_save(save, &inputs, &new)).transpose()?.flatten();
     interrupt::raise_stop()?; // there is nothing to save before this point
     interrupt::end_before_first_step()?;
-    let sinks = Sinks::open(&destinations).map_err(sink_failure)?;
+    let sinks = Sinks::open(&destinations)?;
     let waits = matches!(&settings.frames, Frames::Last { on, .. } if !on.is_empty());
     say_note(note.map(|note| if waits { format!("{note}, if an --on event occurs") } else { note }));
 
@@ -194,7 +194,7 @@ pub fn run(program: Program<'_>, mut arguments: Arguments) -> Result<(), Failure
         };
         console.notes(serving.refused().as_slice());
         if let Some(error) = failure {
-            return Err(sink_failure(error));
+            return Err(error.into());
         }
     }
     match (outcome.settings.steps, outcome.simulation.steps_taken()) {

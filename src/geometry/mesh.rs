@@ -35,6 +35,11 @@ pub fn signed_volume(corners: impl Iterator<Item = [DVec3; 3]>) -> f64 {
     corners.map(|[a, b, c]| a.dot(b.cross(c)) / 6.0).sum()
 }
 
+/// [`signed_volume`] of a mesh with these positions.
+pub fn signed_volume_of(positions: &Vectors, triangles: &[[u32; 3]]) -> f64 {
+    signed_volume(triangles.iter().map(|corners| corners.map(|corner| positions.get(corner as usize))))
+}
+
 impl Mesh {
     /// A general mesh, shifted to its centre of mass and scaled so that its farthest vertex is at distance 1.
     ///

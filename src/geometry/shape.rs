@@ -9,7 +9,7 @@ use std::{
 use super::{Mesh, Shape, Sphere};
 
 /// A shape with integer parameters.
-pub trait Solid: Clone + Ord + Hash {
+pub trait Solid: Clone + Eq + Hash {
     /// The parameters, in the order of [`Solid::new`].
     const PARAMETERS: &'static [Parameter];
     /// What the shape is.
@@ -70,7 +70,7 @@ macro_rules! shapes {
         $(pub use $module::$Kind;)*
 
         /// The rest shape of a body, of radius 1.
-        #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        #[derive(Clone, Debug, PartialEq, Eq, Hash)]
         pub enum Shape {
             $(#[doc = concat!("`shape = { ", $name, " = { … } }`")] $Kind($Kind),)*
             /// `shape = { mesh = "FILE" }`

@@ -12,7 +12,7 @@ use super::{
 /// Vertex 0 is the north pole (+z). The rings follow from north to south: ring i = 1 … stacks − 1 is at polar angle
 /// πi/stacks, and its vertex j = 0 … slices − 1 is at azimuth 2πj/slices from +x towards +y. The south pole is the last
 /// vertex.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Sphere {
     /// Number of bands from pole to pole, ≥ 2.
     pub stacks: u32,

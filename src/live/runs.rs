@@ -425,8 +425,9 @@ impl Runs {
     fn save_now(&self, experiment: &dyn Experiment, what: Save) -> Result<(), Problem> {
         let text = match what {
             Save::Recording => {
-                let path = free_name(&self.save, "rrd");
-                let destinations = Destinations { save: Some(path.clone()), ..Destinations::default() };
+                let extension = self.save.extension().map_or("rrd".into(), |extension| extension.to_string_lossy());
+                let path = free_name(&self.save, &extension)?;
+                let destinations = Destinations::file(&path);
                 let frames = stream::record(experiment, Settings::of(experiment), &destinations)
                     .map_err(|error| Problem::new(error.to_string()))?;
                 let is_whole = !self.interrupt.load(Ordering::Relaxed);
@@ -435,7 +436,7 @@ impl Runs {
                 format!("saved {}: {frames}{what}", path.display())
             }
             Save::Scene => {
-                let path = free_name(&self.save, "toml");
+                let path = free_name(&self.save, "toml")?;
                 atomic::write_new(&path, &experiment.schema().source)
                     .map_err(|error| Problem::new(format!("{} cannot be written: {error}", path.display())))?;
                 format!("saved {}", path.display())
@@ -452,11 +453,13 @@ fn varied(experiment: &dyn Experiment, change: &Change) -> Result<Arc<dyn Experi
 }
 
 /// A path like this one that is free, because saving replaces nothing: `name.rrd`, `name-2.rrd` …
-fn free_name(path: &Path, extension: &str) -> PathBuf {
+fn free_name(path: &Path, extension: &str) -> Result<PathBuf, Problem> {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-    let numbered = (2..NAMES).map(|number| path.with_file_name(format!("{stem}-{number}.{extension}")));
-    let first = path.with_file_name(format!("{stem}.{extension}"));
-    std::iter::once(first.clone()).chain(numbered).find(|path| !path.exists()).unwrap_or(first)
+    let numbered = (2..NAMES).map(|number| format!("{stem}-{number}"));
+    let names = std::iter::once(stem.to_string()).chain(numbered);
+    let mut paths = names.map(|name| path.with_file_name(format!("{name}.{extension}")));
+    let taken = || Problem::new(format!("all names from {} on are taken: remove some of these files", path.display()));
+    paths.find(|path| !path.exists()).ok_or_else(taken)
 }
 
 /// Steps from one frame to the next with which the rest of a recording stays below its upper limit, if its frames are

@@ -18,7 +18,10 @@ use crate::{
     observe::{
         BodyEvent, BodyFrame, Experiment, Frame, Instant, NearPair, PairEvent, PairFrame, Refusal, Schema, Simulation,
         StepFailure, StepSummary, SurfaceEvent, Want,
-        schema::{BodySchema, OwnLevels, OwnSurfaces, ScalarOf, ScalarSchema, TermSchema, VariantSchema},
+        schema::{
+            BodySchema, OwnLevels, OwnSurfaces, PointSchema, ScalarOf, ScalarSchema, SphereAt, TermSchema,
+            VariantSchema,
+        },
         surface::{Finding, Group, Surfaced, Surfaces},
     },
     scene::{Model, Scene},
@@ -108,6 +111,14 @@ impl SideBySide {
                 place.schema.level(threshold, [a - place.first, b.checked_sub(place.first)?], time)
             })
         };
+        let points = places.iter().flat_map(|place| {
+            let moved = |point: &PointSchema| {
+                let (sphere, offset) = (point.sphere.clone(), place.offset);
+                let sphere = SphereAt::new(move |time| sphere.at(time).map(|(centre, reach)| (centre + offset, reach)));
+                PointSchema { sphere, ..point.clone() }
+            };
+            place.schema.points.iter().map(moved)
+        });
         let variants = self.models.iter().zip(places);
         let variants = variants.map(|(model, place)| VariantSchema { name: model.name(), heading: place.heading });
         Schema {
@@ -117,6 +128,7 @@ impl SideBySide {
             law: laws(places),
             bodies: bodies.collect(),
             variants: variants.collect(),
+            points: points.collect(),
             terms: vec![net],
             labels: vec!["as in its own recording"],
             own_levels: if self.scene.has_one_law() { OwnLevels::default() } else { own_levels },

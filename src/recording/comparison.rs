@@ -120,7 +120,7 @@ impl Comparison {
         path: &Path,
     ) -> Result<Comparison, SinkError> {
         existing::replace(path, &Existing::comparison())?;
-        let destinations = Destinations { save: Some(path.to_owned()), ..Destinations::default() };
+        let destinations = Destinations::file(path);
         let mut sinks = Sinks::open(&destinations)?;
         let application = ApplicationId::new_or_unknown(Existing::comparison().application);
         let store = StoreId::new(StoreKind::Recording, application, format!("{}-difference", file_stem(&schema.name)));
@@ -154,7 +154,7 @@ impl Comparison {
         let about = format!(
             "**{}**: the blue, translucent surface is {}, orange dots are the vertices of {}. Red arrows lead from the one to \
              the other; the longest of an instant has a length of at least {LONGEST} radii. {}  \nThe plot has the largest \
-             distance of each body; grey: the tolerance, {:e}.{}{}",
+             distance of each body, from a thousandth of the tolerance on; grey: the tolerance, {:e}.{}{}",
             schema.name,
             plan.labels[0],
             plan.labels[1],
@@ -283,7 +283,7 @@ impl Comparison {
                     origins.push(a.as_vec3());
                     apart.push(b - a);
                 }
-                log_difference(&mut self.chunks, name, largest, at);
+                log_difference(&mut self.chunks, name, largest, tolerance, at);
             }
         }
         for (pair, [a, b]) in &self.pairs {
@@ -322,7 +322,7 @@ impl Comparison {
             ([position, schema.raised(position, height)], label)
         });
         self.worst.log(worst, None, at, &mut self.chunks);
-        log_difference(&mut self.chunks, TOLERANCE, tolerance, at);
+        log_difference(&mut self.chunks, TOLERANCE, tolerance, tolerance, at);
         self.frames += 1;
         if self.frames.is_multiple_of(64) { self.send() } else { Ok(()) }
     }
@@ -401,9 +401,11 @@ fn differ_most(changes: &[Change]) -> String {
     format!("\n\n**{} events differ**, most of all: {}.", changes.len(), most.join("; "))
 }
 
-fn log_difference(chunks: &mut Chunks, name: &str, difference: f64, at: Instant) {
+fn log_difference(chunks: &mut Chunks, name: &str, difference: f64, tolerance: f64, at: Instant) {
+    /// Of the tolerance: a smaller difference is a gap in the line, as is none.
+    const LEAST: f64 = 1e-3;
+
     chunks.log(&DIFFERENCE.of(&[name]), at, &Scalars::single(difference));
-    // a difference of 0 is a gap in the line
-    let logarithm = (difference > 0.0).then(|| difference.log10());
+    let logarithm = (difference > LEAST * tolerance).then(|| difference.log10());
     chunks.log(&LOG_DIFFERENCE.of(&[name]), at, &Scalars::new(logarithm));
 }

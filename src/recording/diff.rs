@@ -251,10 +251,7 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
     let (steps, dt) = ([a.first, b.first, a.last(), b.last()], [a.schema.dt, b.schema.dt]);
     let [from_a, from_b, to_a, to_b] = std::array::from_fn(|i| steps[i] as f64 * dt[i % 2]);
     let (start, end) = (from_a.max(from_b), to_a.min(to_b));
-    // where one says in words alone when surfaces touch, this is not compared
-    let have_contacts = recorded.iter().all(|recorded| recorded.has_contacts);
-    let is_common =
-        |event: &RecordedEvent| (start..=end).contains(&event.time) && (have_contacts || !event.is_contact());
+    let is_common = |event: &RecordedEvent| (start..=end).contains(&event.time);
     let events = events.map(|events| events.map(|list| list.into_iter().filter(is_common).collect::<Vec<_>>()));
     let [quantities_a, quantities_b] = [quantities::Recorded::read(a)?, quantities::Recorded::read(b)?];
     let surfaces = (!quantities_a.is_empty() && !quantities_b.is_empty()).then(|| {

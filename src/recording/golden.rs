@@ -90,7 +90,7 @@ pub fn prepare(scene: &dyn Experiment, path: &Path, reason: &str) -> Result<(Ble
     let settings = Settings { frames: Frames::Thin, ..Settings::of(scene) };
     let simulation = scene.start().map_err(BlessError::Scene)?;
     let (schema, mut frame) = (simulation.schema(), Frame::default());
-    let mut sinks = Sinks::open(&Destinations { save: Some(path.to_owned()), ..Destinations::default() })?;
+    let mut sinks = Sinks::open(&Destinations::file(path))?;
     let mut recorder = Recorder::new(&*simulation, settings).map_err(BlessError::Scene)?;
     recorder.log_property(BLESSED, reason);
     recorder.log_property(COUNTS, &counts(&schema));

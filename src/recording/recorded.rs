@@ -21,7 +21,7 @@ use crate::{
     stream::{
         contract::{
             self, BLESSED, BODIES, CHECKSUM, CHECKSUMS, COUNTS, Component, DIGEST, FAILURE, MACHINE, OVERRIDES, PHASES,
-            PROPERTIES, Q, SCENE, SETTINGS, STEP, SURFACE_EVENTS, TIME, VERSION, path_of,
+            PROPERTIES, Q, SCENE, SETTINGS, STEP, TIME, VERSION, path_of,
         },
         settings::{FORMAT, Settings, application, recording_id},
     },
@@ -75,8 +75,6 @@ pub struct Recorded {
     pub events: Vec<RecordedEvent>,
     /// When surfaces touch and part, in the order of the file.
     pub contacts: Vec<RecordedEvent>,
-    /// Whether these are all: older programs recorded them in words alone.
-    pub has_contacts: bool,
     /// Whether the file is complete.
     pub end: End,
 }
@@ -111,7 +109,6 @@ pub(super) struct Found {
     sums: ReadChecksums,
     events: Vec<RecordedEvent>,
     contacts: Vec<RecordedEvent>,
-    has_words_alone: bool,
 }
 
 /// The name by which a recording is found.
@@ -232,7 +229,6 @@ impl Found {
         } else {
             let (contacts, events): (Vec<_>, Vec<_>) =
                 events_of(chunk)?.into_iter().partition(RecordedEvent::is_contact);
-            self.has_words_alone |= SURFACE_EVENTS.is(&entity) && contacts.len() < chunk.num_rows();
             self.contacts.extend(contacts);
             self.events.extend(events);
         }
@@ -258,7 +254,7 @@ impl Found {
 
     /// Recreates the experiment.
     pub fn into_recorded(self, path: &Path, read: &ReadExperiment<'_>, end: End) -> Result<Recorded, ReadError> {
-        let Found { id, called, mut texts, format, sums, events, contacts, has_words_alone, .. } = self;
+        let Found { id, called, mut texts, format, sums, events, contacts, .. } = self;
         let mut text = |property: Component| texts.remove(property.0);
         let foreign = |what: &str| ReadError::Foreign { path: path.to_owned(), what: what.to_owned() };
         let unsupported = |what: String| ReadError::Unsupported { path: path.to_owned(), what };
@@ -338,7 +334,6 @@ impl Found {
             checksums: sums.values,
             events,
             contacts,
-            has_contacts: !has_words_alone,
             end,
         })
     }

@@ -102,7 +102,8 @@ fn tables<'a>(document: &'a Table, kind: &str) -> impl Iterator<Item = &'a Table
     all.into_iter().flatten().filter_map(Value::as_table).take(LISTED)
 }
 
-fn number(value: &Value) -> Option<f64> {
+/// An integer or a float.
+pub fn number(value: &Value) -> Option<f64> {
     value.as_float().or_else(|| value.as_integer().map(|integer| integer as f64))
 }
 

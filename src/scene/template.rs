@@ -173,7 +173,7 @@ impl Override {
 
     /// The value, if it is a number.
     pub fn number(&self) -> Option<f64> {
-        self.value.parse().ok()
+        super::numbers::number(&self.value.parse::<toml::Value>().ok()?)
     }
 }
 

@@ -1,6 +1,6 @@
 //! Warnings about scenes that are valid but probably not intended.
 
-use std::collections::BTreeMap;
+use std::collections::HashMap;
 
 use super::{Body, Scene};
 
@@ -75,7 +75,7 @@ impl Scene {
 
     /// Bodies whose centre, which is that of their influence sphere, is outside their surface (3.2).
     fn hollow(&self) -> Vec<String> {
-        let (mut known, mut warnings) = (BTreeMap::new(), Vec::new());
+        let (mut known, mut warnings) = (HashMap::new(), Vec::new());
         for body in self.bodies.iter().take(MAX_BODIES) {
             if !*known.entry(&body.shape).or_insert_with(|| body.shape.mesh().encloses_centre()) {
                 warnings.push(format!(

@@ -74,7 +74,11 @@ fn extent(view: FrameView<'_>) -> Vec<(DVec3, f64)> {
     if !recent::is_drawn_alone(view.schema) {
         return spheres;
     }
-    // towards the corners, edges and faces of a box
+    furthest(&spheres)
+}
+
+/// The spheres (centre and radius) that reach furthest towards the corners, edges and faces of a box.
+pub fn furthest(spheres: &[(DVec3, f64)]) -> Vec<(DVec3, f64)> {
     let directions = (0..27).map(|number| [1, 3, 9].map(|place| f64::from(number / place % 3 - 1)));
     let furthest = |direction: [f64; 3]| {
         let direction = DVec3::from_array(direction).normalize_or_zero();
@@ -85,7 +89,7 @@ fn extent(view: FrameView<'_>) -> Vec<(DVec3, f64)> {
 }
 
 /// The diagonal of the box around spheres (centre and radius).
-fn width(spheres: &[(DVec3, f64)]) -> f64 {
+pub fn width(spheres: &[(DVec3, f64)]) -> f64 {
     let [low, high] = bounds(spheres.iter().copied());
     low.distance(high)
 }
@@ -273,7 +277,7 @@ mod tests {
             let view = FrameView::of(&schema, &frame, Instant { step: 0, time: 0.0 });
             let highest = frame.bodies.iter().map(|body| body.centre.dot(up) + 1.0).fold(f64::NEG_INFINITY, f64::max);
             assert!(recent::label_height(view) > highest);
-            assert!(view.towards_eye().dot(up) > 0.0);
+            assert!(view.back.dot(up) > 0.0);
         }
     }
 

@@ -102,8 +102,8 @@ pub struct Recorder {
     middle: DVec3,
     /// The body with the largest displacement in the last frame, that displacement [radii], and its centre.
     worst: Option<(usize, f64, DVec3)>,
-    /// The largest diagonal of the box around the bodies so far [scene unit].
-    widest: f64,
+    /// The spheres (centre and radius) that are in view at first.
+    framed: Vec<(DVec3, f64)>,
     /// The parts that show stages inside steps.
     stages: Option<(StateParts, Moves)>,
     /// Number of stages shown.
@@ -229,7 +229,7 @@ impl Recorder {
             kept: Vec::new(),
             middle: DVec3::ZERO,
             worst: None,
-            widest: 0.0,
+            framed: focus::furthest(&simulation.framing(true)),
             stages: matches!(settings.detail, Detail::Stages { .. }).then(|| {
                 log_text(&ABOUT_STAGES, blueprint::stages(), &mut chunks);
                 (StateParts::new(&schema, &settings, simulation.interrupt(), &mut chunks), Moves::new(&mut chunks))
@@ -449,10 +449,7 @@ impl Recorder {
     }
 
     fn log_frame(&mut self, frame: &Frame, at: Instant) {
-        let mut view = FrameView::of(&self.schema, frame, at);
-        // infinite if no body is present
-        self.widest = if view.widest.is_finite() { self.widest.max(view.widest) } else { self.widest };
-        view.widest = self.widest.min(focus::WIDER * view.widest);
+        let view = FrameView::in_run(&self.schema, frame, at, &self.framed);
         if let Some(parts) = &mut self.parts {
             parts.log(view, self.frames, &mut self.chunks);
             let displaced = view.bodies().enumerate().filter(|(_, (_, now))| !now.is_absent);
@@ -728,7 +725,7 @@ impl FrameParts {
         let merged = state.merged.merged();
         pairs.log(view, &merged.pairs, number, series, chunks);
         if let Some(changes) = changes {
-            changes.log(view, chunks);
+            changes.log(view, pairs, chunks);
         }
         groups.log(view, merged, series, chunks);
         touching.log(view, pairs.shown(), &merged.pairs, chunks);

@@ -324,7 +324,7 @@ impl Settings {
                 Some(toml::Value::String(_)) => Frames::Thin,
                 Some(last) => {
                     let on = last.get("on").and_then(toml::Value::as_array).into_iter().flatten();
-                    let trigger = |name: &toml::Value| name.as_str().filter(|name| is_plain(name)).map(Trigger::of);
+                    let trigger = |name: &toml::Value| name.as_str().map(Trigger::of);
                     Frames::Last {
                         most: last.get("last").and_then(number).unwrap_or(1),
                         on: on.filter_map(trigger).collect(),
@@ -336,13 +336,13 @@ impl Settings {
             pairs: count("pairs").map_or(own.pairs, |pairs| pairs.min(1000) as usize),
             only: {
                 let only = table.get("only").and_then(toml::Value::as_array).into_iter().flatten();
-                only.filter_map(|pair| pair.as_str().filter(|pair| is_plain(pair)).map(str::to_owned)).collect()
+                only.filter_map(|pair| pair.as_str().map(str::to_owned)).collect()
             },
             around: table.get("around").and_then(toml::Value::as_table).map(|around| {
                 let text = |key: &str| around.get(key).and_then(toml::Value::as_str);
                 Around {
-                    kind: text("kind").filter(|kind| is_plain(kind)).map(str::to_owned),
-                    pair: text("pair").filter(|pair| is_plain(pair)).map(str::to_owned),
+                    kind: text("kind").map(str::to_owned),
+                    pair: text("pair").map(str::to_owned),
                     number: around.get("number").and_then(number).unwrap_or(1).max(1),
                 }
             }),
@@ -360,17 +360,16 @@ impl Settings {
             Frames::All => String::new(),
             Frames::Thin => "frames = \"thin\"\n".to_owned(),
             Frames::Last { most, on, after } => {
-                let on: Vec<String> = on.iter().map(|trigger| format!("\"{}\"", trigger.name())).collect();
+                let on: Vec<String> = on.iter().map(|trigger| quoted(trigger.name())).collect();
                 let after = if *after > 0 { format!(", after = {}", written(*after)) } else { String::new() };
                 format!("frames = {{ last = {}, on = [{}]{after} }}\n", written(*most), on.join(", "))
             }
         };
-        // names of bodies consist of letters, digits, `-` and `_`: they need no escapes
-        let only: Vec<String> = self.only.iter().map(|pair| format!("\"{pair}\"")).collect();
+        let only: Vec<String> = self.only.iter().map(|pair| quoted(pair)).collect();
         let only = if only.is_empty() { only.concat() } else { format!("only = [{}]\n", only.join(", ")) };
         let around = self.around.as_ref().map_or(String::new(), |Around { kind, pair, number }| {
-            let kind = kind.as_ref().map_or(String::new(), |kind| format!("kind = \"{kind}\", "));
-            let pair = pair.as_ref().map_or(String::new(), |pair| format!("pair = \"{pair}\", "));
+            let kind = kind.as_ref().map_or(String::new(), |kind| format!("kind = {}, ", quoted(kind)));
+            let pair = pair.as_ref().map_or(String::new(), |pair| format!("pair = {}, ", quoted(pair)));
             format!("around = {{ {kind}{pair}number = {} }}\n", written(*number))
         });
         format!(
@@ -382,9 +381,9 @@ impl Settings {
     }
 }
 
-/// Whether a text can be the name of an event or a pair.
-fn is_plain(text: &str) -> bool {
-    text.chars().all(|c| c.is_ascii_alphanumeric() || "-_~".contains(c))
+/// A text as TOML.
+fn quoted(text: &str) -> String {
+    toml::Value::from(text).to_string()
 }
 
 /// A number as TOML. TOML integers are limited to 2^63 − 1; larger numbers are written as strings.

@@ -36,7 +36,7 @@ impl Classes {
         Classes { names: Mutex::default(), are_known: false }
     }
 
-    /// The same at its start.
+    /// As above, at the start.
     pub fn afresh(&self) -> Classes {
         if self.are_known { Classes::of_scenes() } else { Classes::open() }
     }

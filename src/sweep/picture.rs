@@ -62,7 +62,7 @@ pub fn save(
     open: &str,
     path: &Path,
 ) -> Result<Option<Saved>, PictureError> {
-    let destinations = Destinations { save: Some(path.to_owned()), ..Destinations::default() };
+    let destinations = Destinations::file(path);
     let mut sinks = Sinks::open(&destinations)?;
     let id = ApplicationId::new_or_unknown(application("map"));
     let recording = StoreId::new(StoreKind::Recording, id, format!("map-{}", file_stem(&sweep.file)));

@@ -333,6 +333,19 @@ impl Run {
         }
     }
 
+    /// The spheres that are in view at first: those that reach furthest towards the corners, edges and faces of a box.
+    fn framed(&self) -> Vec<(DVec3, f64)> {
+        let spheres = World::new(self.scene.clone()).expect("a valid scene").framing(true);
+        let signs = [-1.0, 0.0, 1.0];
+        let directions =
+            signs.into_iter().flat_map(|x| signs.map(|y| (x, y))).flat_map(|(x, y)| signs.map(|z| DVec3::new(x, y, z)));
+        let reach = |of: &(DVec3, f64), direction: DVec3| of.0.dot(direction.normalize_or_zero()) + of.1;
+        let furthest = directions.map(|direction| {
+            spheres.iter().max_by(|one, other| reach(one, direction).total_cmp(&reach(other, direction)))
+        });
+        furthest.flatten().copied().collect()
+    }
+
     /// Visits the frames of an unrecorded world of the same scene, with their index.
     fn walk_frames(&self, mut look: impl FnMut(usize, &World)) {
         let mut frame = 0;
@@ -897,11 +910,9 @@ impl Run {
         let (track, labels) = (self.track("/world/resultants"), self.track("/world/resultants/labels"));
         let ranking = self.track("/ranking/forces");
         let largest = self.scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
-        let (mut forces, mut largest_diagonal) = (BodyForces::default(), 0.0_f64);
+        let (mut forces, framed) = (BodyForces::default(), self.framed());
+        let across = width(&framed);
         self.walk_frames(|frame, world| {
-            let now = diagonal(world);
-            largest_diagonal = largest_diagonal.max(now);
-            let widest = largest_diagonal.min(1.6 * now);
             let at = format!("step {}", world.steps_taken());
             let mut expected: Vec<(usize, &str, DVec3, DVec3)> = Vec::new();
             for (index, body) in world.bodies().enumerate() {
@@ -919,15 +930,16 @@ impl Run {
             let scale = if longest > 0.0 { expected.iter().map(limit).fold(f64::INFINITY, f64::min) } else { 0.0 };
             let held = &track.held[frame];
             // a net force starts beside the centre
+            let look = Look::new(world, &framed);
             let beside = |(index, cause, centre, mean): &(usize, &str, DVec3, DVec3)| {
                 let radius = self.scene.bodies[*index].radius;
-                let aside = mean.cross(DVec3::new(-0.2, -1.0, 0.4)).normalize_or_zero();
+                let aside = mean.cross(look.axes[2]).normalize_or_zero();
                 *centre + if *cause == "net" { 0.12 * radius * aside } else { DVec3::ZERO }
             };
             let origins = held.vectors("Arrows3D:origins");
             assert_eq!(origins.len(), expected.len(), "{at}");
             for (found, expected) in origins.iter().zip(expected.iter().map(beside)) {
-                assert!(found.as_dvec3().distance(expected) < 1e-6 * largest_diagonal, "{at}: {found}, {expected}");
+                assert!(found.as_dvec3().distance(expected) < 1e-6 * across, "{at}: {found}, {expected}");
             }
             for (found, (.., mean)) in held.vectors("Arrows3D:vectors").iter().zip(&expected) {
                 let error = found.as_dvec3().distance(scale * mean);
@@ -969,7 +981,17 @@ impl Run {
                 let strongest = of_body.max_by(|one, other| one.3.length().total_cmp(&other.3.length()));
                 let (_, cause, _, mean) = strongest.expect("a force");
                 let name = &self.scene.bodies[index].name;
-                format!("{name}: net {}, {cause} {}", significant(net_on(index)), significant(mean.length()))
+                // of more, the numbers are in the ranking
+                match bodies.len() > 3 {
+                    true => name.clone(),
+                    false => {
+                        format!("{name}: net {}, {cause} {}", significant(net_on(index)), significant(mean.length()))
+                    }
+                }
+            };
+            let is_strong = |index: usize| {
+                let stronger = acting.iter().filter(|&&other| net_on(other) > net_on(index)).count();
+                acting.contains(&index) && stronger < 5
             };
             let held = &labels.held[frame];
             let (mut labelled, mut all) = (Vec::new(), Vec::new());
@@ -977,12 +999,11 @@ impl Run {
                 let of = bodies.iter().find(|(_, body)| body.scene().name == label.split(':').next().unwrap_or(label));
                 let index = of.expect("its body").0;
                 all.push((index, place.as_dvec3(), label.len()));
-                if label.contains(':') {
+                if label.contains(':') || (bodies.len() > 3 && is_strong(index) && labelled.len() < 5) {
                     assert_eq!(*label, text_of(index), "{at}");
                     labelled.push(index);
                 }
             }
-            let look = Look::new(world, widest);
             look.assert_readable_through(3, &all, &at); // bodies are translucent
             let has_room = |index: usize| {
                 let stronger = |of: &&(usize, DVec3, usize)| net_on(of.0) >= (1.0 - 1e-12) * net_on(index);
@@ -1011,11 +1032,8 @@ impl Run {
         let of_bodies = self.track("/largest/bodies");
         let ranking = (self.scene.bodies.len() > 3).then(|| self.track("/ranking/displacements"));
         let lines: Vec<_> = self.displacement_lines().iter().map(|line| self.track(line)).collect();
-        let mut largest_diagonal = 0.0_f64;
+        let framed = self.framed();
         self.walk_frames(|frame, world| {
-            let now = diagonal(world);
-            largest_diagonal = largest_diagonal.max(now);
-            let widest = largest_diagonal.min(1.6 * now);
             // whether a vertex lies in another body, by winding number; for the colours, of one not merged within 0.95 of the radius
             let positions: Vec<Vec<DVec3>> = world.bodies().map(|body| body.positions().collect()).collect();
             let groups = groups(world);
@@ -1067,7 +1085,7 @@ impl Run {
                 let rows = ranking.held[frame].texts("Points2D:labels");
                 assert_eq!(rows.len(), 8, "step {}", world.steps_taken());
                 for (row, (largest, name)) in rows.iter().zip(&ranked) {
-                    let row = row.strip_suffix(" inside").unwrap_or(row);
+                    let row = row.strip_suffix(", inside a body").unwrap_or(row);
                     let is_right = match *largest > least {
                         true => row.starts_with(&format!("{name}:")) && row.ends_with(&format!(" {largest:.3} R")),
                         false => ["", "no vertex is displaced"].contains(&row),
@@ -1079,7 +1097,8 @@ impl Run {
             let labels = of_bodies.held[frame].texts("Points3D:labels");
             let label_of = |index: usize| {
                 let (name, largest) = (&self.scene.bodies[index].name, largest_of(&world.body(index)));
-                let (label, inside) = (format!("{name} {largest:.3} R"), format!("{name} {largest:.3} R inside"));
+                let (label, inside) =
+                    (format!("{name} {largest:.3} R"), format!("{name} {largest:.3} R, inside a body"));
                 match largest > least {
                     false => name.clone(),
                     true if labels.contains(&inside) => inside,
@@ -1104,7 +1123,7 @@ impl Run {
             };
             let shown: Vec<_> =
                 labels.iter().zip(&places).map(|(label, place)| (of(label), place.as_dvec3(), label.len())).collect();
-            let look = Look::new(world, widest);
+            let look = Look::new(world, &framed);
             look.assert_readable(&shown, &at);
             // the label of the mark, and the vertex that it marks
             let mark = &track.held[frame];
@@ -1128,12 +1147,11 @@ impl Run {
                     let length = |vertex: usize| body.displacement(vertex).length();
                     length(one).total_cmp(&length(other)).then(other.cmp(&one))
                 });
-                let is_said = label_of(index).ends_with(" inside");
-                assert_eq!(
-                    is_said,
-                    is_inside(positions[index][most.expect("a vertex")], index, true),
-                    "{at}: {labels:?}"
-                );
+                let is_said = label_of(index).ends_with(", inside a body");
+                // of more than three bodies, the ranking says it
+                let is_expected =
+                    self.scene.bodies.len() <= 3 && is_inside(positions[index][most.expect("a vertex")], index, true);
+                assert_eq!(is_said, is_expected, "{at}: {labels:?}");
             }
             if let Some((displacement, position, label)) = largest {
                 let held = &track.held[frame];
@@ -1166,7 +1184,8 @@ impl Run {
                 let own = outside.strip_prefix("largest on the surface: ").unwrap_or("");
                 if in_view.is_some() {
                     let (index, vertex) = named(own.split_once(", ").expect("a length").0);
-                    assert!(!is_clear(index, vertex, 0.001), "{at}: {logged}");
+                    let is_at_rim = look.is_at_rim(index, positions[index][vertex]);
+                    assert!(is_at_rim || !is_clear(index, vertex, 0.001), "{at}: {logged}");
                 }
                 let own = if in_view.is_some() { "" } else { own };
                 let marked = match (if front.is_empty() { own } else { front }).split_once(", ") {
@@ -1188,8 +1207,16 @@ impl Run {
                 let from = if in_view.is_some() { ends[1] } else { marked.as_vec3() };
                 assert_eq!((ends.len(), ends[0]), (2, from), "step {}", world.steps_taken());
                 let [from, to] = [ends[0], ends[1]].map(|end| end.as_dvec3());
-                let is_above = to.z > top.max(from.z) || in_view.is_some();
-                assert!(is_above && to.truncate() == from.truncate(), "{ends:?}, below {top}");
+                // seen from the eye, the label stands above the vertex and all bodies, perhaps closer to the eye
+                let [away, of_vertex] = [to, from].map(|end| (end - look.eye).truncate());
+                let share = if in_view.is_some() { 1.0 } else { away.length() / of_vertex.length() };
+                let seen = look.eye + (to - look.eye) / share;
+                let is_above = seen.z > top.max(from.z) || in_view.is_some();
+                let is_aside = seen.truncate().distance(from.truncate());
+                assert!(
+                    is_above && is_aside < 1e-5 * look.distance && (0.59..1.001).contains(&share),
+                    "{ends:?}, {top}"
+                );
                 if !is_counted {
                     return;
                 }
@@ -1370,13 +1397,10 @@ impl Run {
     fn verify_lines(&self) {
         let (track, recent) = (self.track("/world/pairs"), self.track("/world/recent"));
         let names_track = (2..=32).contains(&self.scene.bodies.len()).then(|| self.track("/world/names"));
-        let mut largest_diagonal = 0.0_f64;
+        let framed = self.framed();
         self.walk_frames(|frame, world| {
-            let now = diagonal(world);
-            largest_diagonal = largest_diagonal.max(now);
-            let widest = largest_diagonal.min(1.6 * now);
             let at = format!("step {}", world.steps_taken());
-            let look = Look::new(world, widest);
+            let look = Look::new(world, &framed);
             let named = names_track.iter().map(|track| &track.held[frame]).flat_map(|held| {
                 let of =
                     |name: &String| self.scene.bodies.iter().position(|body| body.name == *name).expect("its body");
@@ -1832,10 +1856,15 @@ fn significant(x: f64) -> String {
     if x == 0.0 { "0".to_owned() } else { format!("{x:.*}", digits as usize) }
 }
 
-/// The diagonal of the box around the bodies.
-fn diagonal(world: &World) -> f64 {
-    let corners = world.bodies().map(|body| [-1.0, 1.0].map(|side| body.centre() + side * body.scene().radius));
-    let [low, high] = corners.reduce(|one, other| [one[0].min(other[0]), one[1].max(other[1])]).expect("a body");
+/// The least and the largest corner of the box around spheres.
+fn bounds(spheres: &[(DVec3, f64)]) -> [DVec3; 2] {
+    let corners = spheres.iter().map(|&(centre, radius)| [-1.0, 1.0].map(|side| centre + side * radius));
+    corners.reduce(|one, other| [one[0].min(other[0]), one[1].max(other[1])]).expect("a sphere")
+}
+
+/// The diagonal of the box around spheres.
+fn width(spheres: &[(DVec3, f64)]) -> f64 {
+    let [low, high] = bounds(spheres);
     low.distance(high)
 }
 
@@ -1845,22 +1874,56 @@ struct Look<'a> {
     /// To the right, upwards, and towards the eye.
     axes: [DVec3; 3],
     eye: DVec3,
-    /// The distance of the eye, and the width of the view.
+    /// The distance of the eye from the middle of the bodies.
     distance: f64,
-    widest: f64,
 }
 
 impl Look<'_> {
-    fn new(world: &World, widest: f64) -> Look<'_> {
-        let back = DVec3::new(-0.2, -1.0, 0.4).normalize();
+    /// In a run within the spheres `framed`: from where these are just in view, unless the bodies alone would be much larger.
+    fn new<'w>(world: &'w World, framed: &[(DVec3, f64)]) -> Look<'w> {
+        let bodies: Vec<(DVec3, f64)> = world.bodies().map(|body| (body.centre(), body.scene().radius)).collect();
+        let [low, high] = bounds(&bodies);
+        let is_wide = width(framed) > 1.6 * low.distance(high);
+        let spheres: Vec<_> = bodies.iter().chain(framed.iter().filter(|_| !is_wide)).copied().collect();
+        let [lowest, highest] = bounds(&spheres);
+        let extent = highest - lowest;
+        let is_flat = extent.z < 0.2 * extent.x.min(extent.y);
+        let back = DVec3::new(-0.2, -1.0, if is_flat { 1.0 } else { 0.4 }).normalize();
         let right = DVec3::new(1.0, -0.2, 0.0).normalize();
-        let corners =
-            world.bodies().flat_map(|body| [-1.0, 1.0].map(|side| body.centre() + side * body.scene().radius));
-        let corners: Vec<DVec3> = corners.collect();
-        let [low, high] = [corners.iter().copied().reduce(DVec3::min), corners.iter().copied().reduce(DVec3::max)];
-        let distance = 0.85 * widest;
-        let eye = 0.5 * (low.unwrap() + high.unwrap()) + distance * back;
-        Look { world, axes: [right, back.cross(right), back], eye, distance, widest }
+        let up = back.cross(right);
+        // how far back an eye at these coordinates to the right and upwards has to be to see all, in a view of 55° by 1.45 times
+        // that, with margins of 4 % of half its height
+        let half = 0.5205;
+        let away = |[x, y]: [f64; 2]| {
+            let seen = |axis: DVec3, at: f64, half: f64| {
+                let of = |(centre, radius): &(DVec3, f64)| {
+                    centre.dot(back) + ((centre.dot(axis) - at).abs() + radius * half.hypot(1.0)) / half
+                };
+                spheres.iter().map(of).fold(f64::NEG_INFINITY, f64::max)
+            };
+            seen(right, x, (1.45 - 0.04) * half).max(seen(up, y, 0.96 * half))
+        };
+        // the least for each coordinate alone, by ternary search of a convex function
+        let least = |of: &dyn Fn(f64) -> f64| {
+            let [mut low, mut high] = [-1.0, 1.0].map(|side| side * 10.0 * (1.0 + extent.length() + lowest.length()));
+            for _ in 0..200 {
+                let [one, other] = [(2.0 * low + high) / 3.0, (low + 2.0 * high) / 3.0];
+                if of(one) <= of(other) { high = other } else { low = one }
+            }
+            0.5 * (low + high)
+        };
+        let alone = |axis: DVec3, half: f64| {
+            least(&|at: f64| {
+                let of = |(centre, radius): &(DVec3, f64)| {
+                    centre.dot(back) + ((centre.dot(axis) - at).abs() + radius * half.hypot(1.0)) / half
+                };
+                spheres.iter().map(of).fold(f64::NEG_INFINITY, f64::max)
+            })
+        };
+        let [x, y] = [alone(right, (1.45 - 0.04) * half), alone(up, 0.96 * half)];
+        let eye = x * right + y * up + away([x, y]) * back;
+        let distance = (eye - 0.5 * (low + high)).dot(back);
+        Look { world, axes: [right, up, back], eye, distance }
     }
 
     /// Whether one of two labels, of which the places of the middle and the numbers of characters are given, covers the
@@ -1872,9 +1935,21 @@ impl Look<'_> {
             self.distance / f64::max(-from.dot(back), 0.1 * self.distance)
                 * DVec3::new(from.dot(right), from.dot(up), 0.0)
         });
-        let width = self.widest * (0.025 + 0.008 * (labels[0].1 + labels[1].1) as f64);
+        let width = self.distance * (0.03 + 0.0095 * (labels[0].1 + labels[1].1) as f64);
         let apart = (one - other).abs();
-        apart.x <= size * width && apart.y <= size * 0.06 * self.widest
+        apart.x <= size * width && apart.y <= size * 0.07 * self.distance
+    }
+
+    /// Whether a place on a body is behind another body that is well in front of it, or may be for an eye elsewhere.
+    fn is_at_rim(&self, index: usize, place: DVec3) -> bool {
+        let way = (place - self.eye).normalize();
+        self.world.bodies().enumerate().filter(|(other, _)| *other != index).any(|(_, body)| {
+            let (to, radius) = (body.centre() - self.eye, body.scene().radius);
+            let along = to.dot(way);
+            along > 0.0
+                && along < self.eye.distance(place) - 0.5 * radius
+                && (to - along * way).length() < 1.15 * radius
+        })
     }
 
     /// Whether another body is in front of a place on a body, by more than `depth` [its radii].
@@ -1903,7 +1978,7 @@ impl Look<'_> {
     fn assert_readable_through(&self, hidden: usize, labels: &[(usize, DVec3, usize)], at: &str) {
         for (number, &(index, place, length)) in labels.iter().enumerate() {
             let nearest = self.places(index).map(|of| of.distance(place)).fold(f64::INFINITY, f64::min);
-            assert!(nearest < 1e-6 * self.widest, "{at}: {index} is labelled {nearest} from its places");
+            assert!(nearest < 1e-6 * self.distance, "{at}: {index} is labelled {nearest} from its places");
             let is_hidden = number >= hidden && self.is_hidden(index, place, 0.151);
             assert!(!is_hidden, "{at}: the label of {index} is on another body");
             for &(_, other, other_length) in &labels[..number] {
@@ -2085,7 +2160,7 @@ fn a_body_at_rest_hides_the_vertices_inside_it() {
     let run = Run::new(&Scene::parse(text, "rest.toml").expect("a valid scene"));
     run.verify_largest();
     let labels = run.recording.changes("/largest/bodies");
-    let inside = labels.iter().filter(|row| row.texts("Points3D:labels").concat().contains(" inside")).count();
+    let inside = labels.iter().filter(|row| row.texts("Points3D:labels").concat().contains(", inside a body")).count();
     assert!(inside > 10, "{inside} frames");
 }
 

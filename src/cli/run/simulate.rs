@@ -10,7 +10,7 @@ use crate::{
     cli::{
         Failure,
         interrupt::{HAS_STEPPED, STOP},
-        sink_failure, warnings,
+        warnings,
     },
     observe::{Run, Schema, Simulation, row::rows},
     scene::Scene,
@@ -95,9 +95,9 @@ pub fn simulate(
     // without its own number, a restarted run would have the id of the previous one, and a viewer would append to that
     let number = changes.as_mut().map_or(0, |changes| changes.next_run());
     console.notes(&warnings(&schema));
-    console.begin(&settings, arguments.save.as_deref());
+    console.begin(&settings, super::destinations(arguments, &schema.name).save.as_deref());
     let recorder = Recorder::numbered(&*simulation, settings.clone(), number).map_err(Failure::Input)?;
-    let mut pipeline = Pipeline::start(&*simulation, recorder, sinks, arguments.tab).map_err(sink_failure)?;
+    let mut pipeline = Pipeline::start(&*simulation, recorder, sinks, arguments.tab)?;
     console.progress.stage("");
     let (mut events, mut next) = (Events::default(), None);
     let (start, mut simulating) = (Instant::now(), Duration::ZERO);

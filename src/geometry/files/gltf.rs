@@ -190,6 +190,9 @@ impl Reader<'_> {
         if count > room {
             return Err(rejected("it is outside of its buffer"));
         }
+        if count > MAX_POSITIONS {
+            return Err(rejected("it has more elements than a mesh may have corners"));
+        }
         let mut numbers = Vec::with_capacity(count * width);
         for element in 0..count {
             for part in bytes[element * stride..][..size * width].chunks_exact(size) {

@@ -64,18 +64,6 @@ impl PartialEq for MeshFile {
 
 impl Eq for MeshFile {}
 
-impl PartialOrd for MeshFile {
-    fn partial_cmp(&self, other: &MeshFile) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl Ord for MeshFile {
-    fn cmp(&self, other: &MeshFile) -> std::cmp::Ordering {
-        self.label.cmp(&other.label)
-    }
-}
-
 impl hash::Hash for MeshFile {
     fn hash<H: hash::Hasher>(&self, state: &mut H) {
         self.label.hash(state);

@@ -287,7 +287,7 @@ impl<'t, 'a> Tree<'t, 'a> {
             let hull = Aabb::of(corners);
             for (t, b, others, bounds) in &second {
                 if is_near(a, *b, best) && !self.is_farther(box_to_box_squared(&hull, bounds), best) {
-                    let squared = triangle_to_triangle_squared(corners, *others);
+                    let squared = between(corners, *others).length_squared();
                     if squared < best {
                         (best, *hint) = (squared, [s, *t]);
                     }
@@ -313,7 +313,7 @@ impl<'t, 'a> Tree<'t, 'a> {
         }
         if let ([s, t], true) = (*hint, self.has(hint[0]) && other.has(hint[1])) {
             let (corners, others) = (self.corners(s), other.corners(t));
-            best = triangle_to_triangle_squared(corners, others);
+            best = between(corners, others).length_squared();
             if let Some(nearest) = self.distance_along(other, between(corners, others), best, hint, meter)? {
                 return Ok(nearest.sqrt());
             }
@@ -337,7 +337,7 @@ impl<'t, 'a> Tree<'t, 'a> {
                     for &t in other.body.topology.block(second.parts[0] as usize) {
                         let others = other.corners(t);
                         if !self.is_farther(box_to_box_squared(&hull, &Aabb::of(others)), best) {
-                            let squared = triangle_to_triangle_squared(corners, others);
+                            let squared = between(corners, others).length_squared();
                             if squared < best {
                                 (best, *hint) = (squared, [s, t]);
                             }
@@ -470,21 +470,6 @@ fn between(first: [DVec3; 3], second: [DVec3; 3]) -> DVec3 {
             if p.distance_squared(q) < least.length_squared() {
                 least = q - p;
             }
-        }
-    }
-    least
-}
-
-/// Squared distance of two disjoint triangles: from a corner of one to the other, or from edge to edge.
-fn triangle_to_triangle_squared(first: [DVec3; 3], second: [DVec3; 3]) -> f64 {
-    let corners = |of: [DVec3; 3], to: [DVec3; 3]| {
-        of.into_iter().map(move |p| p.distance_squared(nearest_of_triangle(p, to).0)).fold(f64::INFINITY, f64::min)
-    };
-    let mut least = corners(first, second).min(corners(second, first));
-    for i in 0..3 {
-        for j in 0..3 {
-            let [p, q] = nearest_of_edges([first[i], first[(i + 1) % 3]], [second[j], second[(j + 1) % 3]]);
-            least = least.min(p.distance_squared(q));
         }
     }
     least

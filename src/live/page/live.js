@@ -355,6 +355,7 @@ function showAll() {
 }
 
 $("branch").addEventListener("click", () => {
+  if (!scene) return;
   branches = branches.filter(({ values }) => values.size > 0);
   if (branch) branch = null;
   else {
@@ -464,7 +465,8 @@ function showPlot() {
   const numbers = [...all.flatMap((line) => line.q.filter((q) => q !== null)), ...run.levels.flatMap(({ lines }) => lines.map(([, q]) => q).filter((q) => q !== null))];
   if (numbers.length === 0) return plot.replaceChildren(draw("text", { x: left, y: height / 2 }, "no pair comes within reach"));
   const least = Math.min(...numbers), most = Math.max(...numbers);
-  const [low, high] = [Math.max(0, least - 0.06 * (most - least)), most + 0.06 * (most - least)];
+  const room = 0.06 * (most - least || 1);
+  const [low, high] = [Math.max(0, least - room), most + room];
   const x = (step) => left + ((width - left - right) * step) / Math.max(1, scene.steps);
   const y = (q) => height - bottom - ((height - top - bottom) * (q - low)) / (high - low);
   plot.setAttribute("viewBox", `0 0 ${width} ${height}`);
@@ -531,6 +533,7 @@ new ResizeObserver(showPlot).observe($("plot"));
 // ---------------------------------------------------------------------------------------------------------------- time
 
 function seek(step) {
+  if (!scene) return;
   playing = false;
   cursor = Math.max(0, Math.min(scene.steps, step));
   showCursor();

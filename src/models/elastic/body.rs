@@ -359,10 +359,10 @@ impl Body {
         volumes.sum()
     }
 
-    /// Σ m p lᵀ of these positions of its nodes: its polar decomposition gives the axes that fit best.
+    /// Σ m p lᵀ of these positions of its nodes that are not held: its polar decomposition gives the axes that fit best.
     pub fn moment_of(&self, places: &[DVec3]) -> DMat3 {
-        let nodes = places.iter().zip(&self.rest).zip(self.masses());
-        nodes.fold(DMat3::ZERO, |fit, ((place, l), m)| fit + outer(*place * *m, *l))
+        let nodes = places.iter().zip(&self.rest).zip(self.masses()).zip(self.held()).filter(|(_, held)| !**held);
+        nodes.fold(DMat3::ZERO, |fit, (((place, l), m), _)| fit + outer(*place * *m, *l))
     }
 
     /// Adds a velocity to the nodes that are not held [scene unit/s].

@@ -140,9 +140,7 @@ impl Body {
         if !is_still {
             let (masses, held) = (self.masses(), self.held());
             let nodes = || (0..positions.len()).filter(|&node| !held[node]);
-            let mut fit = DMat3::ZERO;
-            nodes().for_each(|i| fit += outer(positions[i] * masses[i], self.rest[i]));
-            rotation = best_rotation(fit, rotation);
+            rotation = best_rotation(self.moment_of(positions), rotation);
             let axes = DMat3::from_quat(rotation);
             let [mut spread, mut turning] = [DMat3::ZERO; 2];
             for i in nodes() {

@@ -4,7 +4,7 @@ use glam::DVec3;
 
 use super::*;
 use crate::{
-    geometry::{Vectors, mesh::signed_volume},
+    geometry::{Vectors, mesh::signed_volume_of},
     models::lattice::Constants,
     observe::{Frame, Simulation, StepSummary, Want},
     scene::TearMode,
@@ -333,7 +333,7 @@ fn a_body_that_collapses_is_an_event() {
         simulation.observe(Want::default(), &mut frame);
         let (mesh, mut at) = (&schema.bodies[0].mesh, Vectors::default());
         frame.bodies[0].local_positions(mesh.at(0.6), &mut at);
-        volumes.push(signed_volume(mesh.triangles().iter().map(|corners| corners.map(|v| at.get(v as usize)))));
+        volumes.push(signed_volume_of(&at, mesh.triangles()));
     }
     let Some(event) = collapsed.first() else { panic!("{volumes:?}") };
     // the surface is that of the nodes, but for the cells that it cuts

@@ -3,11 +3,11 @@
 use glam::{DQuat, DVec3};
 
 use crate::geometry::bounds;
+use crate::observe::Schema;
 use crate::sdk::{
     blueprint::{archetypes::EyeControls3D, components::Eye3DKind},
     components::{Position3D, Vector3D},
 };
-use crate::stream::parts::TOWARDS_EYE;
 
 /// Spheres (centre and radius) to keep in view, and the aspect ratio of the view.
 pub type Framing<'a> = (&'a [(DVec3, f64)], f64);
@@ -19,6 +19,36 @@ pub struct Arrangement {
     pub laid_out: bool,
     /// The rotation to axes in which z is up.
     pub upright: DQuat,
+}
+
+impl Arrangement {
+    /// That of a scene.
+    pub fn of(schema: &Schema) -> Arrangement {
+        let depths: Vec<f64> = schema.variants.iter().map(|variant| (schema.upright() * variant.heading).y).collect();
+        let rounding = 1e-9 * schema.largest_radius();
+        let laid_out = depths.windows(2).any(|pair| (pair[0] - pair[1]).abs() > rounding);
+        Arrangement { laid_out, upright: schema.upright() }
+    }
+
+    /// From these spheres, in upright axes, towards the eye, unless one hides another; normalized.
+    fn usual_direction(self, spheres: &[(DVec3, f64)]) -> DVec3 {
+        /// Where nothing else is better: slightly to one side and above.
+        const USUAL: DVec3 = DVec3::new(-0.2, -1.0, 0.4);
+
+        let [low, high] = bounds(spheres.iter().copied());
+        let extent = high - low;
+        let is_flat = self.laid_out || extent.z < 0.2 * f64::min(extent.x, extent.y);
+        if is_flat { USUAL.with_z(1.0) } else { USUAL }.normalize()
+    }
+}
+
+/// The usual place of the eye before these spheres (centre and radius), and the direction from them towards it, normalized.
+pub fn usual_eye(spheres: &[(DVec3, f64)], arrangement: Arrangement) -> [DVec3; 2] {
+    let upright = arrangement.upright;
+    let spheres: Vec<_> = spheres.iter().map(|&(centre, radius)| (upright * centre, radius)).collect();
+    let back = arrangement.usual_direction(&spheres);
+    let at = if spheres.is_empty() { back } else { eye(&spheres, back, WIDE) };
+    [at, back].map(|vector| upright.conjugate() * vector)
 }
 
 /// Minimum aspect ratios of views in a 16:9 window.
@@ -33,16 +63,16 @@ pub fn camera_past(
     wanted: &[(DVec3, f64)],
     others: &[(DVec3, f64)],
     aspect: f64,
-    Arrangement { laid_out, upright }: Arrangement,
+    arrangement: Arrangement,
 ) -> EyeControls3D {
+    let upright = arrangement.upright;
     let turned = [spheres, wanted, others].map(|spheres| -> Vec<(DVec3, f64)> {
         spheres.iter().map(|&(centre, radius)| (upright * centre, radius)).collect()
     });
     let [spheres, wanted, others] = turned.each_ref().map(Vec::as_slice);
     let [low, high] = bounds(spheres.iter().copied());
-    let (middle, extent) = (0.5 * (low + high), high - low);
-    let is_flat = laid_out || extent.z < 0.2 * f64::min(extent.x, extent.y);
-    let first = if is_flat { TOWARDS_EYE.with_z(1.0) } else { TOWARDS_EYE }.normalize();
+    let middle = 0.5 * (low + high);
+    let first = arrangement.usual_direction(spheres);
     // all views look in the same direction
     let (mut best, mut least) = (first, hidden(eye(spheres, first, WIDE), wanted, others));
     // a smaller gain does not justify turning away from the default direction

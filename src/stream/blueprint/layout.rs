@@ -303,10 +303,7 @@ impl Layout {
     /// Sets how the scene stands before the cameras, and the ground below these spheres (centre and radius); planes have their own
     /// grids.
     pub fn set_arrangement(&mut self, schema: &Schema, spheres: &[(DVec3, f64)]) {
-        let depths: Vec<f64> = schema.variants.iter().map(|variant| (schema.upright() * variant.heading).y).collect();
-        let rounding = 1e-9 * schema.largest_radius();
-        let laid_out = depths.windows(2).any(|pair| (pair[0] - pair[1]).abs() > rounding);
-        self.arrangement = Arrangement { laid_out, upright: schema.upright() };
+        self.arrangement = Arrangement::of(schema);
         self.ground = Ground::under(spheres, schema.up).filter(|_| schema.planes.is_empty());
     }
 

@@ -11,7 +11,7 @@
 //! | cameras | `camera` |
 //! | ranges and legends of plots | `plots` |
 
-mod camera;
+pub(super) mod camera;
 mod layout;
 mod measured;
 mod panels;

@@ -6,7 +6,7 @@ use crate::{
     observe::{Frame, Schema, schema::TermSchema},
     stream::{
         palette,
-        parts::{forces, moves, recent, trails},
+        parts::{forces, moves, ranking::is_ranked, recent, trails},
         settings::{Detail, Entities, Frames, Settings},
     },
     text::{self, counted, significant, trimmed},
@@ -58,8 +58,9 @@ pub fn arrows(schema: &Schema) -> String {
         return "No force can act in this scene.\n".to_owned();
     }
     format!(
-        "**By body**, plots and rows: means over a body; arrows on a scale of each step, up to 1.5 R long, of small bodies less; labels: the net force and its \
+        "**By body**, plots and rows: means over a body; arrows are scaled per step, at most 1.5 R long, shorter for small bodies; {}: the net force and its \
          strongest cause [unit/s²]. **Others**: at vertices{}; an arrow of **1 R = {} unit** means: {}.\n",
+        if is_ranked(schema) { "rows" } else { "labels" },
         if is_uniform { "; uniform forces at the centre" } else { "" },
         rounded(radius),
         lengths(schema, |_| true),
@@ -136,6 +137,12 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame, ne
             format!("- **Spheres** (only of bodies that reach another), **lines, lanes**: {phases}\n")
         }
     };
+    let changes = match is_ranked(schema) && !schema.thresholds.is_empty() {
+        true => {
+            "- **Next phase changes**: left, the colour of the pair's curve; right, q as a dot, its thresholds as lines\n"
+        }
+        false => "",
+    };
     let arrows = match settings.detail {
         Detail::Surface => "- Force arrows were not recorded (`--detail forces`)\n".to_owned(),
         // among many bodies, arrows are hidden here, and explained beside those of forces
@@ -152,7 +159,8 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame, ne
         }
     };
     let bound = if !settings.only.is_empty() {
-        format!("- Only {} has plots, lanes and lines (`--pair`); events list all pairs\n", settings.only.join(", "))
+        let has = if settings.only.len() == 1 { "has" } else { "have" };
+        format!("- Only {} {has} plots, lanes and lines (`--pair`); events list all pairs\n", settings.only.join(", "))
     } else if schema.bodies.len() * schema.bodies.len().saturating_sub(1) / 2 > settings.pairs {
         let max = settings.pairs;
         format!(
@@ -193,6 +201,6 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame, ne
     };
     let credit = if schema.credit.is_empty() { String::new() } else { format!("\nAfter {}.\n", schema.credit) };
     // what is first is visible in a small panel
-    let colors = spheres + &springs + &arrows + &net_forces + &merged + &trails + &bound;
+    let colors = spheres + changes + &springs + &arrows + &net_forces + &merged + &trails + &bound;
     format!("{}{colors}\n{head}{nearest}{credit}", warnings.trim_start())
 }

@@ -474,7 +474,7 @@ impl Layout {
     fn timings_tab(&mut self, schema: &Schema) -> Part {
         let stages = [
             (
-                "Timings, ms per step, stacked: the top is the step without waits (observe copies states, finds touches)",
+                "Timings, ms per step, stacked: the top is the step without waits (observe: copying states, finding touches)",
                 false,
             ),
             ("Recording on its own thread, ms per step: extract makes surfaces, log encodes", true),
@@ -581,7 +581,7 @@ impl Layout {
 }
 
 /// The title of the ranking of pairs.
-const NEXT: &str = "Next changes of pairs within reach, if q goes on so";
+const NEXT: &str = "Next phase changes of pairs within reach, extrapolated";
 
 /// The title of the view of everything.
 pub fn scene_title(schema: &Schema) -> &'static str {

@@ -129,7 +129,12 @@ impl BodyForces {
         let mut is_idle: Vec<bool> = view.frame.bodies.iter().map(|now| !now.is_absent).collect();
         of_bodies.iter().for_each(|of| is_idle[of.body()] = false);
         let idle = (0..is_idle.len()).filter(|&body| is_idle[body]);
-        let first = first.iter().map(|of| (of.body(), of.label(view.schema)));
+        // of more than a few bodies, the numbers are in the ranking: long labels would lie on other bodies
+        let label = |of: &OfBody<'_>| match is_ranked(view.schema) {
+            true => view.schema.bodies[of.body()].name.clone(),
+            false => of.label(view.schema),
+        };
+        let first = first.iter().map(|of| (of.body(), label(of)));
         self.labels.log(view, [], first, others.iter().map(OfBody::body).chain(idle), chunks);
         let rows = match is_ranked(view.schema) {
             true => rows_of_bodies(view.schema, &of_bodies),
@@ -252,9 +257,7 @@ impl ResultantRows {
         let mut arrows = ResultantRows::default();
         for &Resultant { body, term, acceleration } in resultants {
             let beside = match schema.sum_of_terms() == Some(term) {
-                true => {
-                    BESIDE * schema.bodies[body].radius * acceleration.cross(view.towards_eye()).normalize_or_zero()
-                }
+                true => BESIDE * schema.bodies[body].radius * acceleration.cross(view.back).normalize_or_zero(),
                 false => DVec3::ZERO,
             };
             arrows.origins.push((frame.bodies[body].centre + beside).as_vec3().to_array());

@@ -4,6 +4,7 @@ use std::{cmp::Ordering, collections::BTreeMap};
 
 use super::{
     FrameView,
+    pairs::PairPlots,
     ranking::{Mark, Ranking, Row, is_ranked},
 };
 use crate::{
@@ -38,8 +39,6 @@ struct Next {
     level: f64,
     /// Time until q is there if it goes on changing as it does [s]; infinite if it moves away, or if that cannot be told.
     wait: f64,
-    /// Rate of q [1/s]; 0 if the pair does not move.
-    rate: f64,
     /// Whether q changes towards it.
     is_neared: bool,
 }
@@ -62,11 +61,11 @@ impl Changes {
         Some(Changes { ranking, last: BTreeMap::new(), time: 0.0, end })
     }
 
-    /// Logs changed rows.
-    pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
+    /// Logs changed rows, with the colours of the curves of q.
+    pub fn log(&mut self, view: FrameView<'_>, plots: &PairPlots, chunks: &mut Chunks) {
         let FrameView { schema, frame, at, .. } = view;
         let since = (at.time - self.time).max(f64::MIN_POSITIVE);
-        let mut ranked: Vec<(PairFrame, Option<Next>)> = Vec::with_capacity(frame.pairs.len());
+        let mut ranked: Vec<(PairFrame, f64, Option<Next>)> = Vec::with_capacity(frame.pairs.len());
         let mut now = BTreeMap::new();
         for &pair in &frame.pairs {
             let before = self.last.get(&(pair.a, pair.b));
@@ -77,24 +76,25 @@ impl Changes {
             if let Some(next) = next.as_mut().filter(|next| at.time + next.wait > self.end) {
                 next.wait = f64::INFINITY; // the run ends before
             }
-            ranked.push((pair, next));
+            ranked.push((pair, if rate.abs() > STILL { rate } else { 0.0 }, next));
             now.insert((pair.a, pair.b), [pair.q, rate]);
         }
         self.last = now;
         self.time = at.time;
         // those that do not come nearer to a threshold are last, the nearest first
-        ranked.sort_by(|(one, next), (other, other_next)| match (next, other_next) {
+        ranked.sort_by(|(one, _, next), (other, _, other_next)| match (next, other_next) {
             (Some(next), Some(other_next)) => next.cmp(one.q, other_next, other.q),
             _ => other_next.is_some().cmp(&next.is_some()),
         });
         let highest = schema.thresholds.iter().map(|threshold| threshold.level).fold(0.0, f64::max);
         let place = |q: f64| q / (BEYOND * highest);
-        let rows = ranked.iter().map(|(pair, next)| {
+        let rows = ranked.iter().map(|(pair, rate, next)| {
             let phase = &schema.phases[pair.phase];
             let level = |threshold: usize| schema.level(threshold, [pair.a, pair.b], at.time);
             let levels = (0..schema.thresholds.len()).filter_map(|threshold| Some((threshold, level(threshold)?)));
             let ticks = levels.map(|(threshold, level)| (Mark::Tick(place(level)), schema.thresholds[threshold].color));
-            let marks = ticks.chain([(Mark::Dot(place(pair.q)), phase.color)]).collect();
+            let curve = plots.color_of([pair.a, pair.b]).map(|rgb| (Mark::Key, rgb));
+            let marks = ticks.chain([(Mark::Dot(place(pair.q)), phase.color)]).chain(curve).collect();
             let what = match next.filter(|next| next.wait.is_finite()) {
                 Some(Next { threshold, wait, .. }) => {
                     let label = schema.thresholds[threshold].name.trim_end_matches("_at");
@@ -105,7 +105,7 @@ impl Changes {
                         _ => format!("{leaves}{label} in {wait:.2} s"),
                     }
                 }
-                None => match next.map_or(0.0, |next| next.rate) {
+                None => match *rate {
                     0.0 => "does not move".to_owned(),
                     ..0.0 if phase.is_joined => "goes deeper".to_owned(),
                     ..0.0 => "comes closer".to_owned(),
@@ -128,9 +128,8 @@ fn next(schema: &Schema, pair: &PairFrame, [rate, acceleration]: [f64; 2], time:
         let level = schema.level(threshold, [pair.a, pair.b], time)?;
         let wait = first_time(pair.q - level, rate, acceleration);
         let is_told = acceleration.abs() * wait <= MOST_CHANGE * rate.abs();
-        let rate = if rate.abs() > STILL { rate } else { 0.0 };
-        let is_neared = rate * (level - pair.q) > 0.0;
-        Some(Next { threshold, level, wait: if is_told { wait } else { f64::INFINITY }, rate, is_neared })
+        let is_neared = rate.abs() > STILL && rate * (level - pair.q) > 0.0;
+        Some(Next { threshold, level, wait: if is_told { wait } else { f64::INFINITY }, is_neared })
     });
     nexts.min_by(|one, other| one.cmp(pair.q, other, pair.q))
 }

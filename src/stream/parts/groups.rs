@@ -11,7 +11,7 @@ use super::{
 use crate::{
     analysis::surface::Merged,
     colors::{GREY, SILVER},
-    geometry::{Vectors, mesh::signed_volume},
+    geometry::mesh::signed_volume_of,
     observe::{Schema, surface::Group},
     sdk::{AnyValues, components::Text},
     stream::{
@@ -101,7 +101,7 @@ impl GroupPlots {
         let bodies = if has_volume { schema.bodies.as_slice() } else { &[] };
         let at_rest = bodies.iter().map(|body| {
             let mesh = &body.mesh;
-            body.radius.powi(3) * enclosed(mesh.triangles(), mesh.positions())
+            body.radius.powi(3) * signed_volume_of(mesh.positions(), mesh.triangles())
         });
         let at_rest = at_rest.collect();
         let ranking = is_ranked(schema).then(|| Ranking::new(RANKED_GROUPS.path, chunks));
@@ -189,7 +189,7 @@ impl GroupPlots {
             view.bodies().zip(&self.at_rest).map(|((body, now), at_rest)| match (now.is_absent, now.is_at_rest) {
                 (true, _) => 0.0,
                 (_, true) => *at_rest,
-                _ => enclosed(now.mesh_of(body).triangles(), &now.positions).abs(), // it may be inside out
+                _ => signed_volume_of(&now.positions, now.mesh_of(body).triangles()).abs(), // it may be inside out
             });
         self.volumes.clear();
         self.volumes.extend(volumes);
@@ -254,7 +254,7 @@ impl GroupPlots {
             label += &short(group.volume);
             if let Some(apart) = apart(group) {
                 marks.push((Mark::Dot(apart / largest), SILVER));
-                label += &format!(", {} %", percent(group.volume / apart));
+                label += &format!(", {} % when joined", percent(group.volume / apart));
             }
             Row { label, color: palette::label(color), marks }
         });
@@ -296,11 +296,6 @@ fn names(schema: &Schema, bodies: &[usize], room: usize) -> String {
         names += name;
     }
     names
-}
-
-/// The volume that a closed mesh encloses, in the unit of its positions cubed.
-fn enclosed(triangles: &[[u32; 3]], positions: &Vectors) -> f64 {
-    signed_volume(triangles.iter().map(|corners| corners.map(|corner| positions.get(corner as usize))))
 }
 
 impl GroupPlot {

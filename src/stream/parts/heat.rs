@@ -157,6 +157,9 @@ impl Heat {
                 &format!("; up to {} on the surface, at {}", significant(largest.displacement), largest.place(view));
         }
         chunks.push_changed(self.ticks, view.at, &[&ticks]);
+        // the line to the label rises in front of the bodies: for the eye, it is straight
+        let clearance = seen.map_or(0.0, |of| Labels::new(view).clearance(of.position));
+        let in_front = |place: DVec3| place.lerp(view.eye, clearance);
         let mark = outside.filter(|largest| largest.displacement > 0.0).map(|outside| {
             let hidden = of_all.filter(|of_all| of_all.displacement > outside.displacement);
             let hidden = hidden.map(|hidden| format!("\ninside another body: {}", hidden.text(view)));
@@ -170,7 +173,7 @@ impl Heat {
             };
             let height = f64::min(recent::label_height(view), view.top() + ABOVE * view.schema.largest_radius());
             let below = marked.unwrap_or(outside).position;
-            let end = view.schema.raised(below, f64::max(height, below.dot(view.schema.up)));
+            let end = in_front(view.schema.raised(below, f64::max(height, below.dot(view.schema.up))));
             let label = format!("largest on the surface: {}{far}{}", outside.text(view), hidden.unwrap_or_default());
             ([marked.map_or(end, |marked| marked.position), end], label)
         });
@@ -178,10 +181,7 @@ impl Heat {
             let widest = label.lines().max_by_key(|line| line.chars().count()).unwrap_or_default();
             [(*place, String::new()), (*end, widest.to_owned())]
         });
-        let front = seen.map(|of| {
-            let out = of.position - view.frame.bodies[of.body].centre;
-            0.5 * view.schema.bodies[of.body].radius * (out.normalize_or_zero() + view.towards_eye().normalize())
-        });
+        let front = seen.map(|of| in_front(of.position) - of.position);
         self.mark.log(mark, front, view.at, chunks);
         let largest = |body: usize| view.frame.bodies[body].max_displacement / view.schema.bodies[body].radius;
         let mut ranked: Vec<usize> = (0..view.schema.bodies.len()).collect();
@@ -193,11 +193,13 @@ impl Heat {
         let longest = ranked.first().map_or(0.0, |&body| largest(body));
         let least = if longest > 2.0 * INVISIBLE { INVISIBLE } else { ranking::NOISE * longest };
         let displaced = ranked.iter().take_while(|&&body| largest(body) > least).count();
-        let inside = |body: usize| if displacements.is_inside[body] { " inside" } else { "" };
+        let inside = |body: usize| if displacements.is_inside[body] { ", inside a body" } else { "" };
         if let Some(bodies) = &mut self.bodies {
+            // of more than a few bodies, the ranking says the rest: long labels would lie on other bodies
+            let rest = |body: usize| if is_ranked(view.schema) { "" } else { inside(body) };
             let label = |&body: &usize| {
                 let of = &view.schema.bodies[body].name;
-                (body, format!("{of} {}{}", radii(largest(body)), inside(body)))
+                (body, format!("{of} {}{}", radii(largest(body)), rest(body)))
             };
             let (first, others) = ranked.split_at(displaced.min(ranking::LABELLED));
             let taken = taken.iter().flatten();
@@ -277,8 +279,7 @@ pub struct Displacements {
 /// Writes the outward normals of the vertices of a closed mesh, of any length, to `normals` (reused).
 fn outward_normals(triangles: &[[u32; 3]], positions: &Vectors, normals: &mut Vec<DVec3>) {
     mesh::sum_normals(positions, triangles, normals);
-    let corners = triangles.iter().map(|corners| corners.map(|corner| positions.get(corner as usize)));
-    if mesh::signed_volume(corners) < 0.0 {
+    if mesh::signed_volume_of(positions, triangles) < 0.0 {
         normals.iter_mut().for_each(|normal| *normal = -*normal); // it is inside out
     }
 }
@@ -453,7 +454,7 @@ impl Displacements {
         let is_clear = |of: &&Largest| {
             let (body, now) = (&view.schema.bodies[of.body], &view.frame.bodies[of.body]);
             let triangles = now.mesh_of(body).triangles();
-            !mesh::hides(&now.positions, triangles, of.vertex, labels.eye() - now.centre) && is_outside(of)
+            !mesh::hides(&now.positions, triangles, of.vertex, view.eye - now.centre) && is_outside(of)
         };
         self.seen = self.candidates.iter().find(is_clear).copied();
         (self.outside, self.of_all) = (outside.or(of_all), of_all);

@@ -52,7 +52,8 @@ pub struct Labels<'a> {
     view: FrameView<'a>,
     /// To the right, upwards, and towards the eye.
     axes: [DVec3; 3],
-    eye: DVec3,
+    /// From the eye to the middle of all bodies [scene unit].
+    distance: f64,
     /// The bodies that may hide places.
     hiding: Vec<Hiding>,
     /// Middles and half sizes [scene unit, at the distance of the middle of all bodies].
@@ -60,22 +61,18 @@ pub struct Labels<'a> {
 }
 
 impl<'a> Labels<'a> {
-    /// The size of a label in a view in which the bodies are small: its height, and the widths of its margins and of a
-    /// character [widest view].
-    const HEIGHT: f64 = 0.06;
-    const MARGINS: f64 = 0.025;
-    const CHARACTER: f64 = 0.016;
-    /// The distance of the eye from the middle of all bodies, about [widest view].
-    const DISTANCE: f64 = 0.85;
+    /// The size of a label in a small view: its height, and the widths of its margins and of a character [its distance].
+    const HEIGHT: f64 = 0.07;
+    const MARGINS: f64 = 0.03;
+    const CHARACTER: f64 = 0.019;
 
     /// Without labels.
     pub fn new(view: FrameView<'a>) -> Labels<'a> {
-        let back = view.towards_eye().normalize();
-        let right = view.schema.up.cross(back).normalize();
+        let right = view.schema.up.cross(view.back).normalize();
         let [low, high] = view.bounds();
-        let eye = 0.5 * (low + high) + Labels::DISTANCE * view.widest * back;
-        let mut labels =
-            Labels { view, axes: [right, back.cross(right), back], eye, hiding: Vec::new(), taken: Vec::new() };
+        let distance = (view.eye - 0.5 * (low + high)).dot(view.back);
+        let axes = [right, view.back.cross(right), view.back];
+        let mut labels = Labels { view, axes, distance, hiding: Vec::new(), taken: Vec::new() };
         if view.frame.bodies.len() <= MAX_HIDING {
             let present = view.bodies().enumerate().filter(|(_, (_, now))| !now.is_absent);
             let hiding = present.map(|(body, (of, now))| {
@@ -134,16 +131,15 @@ impl<'a> Labels<'a> {
     /// Where a place is in the view, and how much larger things are there than at the middle of all bodies.
     fn in_view(&self, place: DVec3) -> (DVec2, f64) {
         let [right, up, back] = self.axes;
-        let from = place - self.eye;
-        let distance = Labels::DISTANCE * self.view.widest;
-        let scale = distance / f64::max(-from.dot(back), 0.1 * distance);
+        let from = place - self.view.eye;
+        let scale = self.distance / f64::max(-from.dot(back), 0.1 * self.distance);
         (scale * DVec2::new(from.dot(right), from.dot(up)), scale)
     }
 
     /// Half of the size of a label in the view.
     fn half_size(&self, label: &str) -> DVec2 {
         let width = Labels::MARGINS + Labels::CHARACTER * label.chars().count() as f64;
-        0.5 * self.view.widest * DVec2::new(width, Labels::HEIGHT)
+        0.5 * self.distance * DVec2::new(width, Labels::HEIGHT)
     }
 
     /// Number of other bodies that the middle or an end of a label at this place is on.
@@ -179,22 +175,48 @@ impl<'a> Labels<'a> {
         now.centre + furthest.unwrap_or_default()
     }
 
-    /// The place of the eye [scene unit].
-    pub fn eye(&self) -> DVec3 {
-        self.eye
-    }
-
     /// Whether a place on a body's surface, with this outward normal, faces the eye, and no other body is in front of it.
     pub fn is_in_front(&self, body: usize, place: DVec3, out: DVec3) -> bool {
-        out.dot(self.eye - place) > 0.0 && self.is_seen(body, place, 0.0)
+        out.dot(self.view.eye - place) > 0.0 && self.is_seen(body, place, 0.0) && !self.is_at_rim(body, place)
+    }
+
+    /// Whether a place is behind the rim of another body, or so close to it that the viewer's camera, which is not quite where
+    /// the eye is, may not see it.
+    fn is_at_rim(&self, body: usize, place: DVec3) -> bool {
+        /// How far the rim may be off, and how far in front the middle of the body is at least [its radii].
+        const MARGIN: f64 = 0.15;
+        const IN_FRONT: f64 = 0.5;
+
+        let distance = self.view.eye.distance(place);
+        let ray = (place - self.view.eye) / distance;
+        self.hiding.iter().filter(|of| of.body != body).any(|of| {
+            let along = (of.centre - self.view.eye).dot(ray);
+            let aside = (of.centre - self.view.eye).cross(ray).length();
+            along > 0.0 && along < distance - IN_FRONT * of.radius && aside < (1.0 + MARGIN) * of.radius
+        })
+    }
+
+    /// The share of the way to the eye on which a line that rises from a place has no body in front of it.
+    pub fn clearance(&self, place: DVec3) -> f64 {
+        const MOST: f64 = 0.4;
+
+        let up = self.view.schema.up;
+        let to_eye = (self.view.eye - place).normalize_or_zero();
+        let beside = to_eye.cross(up).normalize_or_zero();
+        let depth = self.hiding.iter().map(|of| {
+            let to = of.centre - place;
+            let is_beside = to.dot(beside).abs() > of.radius || to.dot(up) < -of.radius;
+            if is_beside { 0.0 } else { to.dot(to_eye) + of.radius }
+        });
+        (depth.fold(0.0, f64::max) / self.view.eye.distance(place)).min(MOST)
     }
 
     /// Whether no other body is in front of a place, or only by `depth` [its radii].
     fn is_seen(&self, body: usize, place: DVec3, depth: f64) -> bool {
-        let distance = self.eye.distance(place);
-        let ray = (place - self.eye) / distance;
+        let distance = self.view.eye.distance(place);
+        let ray = (place - self.view.eye) / distance;
         !self.hiding.iter().filter(|of| of.body != body).any(|of| {
-            let to = of.centre - self.eye;
+            let to = of.centre - self.view.eye;
             let along = to.dot(ray);
             let half = of.radius * of.radius - (to - along * ray).length_squared();
             half > 0.0 && along > 0.0 && along - half.sqrt() < distance - depth * of.radius

@@ -55,16 +55,16 @@ pub mod vertices;
 
 use glam::DVec3;
 
-use super::instant::Instant;
+use super::{
+    blueprint::camera::{Arrangement, usual_eye},
+    focus,
+    instant::Instant,
+};
 use crate::geometry::bounds;
 use crate::observe::{BodyFrame, Frame, Schema, schema::BodySchema};
 
 /// Scenes with more bodies have no labels of pairs; the last event's pair is drawn alone, too.
 const MAX_LABELS: usize = 8;
-
-/// From the bodies towards the eye in [upright](Schema::upright) axes, unless they are flat or one hides another; not
-/// normalized.
-pub const TOWARDS_EYE: DVec3 = DVec3::new(-0.2, -1.0, 0.4);
 
 /// The input of a part: the frame to be logged.
 #[derive(Clone, Copy)]
@@ -75,17 +75,28 @@ pub struct FrameView<'a> {
     pub frame: &'a Frame,
     /// The instant of that state.
     pub at: Instant,
-    /// What the camera has in view, about: the largest diagonal of the box around the bodies up to now, as far as it is not
-    /// [much](crate::stream::focus::WIDER) larger than the present one [scene unit].
-    pub widest: f64,
+    /// About where the camera is [scene unit].
+    pub eye: DVec3,
+    /// From the bodies towards the camera, normalized.
+    pub back: DVec3,
 }
 
 impl<'a> FrameView<'a> {
     /// A view of a state alone.
     pub fn of(schema: &'a Schema, frame: &'a Frame, at: Instant) -> FrameView<'a> {
-        let mut view = FrameView { schema, frame, at, widest: 0.0 };
-        let [low, high] = view.bounds();
-        view.widest = low.distance(high);
+        FrameView::in_run(schema, frame, at, &[])
+    }
+
+    /// A view of a state in a run within these spheres (centre and radius), which are in view unless the bodies would be much
+    /// smaller than alone.
+    pub fn in_run(schema: &'a Schema, frame: &'a Frame, at: Instant, whole: &[(DVec3, f64)]) -> FrameView<'a> {
+        let mut view = FrameView { schema, frame, at, eye: DVec3::ZERO, back: DVec3::ZERO };
+        let present = view.bodies().filter(|(_, now)| !now.is_absent && now.centre.is_finite());
+        let mut spheres: Vec<(DVec3, f64)> = present.map(|(body, now)| (now.centre, body.radius)).collect();
+        if focus::width(whole) <= focus::WIDER * focus::width(&spheres) {
+            spheres.extend(whole);
+        }
+        [view.eye, view.back] = usual_eye(&spheres, Arrangement::of(schema));
         view
     }
 
@@ -102,10 +113,5 @@ impl<'a> FrameView<'a> {
     /// The height of the top of that box [scene unit].
     fn top(self) -> f64 {
         self.bounds().map(|corner| corner.dot(self.schema.up)).into_iter().fold(f64::NEG_INFINITY, f64::max)
-    }
-
-    /// See [`TOWARDS_EYE`].
-    pub(in crate::stream) fn towards_eye(self) -> DVec3 {
-        self.schema.upright().conjugate() * TOWARDS_EYE
     }
 }

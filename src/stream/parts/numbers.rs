@@ -416,7 +416,7 @@ fn energy_rows(mut lines: Vec<&ScalarLine>) -> Vec<Row> {
     let row = |(number, line): (usize, &ScalarLine)| {
         let name = line.label.split(" [").next().unwrap_or(line.label);
         let first = line.first.filter(|first| number == 0 && *first != 0.0);
-        let first = first.map_or(String::new(), |first| format!(", at first {}", short(first)));
+        let first = first.map_or(String::new(), |first| format!(", initially {}", short(first)));
         let value = if line.last.abs() < f64::EPSILON * longest { 0.0 } else { line.last };
         let share = if value.is_finite() { value / longest } else { 0.0 };
         let marks = vec![(Mark::Tick(0.5), SILVER), (Mark::Signed(share), line.color)];

@@ -94,6 +94,8 @@ struct PairPlot {
     changes: Vec<PairEvent>,
     /// Whether its surfaces touched or its phase joined them.
     has_met: bool,
+    /// The colour of its curve of q.
+    color: palette::Rgb,
     distance: LineId,
     thresholds: Vec<(LineId, usize)>,
     /// Lines of gap, overlap and neck.
@@ -242,12 +244,20 @@ impl PairPlots {
         &self.shown
     }
 
+    /// The colour of the curve of a pair's q, if it has one.
+    pub fn color_of(&self, [a, b]: [usize; 2]) -> Option<palette::Rgb> {
+        self.known.get(&(a, b)).map(|pair| pair.color)
+    }
+
     /// The axis of plots of q; `None` without a plot.
     pub fn axis(&self, series: &Series, schema: &Schema, told: &Told) -> Option<Axis> {
         /// How far from q, as a ratio to its range.
         const FAR: f64 = 1.5;
         /// A range of q that leaves thresholds room [–].
         const LEAST: f64 = 0.2;
+        /// The top, as a ratio to the highest threshold and to the smallest q of any pair: one that flies away would leave
+        /// the thresholds no room.
+        const HIGHEST: f64 = 1.5;
 
         let extended = |[low, high]: [f64; 2], by: [f64; 2]| [low.min(by[0]), high.max(by[1])];
         let is_drawn = |&(a, b): &(usize, usize)| told.left_out == 0 || told.moving.contains(&schema.pair_name(a, b));
@@ -259,7 +269,14 @@ impl PairPlots {
         let level = |&(line, _): &(LineId, usize)| series.outline(line).range;
         let near = drawn().flat_map(|(_, plot)| plot.thresholds.iter().filter_map(level)).filter(is_near);
         let near = near.map(|level| level.map(|end| end.max(low - margin).min(high + margin)));
-        let ends = near.fold([low, high], extended);
+        let mut ends = near.clone().fold([low, high], extended);
+        let levels = near.map(|[_, level]| level).reduce(f64::max);
+        let least = drawn().filter_map(|(_, plot)| series.outline(plot.distance).range).map(|[low, _]| low);
+        if let Some(level) = levels {
+            ends[1] = ends[1].min(HIGHEST * least.fold(level, f64::max));
+        }
+        let missing = (LEAST - (ends[1] - ends[0])).max(0.0);
+        ends = [ends[0] - 0.5 * missing, ends[1] + 0.5 * missing];
         let is_beyond = |plot: &PairPlot| plot.thresholds.iter().filter_map(level).any(|level| !is_near(&level));
         let beyond = self.known.iter().filter(|(_, plot)| is_beyond(plot)).map(|(pair, _)| *pair);
         Some(Axis { ends, beyond: beyond.collect() })
@@ -556,6 +573,7 @@ impl PairPlot {
             changes: Vec::new(),
             has_met: false,
             phase,
+            color: rgb,
             distance,
             thresholds,
             measures,

@@ -60,6 +60,13 @@ pub struct Destinations {
     pub patience: Duration,
 }
 
+impl Destinations {
+    /// A file alone.
+    pub fn file(path: impl Into<PathBuf>) -> Destinations {
+        Destinations { save: Some(path.into()), ..Destinations::default() }
+    }
+}
+
 /// No destination.
 impl Default for Destinations {
     fn default() -> Self {
