@@ -14,6 +14,7 @@ use crate::{
         Recorded,
         contents::Contents,
         existing::{Existing, Kind},
+        recorded::RecordedEvent,
         replay::{self, Verdict},
     },
     scene::template::Override,
@@ -93,8 +94,11 @@ fn verify(arguments: &Arguments, recorded: &Recorded, name: &str) -> Result<(), 
     let mut saver = Saver::open(arguments, recorded, &recorded.schema, from..=to)?;
     let progress = Progress::new("", Work::Units("step", Some(recorded.last())));
     let mut run = Run::again(recorded.start()?, recorded.last());
+    let (mut events, mut last) = (Vec::new(), 0);
     let verdict = replay::verify_run(recorded, &mut run, |run| {
-        progress.step(run.simulation.steps_taken(), run.simulation.time());
+        last = run.simulation.steps_taken();
+        progress.step(last, run.simulation.time());
+        events.extend(run.summary.events.iter().map(|event| RecordedEvent::of(&recorded.schema, event)));
         saver.observe(run)
     });
     saver.end(&run);
@@ -110,6 +114,7 @@ fn verify(arguments: &Arguments, recorded: &Recorded, name: &str) -> Result<(), 
     let settings = if overrides.is_empty() { String::new() } else { format!(" (run with {overrides})") };
     match verdict {
         Verdict::Identical => {
+            replay::verify_events(recorded, &events, last)?;
             print(&format!(
                 "{name}: identical, {}{settings}",
                 if recorded.first == 0 {

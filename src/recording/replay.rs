@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::{ReadError, Recorded, frames};
+use super::{ReadError, Recorded, frames, read::End, recorded::RecordedEvent};
 use crate::{
     analysis::Worst,
     observe::{Frame, Run, Want},
@@ -109,6 +109,24 @@ pub(crate) fn verify_run(
         Some(recorded) if replayed.as_ref() != Some(recorded) => Verdict::OtherEnd { replayed },
         _ => Verdict::Identical,
     })
+}
+
+/// Checks that the phase changes of a recording are those of its replay up to a step. That may not be so though all checksums
+/// are right: they do not cover events.
+///
+/// # Errors
+/// The recording is damaged.
+pub(crate) fn verify_events(recorded: &Recorded, replayed: &[RecordedEvent], last: u64) -> Result<(), ReadError> {
+    let is_verified = |event: &&RecordedEvent| (recorded.first + 1..=last).contains(&event.step);
+    let [was, is] = [&recorded.events, replayed].map(|events| events.iter().filter(is_verified).collect::<Vec<_>>());
+    // the end of a file that is cut short may lack events
+    if recorded.end == End::Cut || was == is {
+        return Ok(());
+    }
+    let first = was.iter().zip(&is).take_while(|(was, is)| was == is).count();
+    let [was, is] = [was, is].map(|events| events.get(first).map_or("no more".to_owned(), ToString::to_string));
+    let what = format!("all checksums are right, but event {} is not: {was}; the replay has {is}", first + 1);
+    Err(ReadError::Damaged { path: recorded.path.clone(), at: None, what })
 }
 
 /// Takes a step; one that is not completed is an error. Returns whether there was one to take.

@@ -34,7 +34,7 @@ pub struct KeyPath {
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
-enum Part {
+pub(super) enum Part {
     Name(String),
     Index(usize),
 }
@@ -391,6 +391,28 @@ fn position(document: &DeTable<'_>, path: &KeyPath) -> Option<usize> {
         value = next;
     }
     Some(start)
+}
+
+/// A path with the numbers of the items that it names; `None` if an array lacks one of them.
+pub(super) fn numbered(document: &DeTable<'_>, path: &KeyPath) -> Option<Vec<Part>> {
+    let mut value: Option<&DeValue<'_>> = None;
+    let parts = path.parts.iter().enumerate().map(|(depth, part)| {
+        let part = match (value, part) {
+            (Some(DeValue::Array(items)), Part::Name(name)) => {
+                Part::Index(items.iter().position(|item| name_of(item.get_ref()) == Some(name.as_str()))?)
+            }
+            _ => part.clone(),
+        };
+        value = match (value, &part) {
+            (None, Part::Name(name)) if depth == 0 => document.get(name.as_str()),
+            (Some(DeValue::Table(table)), Part::Name(name)) => table.get(name.as_str()),
+            (Some(DeValue::Array(items)), Part::Index(index)) => Some(items.get(*index)?),
+            _ => None,
+        }
+        .map(|value| value.get_ref());
+        Some(part)
+    });
+    parts.collect()
 }
 
 /// The name of an item of an array of tables.

@@ -10,7 +10,7 @@
 //! was presumed lost, therefore write the same file. Processes need neither communication nor locks.
 
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::{BTreeMap, BTreeSet, HashSet},
     fs::{self, File, OpenOptions},
     io::{self, Write as _},
     path::{Path, PathBuf},
@@ -217,10 +217,20 @@ impl Store {
         columns: &[Column],
         mut each: impl FnMut(Row),
     ) -> Result<(), StoreError> {
-        for part in self.parts()? {
+        let parts = self.parts()?;
+        // processes that divide a level differently may finish the same rows
+        let is_divided_twice = parts
+            .iter()
+            .any(|one| parts.iter().any(|other| one.level == other.level && one.shard.count != other.shard.count));
+        let mut seen = HashSet::new();
+        for part in parts {
             let is_other = other.is_none_or(|shard| shard.count != part.shard.count);
             if levels.contains(&part.level) && is_other {
-                table::read(&self.path.join(part.name()), columns, &mut each)?;
+                table::read(&self.path.join(part.name()), columns, &mut |row: Row| {
+                    if !is_divided_twice || seen.insert((part.level, row.0)) {
+                        each(row);
+                    }
+                })?;
             }
         }
         Ok(())

@@ -213,6 +213,20 @@ fn a_flipped_bit_is_not_reported_as_divergence() {
     }
 }
 
+/// Checksums do not cover events.
+#[test]
+fn replays_compare_events() {
+    let dir = Dir::new();
+    let (status, stderr) = program(&dir, &["run", "two", "--steps", "90", "--thin", "--save", "thin.rrd", "-q"]);
+    assert_eq!(status, 0, "{stderr}");
+    let mut bytes = fs::read(dir.file("thin.rrd")).expect("a recording");
+    let phase = bytes.windows(5).rposition(|window| window == b"apart").expect("the phase before the event");
+    bytes[phase] ^= 2;
+    fs::write(dir.file("event.rrd"), bytes).expect("disk space");
+    let (status, stderr) = program(&dir, &["replay", "event.rrd"]);
+    assert!(status == 2 && stderr.contains("event.rrd") && stderr.contains("event 1 is not: "), "{status}, {stderr}");
+}
+
 #[test]
 fn broken_recordings_are_rejected_with_the_reason() {
     let dir = Dir::new();

@@ -1157,7 +1157,8 @@ impl Run {
                 let held = &track.held[frame];
                 let logged = held.texts("Points3D:labels").concat();
                 let (outside, hidden) = logged.split_once("\ninside another body: ").unwrap_or((&logged, ""));
-                let (outside, front) = outside.split_once("\nin front, marked: ").unwrap_or((outside, ""));
+                let of_front = outside.strip_prefix("largest in front: ").and_then(|front| front.split_once('\n'));
+                let (front, outside) = of_front.unwrap_or(("", outside));
                 let in_view = outside.strip_suffix(", not in view");
                 // whether a vertex faces the eye, and nothing is in front of it, by more than `margin`
                 let is_clear = |index: usize, vertex: usize, margin: f64| {
@@ -1328,10 +1329,10 @@ impl Run {
                 // with the number of pieces, 20 characters
                 let room = 20 - (what.len() - numbers.len());
                 assert!(expected.iter().any(|group| listed(group, room) == *names), "{at}: {names}");
-                let (volume, percent) = numbers.split_once(", ").unwrap_or((numbers, "0 %"));
-                let volume: f64 = volume.parse().expect("a volume");
-                let percent: f64 = percent.trim_end_matches(" %").parse().expect("a percentage");
-                lost += volume / (1.0 + 0.01 * percent) - volume;
+                let (volume, bodies) = numbers.split_once(" (bodies ").unwrap_or((numbers, numbers));
+                let [volume, bodies] =
+                    [volume, bodies.trim_end_matches(')')].map(|number| number.parse::<f64>().expect("a volume"));
+                lost += bodies - volume;
             }
             if let Some(tracks) = volumes.as_ref().filter(|_| rows.len() < 8) {
                 let [surfaces, bodies] = tracks.each_ref().map(|track| track.held[frame].scalar().expect("a volume"));

@@ -316,6 +316,16 @@ fn shards_refinement_and_a_plain_run_have_the_same_rows() {
     succeeds(&dir, "s.toml --out shards --refine 3"); // finds nothing to do
     assert_eq!(rows(&dir.file("shards"), &columns), plain);
 
+    // rows that two divisions have are counted once
+    let outcomes = |output: &str| output.lines().find(|line| line.starts_with("outcomes: ")).map(str::to_owned);
+    let before = succeeds(&dir, "s.toml --out plain --refine 3");
+    let [one, two] =
+        ["rows-00-0of1-000000.parquet", "rows-00-0of2-000000.parquet"].map(|name| dir.file("plain").join(name));
+    std::fs::copy(one, &two).expect("its first rows");
+    let after = succeeds(&dir, "s.toml --out plain --refine 3");
+    assert!(outcomes(&before).is_some() && outcomes(&before) == outcomes(&after), "{before}\n{after}");
+    std::fs::remove_file(two).expect("the copy");
+
     // every point of a grid as fine as the last level has the outcome of the refined map at that point
     let full = folder(&OVER_OFFSETS.replace("count = 9", "count = 65"));
     succeeds(&full, "s.toml --out out");

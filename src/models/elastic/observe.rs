@@ -65,7 +65,9 @@ const STATE: &[Scalar] = &[
         bodies.map(|(body, now)| now.max_displacement / body.radius).fold(0.0, f64::max)
     }),
     smooth("sleeping_bodies", "bodies at rest", "Counts", |simulation, _| {
-        simulation.bodies.iter().filter(|body| body.is_at_rest).count() as f64
+        let is_still =
+            |body: &&Body| body.free.as_ref().is_none_or(|free| [free.velocity, free.spin] == [DVec3::ZERO; 2]);
+        simulation.bodies.iter().filter(|body| body.is_at_rest).filter(is_still).count() as f64
     }),
 ];
 

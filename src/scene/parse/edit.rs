@@ -9,7 +9,7 @@ use super::{
 use crate::scene::{
     Edit, Scene,
     keys::{self, EDIT_FORM, Kind, Section},
-    template::{KeyPath, owned, replace},
+    template::{KeyPath, numbered, owned, replace},
 };
 use crate::text::did_you_mean;
 
@@ -47,9 +47,17 @@ pub(super) fn read(
             return Err(set.error(format!("expected {EDIT_FORM}, found an empty one")));
         }
         let mut lines = Vec::with_capacity(entries.len());
-        for (name, value) in &entries {
-            let path = editable(name, value)?;
-            replace(&mut edited, &path, value.raw().clone()).map_err(|message| value.error(message))?;
+        let paths = entries.iter().map(|(name, value)| editable(name, value)).collect::<Result<Vec<_>, _>>()?;
+        // `body.a.omega` and `body[0].omega` may be the same
+        let places: Vec<_> = paths.iter().map(|path| numbered(&edited, path)).collect();
+        for (number, place) in places.iter().enumerate().filter(|(_, place)| place.is_some()) {
+            if let Some(first) = places[..number].iter().position(|other| other == place) {
+                let [(earlier, _), (name, value)] = [&entries[first], &entries[number]];
+                return Err(value.error(format!("{name} is {earlier}, which this edit sets already")));
+            }
+        }
+        for ((name, value), path) in entries.iter().zip(&paths) {
+            replace(&mut edited, path, value.raw().clone()).map_err(|message| value.error(message))?;
             lines.push(format!("{name} = {}", owned(value.raw())));
         }
         let after = read_document(source, &edited, &mut meshes.clone()).map_err(|error| {

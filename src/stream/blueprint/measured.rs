@@ -9,7 +9,7 @@ use super::{
 use crate::{
     observe::schema::ScalarSchema,
     sdk::{
-        LogMsg, SeriesLines, StoreId,
+        LogMsg, StoreId,
         blueprint::archetypes::{PlotLegend, ViewBlueprint},
     },
     stream::{
@@ -18,7 +18,6 @@ use crate::{
             PAIR_PHASE,
         },
         focus::Focus,
-        palette,
         parts::{
             numbers::{Spread, is_energy},
             pairs::{self, Told},
@@ -215,15 +214,6 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         if *left_out > 0 {
             // marks of events on lines that are left out would be puzzling
             lines = vec![family(&MARKS_OF_DRAWN), including(&MARKS_AT_Q.of(&["ends"]))];
-        }
-        let plots = layout.distances.iter().map(|plot| (plot.clone(), &PAIR_DISTANCE)).chain(layout.measures.clone());
-        let plots: Vec<(String, &Entity)> = plots.collect();
-        for (plot, measure) in &plots {
-            // of all pairs, those with lines have the colours that differ most
-            for (index, entity) in moving.iter().map(|pair| measure.of(&[pair])).enumerate() {
-                let color = SeriesLines::update_fields().with_colors([palette::color(palette::distance(index))]);
-                layout.visualize(plot, &entity, &[("SeriesLines", &[], &color)]);
-            }
         }
         for (plot, measure) in std::mem::take(&mut layout.measures) {
             let lines = moving.iter().map(|pair| including(&measure.of(&[pair])));

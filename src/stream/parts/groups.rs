@@ -254,7 +254,7 @@ impl GroupPlots {
             label += &short(group.volume);
             if let Some(apart) = apart(group) {
                 marks.push((Mark::Dot(apart / largest), SILVER));
-                label += &format!(", {} % when joined", percent(group.volume / apart));
+                label += &format!(" (bodies {})", short(apart));
             }
             Row { label, color: palette::label(color), marks }
         });

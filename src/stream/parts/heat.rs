@@ -164,17 +164,19 @@ impl Heat {
             let hidden = of_all.filter(|of_all| of_all.displacement > outside.displacement);
             let hidden = hidden.map(|hidden| format!("\ninside another body: {}", hidden.text(view)));
             // the line to a vertex on the far side would seem to end on whatever hides it
-            let (marked, far) = match seen {
+            let (marked, front) = match seen {
                 Some(seen) if (seen.body, seen.vertex) == (outside.body, outside.vertex) => {
                     (Some(outside), String::new())
                 }
-                Some(seen) => (Some(*seen), format!("\nin front, marked: {}", seen.text(view))),
-                None => (None, ", not in view".to_owned()),
+                Some(seen) => (Some(*seen), format!("largest in front: {}\n", seen.text(view))),
+                None => (None, String::new()),
             };
             let height = f64::min(recent::label_height(view), view.top() + ABOVE * view.schema.largest_radius());
             let below = marked.unwrap_or(outside).position;
             let end = in_front(view.schema.raised(below, f64::max(height, below.dot(view.schema.up))));
-            let label = format!("largest on the surface: {}{far}{}", outside.text(view), hidden.unwrap_or_default());
+            let behind = if marked.is_none() { ", not in view" } else { "" };
+            let label =
+                format!("{front}largest on the surface: {}{behind}{}", outside.text(view), hidden.unwrap_or_default());
             ([marked.map_or(end, |marked| marked.position), end], label)
         });
         let taken = mark.as_ref().map(|([place, end], label)| {
