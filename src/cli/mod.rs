@@ -304,7 +304,7 @@ impl Command {
     }
 }
 
-/// Whether the state of a simulation is the recorded one, if there is a recording.
+/// Checks that the state of a simulation is the recorded one, if there is a recording.
 fn must_reproduce(recorded: Option<&Recorded>, simulation: &dyn Simulation) -> Result<(), Failure> {
     let step = simulation.steps_taken();
     match recorded.filter(|of| of.checksum(step).is_some_and(|checksum| checksum != simulation.checksum())) {

@@ -473,10 +473,7 @@ impl Layout {
     /// The cost of a step and of its recording, each as stacked stages, and the resulting speed.
     fn timings_tab(&mut self, schema: &Schema) -> Part {
         let stages = [
-            (
-                "Timings, ms per step, stacked: the top is the step without waits (observe: copying states, finding touches)",
-                false,
-            ),
+            ("Timings, ms per step without waits, stacked (observe: copying states, finding touches)", false),
             ("Recording on its own thread, ms per step: extract makes surfaces, log encodes", true),
         ];
         let stages: Vec<Part> = stages.map(|(title, is_recording)| self.stacked(title, schema, is_recording)).into();
