@@ -393,26 +393,16 @@ fn position(document: &DeTable<'_>, path: &KeyPath) -> Option<usize> {
     Some(start)
 }
 
-/// A path with the numbers of the items that it names; `None` if an array lacks one of them.
+/// A path with the number of the item that it names; `None` if the array lacks that, as a body which a grid makes.
 pub(super) fn numbered(document: &DeTable<'_>, path: &KeyPath) -> Option<Vec<Part>> {
-    let mut value: Option<&DeValue<'_>> = None;
-    let parts = path.parts.iter().enumerate().map(|(depth, part)| {
-        let part = match (value, part) {
-            (Some(DeValue::Array(items)), Part::Name(name)) => {
-                Part::Index(items.iter().position(|item| name_of(item.get_ref()) == Some(name.as_str()))?)
-            }
-            _ => part.clone(),
-        };
-        value = match (value, &part) {
-            (None, Part::Name(name)) if depth == 0 => document.get(name.as_str()),
-            (Some(DeValue::Table(table)), Part::Name(name)) => table.get(name.as_str()),
-            (Some(DeValue::Array(items)), Part::Index(index)) => Some(items.get(*index)?),
-            _ => None,
-        }
-        .map(|value| value.get_ref());
-        Some(part)
-    });
-    parts.collect()
+    let mut parts = path.parts.clone();
+    if let [Part::Name(array), item, ..] = &mut parts[..]
+        && let Some(DeValue::Array(items)) = document.get(array.as_str()).map(|value| value.get_ref())
+        && let Part::Name(name) = &*item
+    {
+        *item = Part::Index(items.iter().position(|item| name_of(item.get_ref()) == Some(name.as_str()))?);
+    }
+    Some(parts)
 }
 
 /// The name of an item of an array of tables.

@@ -219,9 +219,8 @@ impl Store {
     ) -> Result<(), StoreError> {
         let parts = self.parts()?;
         // processes that divide a level differently may finish the same rows
-        let is_divided_twice = parts
-            .iter()
-            .any(|one| parts.iter().any(|other| one.level == other.level && one.shard.count != other.shard.count));
+        let is_divided_twice =
+            parts.windows(2).any(|next| next[0].level == next[1].level && next[0].shard.count != next[1].shard.count);
         let mut seen = HashSet::new();
         for part in parts {
             let is_other = other.is_none_or(|shard| shard.count != part.shard.count);

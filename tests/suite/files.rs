@@ -441,8 +441,9 @@ fn settings() -> impl Strategy<Value = (Settings, (f64, f64))> {
             .prop_map(|(most, on, after)| Frames::Last { most, on, after }),
     ];
     let numbers = (Scene::POSITIVE, Scene::POSITIVE, prop::option::of(count()), count());
-    let kind = prop::option::of(prop::sample::select(vec!["merge".to_owned(), "core".to_owned()]));
-    let pair = || prop::sample::select(vec!["a~b".to_owned(), "a~c-1".to_owned(), "b_2~d".to_owned()]);
+    let kind =
+        prop::option::of(prop::sample::select(vec!["merge".to_owned(), "core".to_owned(), "a \"kind\"".to_owned()]));
+    let pair = || prop::sample::select(vec!["a~b".to_owned(), "a~c-1".to_owned(), "b_2~é".to_owned()]);
     let around = (kind, prop::option::of(pair()), count());
     let around = prop::option::of(around.prop_map(|(kind, pair, number)| Around { kind, pair, number }));
     let entities = prop::sample::select(Entities::ALL.to_vec());

@@ -1892,37 +1892,26 @@ impl Look<'_> {
         let back = DVec3::new(-0.2, -1.0, if is_flat { 1.0 } else { 0.4 }).normalize();
         let right = DVec3::new(1.0, -0.2, 0.0).normalize();
         let up = back.cross(right);
-        // how far back an eye at these coordinates to the right and upwards has to be to see all, in a view of 55° by 1.45 times
-        // that, with margins of 4 % of half its height
-        let half = 0.5205;
-        let away = |[x, y]: [f64; 2]| {
-            let seen = |axis: DVec3, at: f64, half: f64| {
-                let of = |(centre, radius): &(DVec3, f64)| {
-                    centre.dot(back) + ((centre.dot(axis) - at).abs() + radius * half.hypot(1.0)) / half
-                };
-                spheres.iter().map(of).fold(f64::NEG_INFINITY, f64::max)
+        // how far back an eye at this coordinate along an axis has to be to see all, in a view of 55° by 1.45 times that, with
+        // margins of 4 % of half its height
+        let away = |(axis, half): (DVec3, f64), at: f64| {
+            let of = |(centre, radius): &(DVec3, f64)| {
+                centre.dot(back) + ((centre.dot(axis) - at).abs() + radius * half.hypot(1.0)) / half
             };
-            seen(right, x, (1.45 - 0.04) * half).max(seen(up, y, 0.96 * half))
+            spheres.iter().map(of).fold(f64::NEG_INFINITY, f64::max)
         };
-        // the least for each coordinate alone, by ternary search of a convex function
-        let least = |of: &dyn Fn(f64) -> f64| {
+        // the coordinate with the least of that, by ternary search of a convex function
+        let best = |side: (DVec3, f64)| {
             let [mut low, mut high] = [-1.0, 1.0].map(|side| side * 10.0 * (1.0 + extent.length() + lowest.length()));
             for _ in 0..200 {
                 let [one, other] = [(2.0 * low + high) / 3.0, (low + 2.0 * high) / 3.0];
-                if of(one) <= of(other) { high = other } else { low = one }
+                if away(side, one) <= away(side, other) { high = other } else { low = one }
             }
             0.5 * (low + high)
         };
-        let alone = |axis: DVec3, half: f64| {
-            least(&|at: f64| {
-                let of = |(centre, radius): &(DVec3, f64)| {
-                    centre.dot(back) + ((centre.dot(axis) - at).abs() + radius * half.hypot(1.0)) / half
-                };
-                spheres.iter().map(of).fold(f64::NEG_INFINITY, f64::max)
-            })
-        };
-        let [x, y] = [alone(right, (1.45 - 0.04) * half), alone(up, 0.96 * half)];
-        let eye = x * right + y * up + away([x, y]) * back;
+        let sides = [(right, (1.45 - 0.04) * 0.5205), (up, 0.96 * 0.5205)];
+        let [x, y] = sides.map(best);
+        let eye = x * right + y * up + f64::max(away(sides[0], x), away(sides[1], y)) * back;
         let distance = (eye - 0.5 * (low + high)).dot(back);
         Look { world, axes: [right, up, back], eye, distance }
     }

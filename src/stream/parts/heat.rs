@@ -158,8 +158,7 @@ impl Heat {
         }
         chunks.push_changed(self.ticks, view.at, &[&ticks]);
         // the line to the label rises in front of the bodies: for the eye, it is straight
-        let clearance = seen.map_or(0.0, |of| Labels::new(view).clearance(of.position));
-        let in_front = |place: DVec3| place.lerp(view.eye, clearance);
+        let in_front = |place: DVec3| place.lerp(view.eye, displacements.clearance);
         let mark = outside.filter(|largest| largest.displacement > 0.0).map(|outside| {
             let hidden = of_all.filter(|of_all| of_all.displacement > outside.displacement);
             let hidden = hidden.map(|hidden| format!("\ninside another body: {}", hidden.text(view)));
@@ -261,6 +260,8 @@ pub struct Displacements {
     outside: Option<Largest>,
     /// The largest on the surface that is seen from the usual direction of the camera.
     seen: Option<Largest>,
+    /// The share of the way to the eye on which a line that rises from there has no body in front of it.
+    clearance: f64,
     of_all: Option<Largest>,
     /// Whether the most displaced vertex of each body is not on the surface.
     is_inside: Vec<bool>,
@@ -459,6 +460,7 @@ impl Displacements {
             !mesh::hides(&now.positions, triangles, of.vertex, view.eye - now.centre) && is_outside(of)
         };
         self.seen = self.candidates.iter().find(is_clear).copied();
+        self.clearance = self.seen.map_or(0.0, |of| labels.clearance(of.position));
         (self.outside, self.of_all) = (outside.or(of_all), of_all);
         let largest = self.outside.map_or(0.0, |largest| largest.displacement);
         let rank = (SHARE * self.lengths.len() as f64) as usize;
