@@ -105,7 +105,7 @@ pub fn remedy(path: &Path, error: &io::Error) -> String {
         io::ErrorKind::InvalidFilename => {
             "the system does not allow that name, or its temporary one: choose another, shorter one"
         }
-        io::ErrorKind::IsADirectory => "that is a directory: give the name of a file",
+        io::ErrorKind::IsADirectory => "give the name of a file",
         _ => "save elsewhere",
     };
     remedy.to_owned()

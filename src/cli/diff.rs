@@ -73,7 +73,7 @@ pub fn diff(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> {
     if difference.instants < 2 {
         let remedy = match a.schema.dt == b.schema.dt {
             true if a.last() == 0 || b.last() == 0 => "there is no step to compare: record more of them",
-            true => "they have no frames of the same steps, or one was cut short: record it again",
+            true => "they have too few frames of the same steps, or one was cut short: record it again",
             false => "record them with step sizes of which one is a multiple of the other",
         };
         return Err(Failure::Input(format!(

@@ -39,6 +39,11 @@ impl Overrides {
                 return Err(Failure::Input(format!("--{option} and --set {option}=… are both given: leave one out")));
             }
         }
+        let is_again = |number: usize| self.set[..number].iter().any(|set| set.key() == self.set[number].key());
+        if let Some(number) = (0..self.set.len()).find(|&number| is_again(number)) {
+            let key = self.set[number].key();
+            return Err(Failure::Input(format!("--set {key}=… is given twice: leave one out")));
+        }
         let mut scene = with(scene, &self.set, file, load::folder(file))?;
         scene.integrator = self.integrator.unwrap_or(scene.integrator);
         scene.model = self.model.unwrap_or(scene.model);

@@ -58,8 +58,8 @@ pub struct SeamLine {
 /// Geometric measures of a pair, independent of its phase.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PairMeasures {
-    /// Smallest distance between the surfaces, or minus the penetration depth if they overlap [radii of the smaller
-    /// body].
+    /// Smallest distance between the surfaces; if they overlap, minus how deep a point of one lies inside the other at
+    /// most [radii of the smaller body].
     pub gap: f64,
     /// Volume of the intersection [radius³ of the smaller body].
     pub overlap: f64,

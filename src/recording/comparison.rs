@@ -38,12 +38,16 @@ use crate::{
         settings::file_stem,
         sinks::{Destinations, Saved, SinkError, Sinks},
     },
-    text::{counted, short},
+    text::{counted, short, significant},
 };
 
 /// Upper limit on the number of bodies shown.
 const MAX_BODIES: usize = 64;
 const COLORS: [Rgb; 2] = [[90, 150, 235], [240, 150, 50]];
+/// Colour of a surface where the runs agree.
+const SAME: Rgb = [170, 174, 182];
+/// A smaller difference has neither an arrow nor a dot [largest difference of the instant].
+const LEAST: f64 = 0.1;
 const ERROR: Rgb = [235, 60, 60];
 const LIMIT: Rgb = [150, 150, 150];
 /// Name of the line of the tolerance.
@@ -143,7 +147,7 @@ impl Comparison {
         let top = tops.fold(f64::NEG_INFINITY, f64::max) + f64::from(LABEL_HEIGHT) * radius;
         let label = (schema.raised(0.5 * (low + high), top), 0.2 * radius);
         let framed: Vec<_> = spheres.iter().copied().chain([label]).filter(|(at, _)| at.is_finite()).collect();
-        for message in blueprint::of_comparison(schema, &framed, (&second, COLORS[1]), (SIDES, &names), first, &store) {
+        for message in blueprint::of_comparison(schema, &framed, &second, (SIDES, &names), first, &store) {
             sinks.send(message)?;
         }
         let mut chunks = Chunks::new(store);
@@ -152,8 +156,9 @@ impl Comparison {
         let name = format!("{}: {} and {}", schema.name, plan.labels[0], plan.labels[1]);
         chunks.log_static(RECORDING_INFO.path, &sdk::RecordingInfo::new().with_name(name));
         let about = format!(
-            "**{}**: the blue, translucent surface is {}, orange dots are the vertices of {}. Red arrows lead from the one to \
-             the other; the longest of an instant has a length of at least {LONGEST} radii. {}  \nThe plot has the largest \
+            "**{}**: the translucent surface is {}: grey where the two agree, the bluer the more they differ, compared with the \
+             largest difference now. Red arrows lead to the vertices of {}, orange dots, wherever that is more than {LEAST} of it; \
+             the longest of an instant has a length of at least {LONGEST} radii. {}  \nThe plot has the largest \
              distance of each body, from a thousandth of the tolerance on; grey: the tolerance, {:e}.{}{}",
             schema.name,
             plan.labels[0],
@@ -175,10 +180,10 @@ impl Comparison {
         );
         chunks.log_static(ABOUT.path, &TextDocument::new(about).with_media_type(MediaType::MARKDOWN));
         for (_, name, mesh) in &shown {
-            for (side, rgb) in SIDES.into_iter().zip(COLORS) {
+            for side in SIDES {
                 let mesh = Mesh3D::update_fields()
                     .with_triangle_indices(mesh.drawn_triangles().iter().copied())
-                    .with_albedo_factor(palette::translucent(rgb));
+                    .with_albedo_factor(palette::translucent([0xFF; 3]));
                 chunks.log_static(&COMPARED_SURFACE.of(&[side, name]), &mesh);
             }
         }
@@ -190,6 +195,9 @@ impl Comparison {
         chunks.log_static(NAMES.path, &names);
         let style = Arrows3D::update_fields().with_colors([color(ERROR)]).with_radii([sdk::Radius::new_ui_points(1.2)]);
         chunks.log_static(COMPARED_ERROR.path, &style);
+        let dots =
+            Points3D::update_fields().with_colors([color(COLORS[1])]).with_radii([sdk::Radius::new_ui_points(2.0)]);
+        chunks.log_static(COMPARED_ERROR.path, &dots);
         for (number, (_, name, _)) in shown.iter().enumerate() {
             let rgb = palette::distance(number); // blue and orange are the two runs
             for line in [&DIFFERENCE, &LOG_DIFFERENCE] {
@@ -256,34 +264,53 @@ impl Comparison {
         centres: [&[glam::Vec3]; 2],
         mut positions: impl FnMut(usize) -> [Option<Vec<DVec3>>; 2],
     ) -> Result<(), SinkError> {
-        let (mut origins, mut apart, light) = (Vec::new(), Vec::new(), Light::in_world(schema));
+        let light = Light::in_world(schema);
         let mut extractor = Extractor::default();
         let mut worst: Option<(f64, DVec3, &str, usize)> = None;
-        for (index, name, mesh) in &self.shown {
-            let both = positions(*index);
-            for (side, positions) in SIDES.into_iter().zip(&both) {
+        let all: Vec<[Option<Vec<DVec3>>; 2]> = self.shown.iter().map(|(index, ..)| positions(*index)).collect();
+        let mut differences: Vec<Vec<f64>> = Vec::new();
+        for ((index, name, _), both) in self.shown.iter().zip(&all) {
+            let mut of_body = Vec::new();
+            if let [Some(a), Some(b)] = both {
+                let (mut largest, radius) = (0.0, schema.bodies.get(*index).map_or(1.0, |body| body.radius));
+                for (vertex, (&a, &b)) in a.iter().zip(b).enumerate() {
+                    let difference = a.distance(b) / radius;
+                    of_body.push(difference);
+                    largest = f64::max(largest, difference);
+                    if difference > 0.0 && worst.as_ref().is_none_or(|(worst, ..)| difference > *worst) {
+                        worst = Some((difference, a, name, vertex));
+                    }
+                }
+                log_difference(&mut self.chunks, name, largest, tolerance, at);
+            }
+            differences.push(of_body);
+        }
+        // what is within the tolerance counts as equal
+        let most = worst.map_or(0.0, |(worst, ..)| worst).max(tolerance).max(f64::MIN_POSITIVE);
+        let (mut origins, mut apart, mut dots) = (Vec::new(), Vec::new(), Vec::new());
+        for (((_, name, mesh), both), differences) in self.shown.iter().zip(&all).zip(&differences) {
+            if let [Some(a), Some(b)] = both {
+                for ((a, b), _) in a.iter().zip(b).zip(differences).filter(|(_, of)| **of > LEAST * most) {
+                    origins.push(a.as_vec3());
+                    apart.push(*b - *a);
+                    dots.push(b.as_vec3());
+                }
+            }
+            for (side, positions) in SIDES.into_iter().zip(both) {
                 let Some(positions) = positions else { continue };
                 let vectors = positions.iter().copied().collect();
                 let normals = extractor.normals(mesh, &vectors);
                 let mut positions: Vec<_> = positions.iter().map(|position| position.as_vec3()).collect();
-                mesh.facets().into_iter().for_each(|facets| facets.extend(&mut positions, 0));
-                let mesh = Mesh3D::update_fields()
-                    .with_vertex_positions(positions)
-                    .with_vertex_colors(normals.iter().map(|&normal| light.white(normal)));
+                let facets = mesh.facets();
+                facets.into_iter().for_each(|facets| facets.extend(&mut positions, 0));
+                let mut shares: Vec<f64> = differences.iter().map(|of| of / most).collect();
+                facets.into_iter().for_each(|facets| facets.extend(&mut shares, 0));
+                let rgb =
+                    |vertex: usize| palette::between([SAME, COLORS[0]], shares.get(vertex).copied().unwrap_or(1.0));
+                let mesh = Mesh3D::update_fields().with_vertex_positions(positions).with_vertex_colors(
+                    normals.iter().enumerate().map(|(vertex, &normal)| light.on(rgb(vertex), normal)),
+                );
                 self.chunks.log(&COMPARED_SURFACE.of(&[side, name]), at, &mesh);
-            }
-            if let [Some(a), Some(b)] = &both {
-                let (mut largest, radius) = (0.0, schema.bodies.get(*index).map_or(1.0, |body| body.radius));
-                for (vertex, (&a, &b)) in a.iter().zip(b).enumerate().filter(|(_, (a, b))| a != b) {
-                    let difference = a.distance(b) / radius;
-                    largest = f64::max(largest, difference);
-                    if worst.as_ref().is_none_or(|(worst, ..)| difference > *worst) {
-                        worst = Some((difference, a, name, vertex));
-                    }
-                    origins.push(a.as_vec3());
-                    apart.push(b - a);
-                }
-                log_difference(&mut self.chunks, name, largest, tolerance, at);
             }
         }
         for (pair, [a, b]) in &self.pairs {
@@ -307,14 +334,15 @@ impl Comparison {
         self.chunks.log(NAMES.path, at, &Points3D::update_fields().with_positions(names));
         let longest = apart.iter().map(|apart| apart.length()).fold(0.0, f64::max);
         // arrows that are shorter than the difference would end beside the dots
-        let times = f64::max(LONGEST * self.radius / longest, 1.0);
+        let times = if longest > 0.0 { f64::max(LONGEST * self.radius / longest, 1.0) } else { 1.0 };
         let vectors = apart.iter().map(|apart| (times * *apart).as_vec3());
         let arrows = Arrows3D::update_fields().with_origins(origins).with_vectors(vectors);
         self.chunks.log(COMPARED_ERROR.path, at, &arrows);
+        self.chunks.log(COMPARED_ERROR.path, at, &Points3D::update_fields().with_positions(dots));
         let worst = worst.map(|(difference, position, name, vertex)| {
             let mut label = format!("{name}:{vertex}: {} R", short(difference));
             if times > 1.0 {
-                label += &format!("\narrows {} times as long", short(times));
+                label += &format!("\narrows {} times as long", significant(times));
             }
             // above all bodies: beside the vertex the label would hide what differs
             let heights = self.shown.iter().map(|&(index, ..)| above(index, LABEL_HEIGHT).as_dvec3().dot(schema.up));

@@ -72,6 +72,11 @@ impl fmt::Display for Difference {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.first_bits {
             Some(step) => writeln!(f, "bits: different from step {step} (t = {:.6} s) on", step as f64 * self.dt)?,
+            // surfaces that were run again are those of the checksums
+            None if self.has_bits && self.first_beyond.is_some() && self.run_again == [false; 2] => writeln!(
+                f,
+                "bits: the same at every common step, so one of the files is damaged: equal checksums have equal surfaces"
+            )?,
             None if self.has_bits => writeln!(f, "bits: the same at every common step")?,
             None => {}
         }

@@ -12,7 +12,7 @@ const MARGIN: f64 = 1e-9;
 
 impl Scene {
     /// Warnings about thresholds without effect, each with a level that has an effect: a `merge_at` at which no sphere
-    /// reaches the other body, a `split_at` at which the rest shapes still overlap. Also about influence spheres that do
+    /// reaches the other body, a `split_at` at which the rest shapes still overlap. Also about what begins after the end, influence spheres that do
     /// not enclose their body, bodies that do not enclose their centre, free bodies without a core, and free bodies that
     /// a plane would throw out.
     pub fn warnings(&self) -> Vec<String> {
@@ -51,7 +51,23 @@ impl Scene {
                 "duration = {duration} is less than half of dt = {dt}: on its own, the scene has no steps; raise duration or lower dt"
             )
         });
-        no_step.into_iter().chain(of_pairs).chain(of_bodies).chain(self.placement_warning()).collect()
+        let late = if no_step.is_some() { None } else { summary(self.late(), "entry") };
+        no_step.into_iter().chain(late).chain(of_pairs).chain(of_bodies).chain(self.placement_warning()).collect()
+    }
+
+    /// Pushes, force points and edits that begin after the end.
+    fn late(&self) -> Vec<String> {
+        let pushes = self.pushes.iter().map(|of| (format!("the push on {}", self.bodies[of.body].name), of.start));
+        let points = self.points.iter().map(|of| (format!("force point {}", of.name), of.start));
+        let edits = self.edits.iter().map(|of| ("an edit".to_owned(), of.time));
+        let late = pushes.chain(points).chain(edits).filter(|(_, start)| *start > self.duration);
+        let warning = |(what, start)| {
+            let end = self.duration;
+            format!(
+                "{what} begins at t = {start}, after the end of the scene at duration = {end}: raise duration, or begin earlier"
+            )
+        };
+        late.map(warning).collect()
     }
 
     /// A warning if bodies were moved out of planes, or will be thrown out by one.
@@ -96,8 +112,10 @@ fn summary(all: Vec<String>, what: &str) -> Option<String> {
     Some(match more {
         0 => first,
         1 => format!("{first} (and one more {what} like it)"),
-        _ if what == "body" => format!("{first} (and {more} more bodies like it)"),
-        _ => format!("{first} (and {more} more {what}s like it)"),
+        _ => match what.strip_suffix('y') {
+            Some(stem) => format!("{first} (and {more} more {stem}ies like it)"),
+            None => format!("{first} (and {more} more {what}s like it)"),
+        },
     })
 }
 

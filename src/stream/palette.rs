@@ -16,8 +16,8 @@ pub const IDLE_SPHERE: Rgb = GREY;
 /// Colour of the lines along which surfaces meet.
 pub const SEAM: Rgb = [0xE8, 0xEA, 0xEE];
 
-/// Colour of an influence sphere that reaches no other body in a batched scene: dark, because many bright spheres would
-/// hide everything else.
+/// Colour of an influence sphere that reaches no other body among more than a few: dark, because many bright spheres
+/// would hide everything else.
 pub const IDLE_SPHERE_OF_MANY: Rgb = [0x26, 0x2B, 0x33];
 
 /// Colour of plot lines that are about all bodies together.
@@ -79,8 +79,13 @@ pub fn blended(schema: &Schema, origin: &VertexOrigin) -> Rgb {
     if origin.share == 0.0 || a == b {
         return a; // most vertices are far from any seam
     }
-    let [a, b] = [a, b].map(|rgb| rgb.map(f32::from));
-    std::array::from_fn(|i| (a[i] + (b[i] - a[i]) * origin.share).round() as u8)
+    between([a, b], f64::from(origin.share))
+}
+
+/// The colour at a fraction of the way from the first to the second.
+pub fn between([from, to]: [Rgb; 2], share: f64) -> Rgb {
+    let [from, to] = [from, to].map(|rgb| rgb.map(f64::from));
+    std::array::from_fn(|i| (from[i] + (to[i] - from[i]) * share).round() as u8)
 }
 
 /// The colour of a body: its own, or one of the neutral colours, the same in all variants of the scene.
@@ -133,7 +138,7 @@ pub const MAX_STRAIN: f64 = 0.2;
 pub fn strain(strain: f64) -> Rgb {
     let end = if strain < 0.0 { BLUE } else { VERMILION };
     let share = (strain.abs() / MAX_STRAIN).min(1.0);
-    std::array::from_fn(|i| (255.0 + share * (f64::from(end[i]) - 255.0)) as u8)
+    between([[0xFF; 3], end], share)
 }
 
 /// Colour of a fraction from 0 to 1: viridis, which increases monotonically in lightness and is legible with any

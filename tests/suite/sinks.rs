@@ -311,9 +311,9 @@ fn a_path_that_cannot_be_written_is_rejected() {
     let dir = Dir::new();
     let cases = [
         (dir.file("missing/run.rrd"), format!("there is no directory {}", dir.file("missing").display())),
-        (dir.0.clone(), "that is a directory".to_owned()),
+        (dir.0.clone(), "is a directory; give the name of a file".to_owned()),
         (PathBuf::new(), "cannot".to_owned()),
-        (PathBuf::from("/"), "that is a directory".to_owned()),
+        (PathBuf::from("/"), "is a directory; give the name of a file".to_owned()),
     ];
     for (path, expected) in cases {
         let err = rejected(Sinks::open(&to_file(&path)));

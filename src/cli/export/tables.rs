@@ -51,8 +51,8 @@ pub const PAIRS: [Column; 9] = [
     Column::new(
         "gap",
         Kind::Float,
-        "smallest distance of the surfaces, or minus the depth of their overlap [radii of the smaller body]; \
-                 with overlap and neck, empty but for the 64 closest pairs",
+        "smallest distance of the surfaces; where they overlap, minus how deep a point of one surface lies inside the other \
+         at most [radii of the smaller body]; with overlap and neck, empty but for the 64 closest pairs",
     ),
     Column::new("overlap", Kind::Float, "volume of the intersection [radius³ of the smaller body]"),
     Column::new("neck", Kind::Float, "radius of the line along which the surfaces meet [radii of the smaller body]"),

@@ -22,7 +22,7 @@ use glam::DVec3;
 
 use self::{
     camera::WIDE,
-    layout::{Layout, Part, VERTICES, family, including},
+    layout::{Layout, Part, family, including},
     tabs::{capitalized, scene_title},
 };
 pub use self::{
@@ -34,7 +34,7 @@ pub use self::{
 use crate::{
     observe::{Schema, Simulation},
     sdk::{
-        self, AsComponents, LogMsg, Points3D, StoreId,
+        AsComponents, LogMsg, StoreId,
         blueprint::{
             archetypes::{TimePanelBlueprint, VisualBounds2D},
             components::{ContainerKind, Corner2D, PlayState},
@@ -46,7 +46,6 @@ use crate::{
             ABOUT, COMPARED_DISTANCE, COMPARED_EVENTS, COMPARED_LEVEL, EVENTS, LOG_DIFFERENCE, MAP, MEASURE, SLICE,
             STEP, WORLD,
         },
-        palette,
         settings::{Detail, Settings},
     },
 };
@@ -90,12 +89,11 @@ pub fn beside_controls(subject: &Subject<'_>, recording: &StoreId) -> Vec<LogMsg
 
 /// The layout of a comparison of two runs: surfaces and error arrows, differences over time, events.
 ///
-/// `second` are the surfaces of the second run, drawn as dots of the colour `rgb`; `sides`: the two runs in the names of
-/// entities; `pairs`: those of which q is compared; the viewer opens at `first` [s], if there is one.
+/// `second` are the surfaces of the second run, which are not drawn; `sides`: the two runs in the names of entities; `pairs`: those of which q is compared; the viewer opens at `first` [s], if there is one.
 pub fn of_comparison(
     schema: &Schema,
     spheres: &[(DVec3, f64)],
-    (second, rgb): (&[String], palette::Rgb),
+    second: &[String],
     (sides, pairs): ([&str; 2], &[String]),
     first: Option<f64>,
     recording: &StoreId,
@@ -107,11 +105,7 @@ pub fn of_comparison(
     let mut layout = Layout::of(recording);
     layout.set_arrangement(schema, spheres);
     let surfaces = layout.space((spheres, WIDE), "Both surfaces, and arrows between them", &[family(&WORLD)]);
-    let dots =
-        Points3D::update_fields().with_radii([sdk::Radius::new_ui_points(2.0)]).with_colors([palette::color(rgb)]);
-    for surface in second {
-        layout.visualize(&surfaces.path, surface, &[("Points3D", &[VERTICES], &dots)]);
-    }
+    second.iter().for_each(|surface| layout.visualize(&surfaces.path, surface, &[]));
     let about = layout.view("TextDocument", "Legend", ABOUT.path, &[including(ABOUT.path)], &[]);
     let left = layout.container(ContainerKind::Vertical, "Surfaces", vec![surfaces, about], &[3.4, 1.0]);
     let title = "log10 of the largest difference [radii]";

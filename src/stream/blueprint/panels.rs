@@ -6,7 +6,7 @@ use crate::{
     observe::{Frame, Schema, schema::TermSchema},
     stream::{
         palette,
-        parts::{forces, moves, ranking::is_ranked, recent, trails},
+        parts::{body_forces::longest, forces, moves, ranking::is_ranked, recent, trails},
         settings::{Detail, Entities, Frames, Settings},
     },
     text::{self, counted, significant, trimmed},
@@ -58,8 +58,9 @@ pub fn arrows(schema: &Schema) -> String {
         return "No force can act in this scene.\n".to_owned();
     }
     format!(
-        "**By body**, plots and rows: means over a body; arrows are scaled per step, at most 1.5 R long, shorter for small bodies; {}: the net force and its \
-         strongest cause [unit/s²]. **Others**: at vertices{}; an arrow of **1 R = {} unit** means: {}.\n",
+        "**By body**, plots and rows: means over a body; arrows are scaled per step, the longest {} R long, less for small bodies, specks left out; {}: the net force and its \
+         strongest cause in unit/s². **Others**: at vertices{}; an arrow of **1 R = {} unit** means: {}.\n",
+        longest(schema),
         if is_ranked(schema) { "rows" } else { "labels" },
         if is_uniform { "; uniform forces at the centre" } else { "" },
         rounded(radius),

@@ -2,10 +2,7 @@
 
 use crate::{
     sdk::blueprint::components::Corner2D,
-    stream::{
-        contract::{MARKS_AT_Q, MARKS_ON_AXIS},
-        series::Outline,
-    },
+    stream::{contract::MARKS_ON_AXIS, series::Outline},
 };
 
 /// The width of a legend, and the height of each of its lines, as fractions of its plot's. No legend is higher than its
@@ -49,9 +46,8 @@ impl Plot {
     /// `opening` if that can be. The present one if no other is better.
     pub fn emptiest_corner(&self, lines: &[(&str, &Outline)], opening: Option<f64>) -> Corner2D {
         let shown = || lines.iter().filter(|(entity, of)| !of.points.is_empty() && self.shows(entity));
-        // more for events: each kind has an entry on plots of q
-        let of_events = if self.shows(&MARKS_AT_Q.of(&["ends"])) { 4 } else { 1 };
-        let height = f64::min(HEIGHT * (shown().count() + of_events) as f64, 0.95);
+        // one more for events
+        let height = f64::min(HEIGHT * (shown().count() + 1) as f64, 0.95);
         let points: Vec<(f64, f64)> =
             shown().flat_map(|(_, of)| of.points.iter().map(|&(step, value)| (step as f64, value))).collect();
         let ends = lines.iter().filter_map(|(_, of)| of.points.first().zip(of.points.last()));

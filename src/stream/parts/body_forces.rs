@@ -4,7 +4,7 @@
 use glam::DVec3;
 
 use super::{
-    FrameView,
+    FrameView, MAX_LABELS,
     labels::BodyLabels,
     ranking::{self, Mark, Ranking, Row, is_ranked},
 };
@@ -28,9 +28,13 @@ use crate::{
 /// Upper limit on the number of bodies with plots of their own: of more, one would not find one.
 pub const MOST_BODIES: usize = 16;
 
-/// Upper limit on the length of an arrow [geometric mean of the radius of its body and the largest]: it ends outside of its body,
-/// and that of a small body beside a large one is still in view.
+/// The length of the longest arrow [geometric mean of the radius of its body and the largest]: it ends outside of its body,
+/// and that of a small body beside a large one is still in view. Among many bodies it is drawn so much longer that others
+/// are seen, too.
 const LONGEST: f64 = 1.5;
+const LONGEST_OF_MANY: f64 = 3.0;
+/// The length of the shortest arrow, in the same unit: of a shorter one only a speck would be seen.
+const SHORTEST: f64 = 0.1;
 
 /// Number of the bodies with the largest net forces that are labelled even if others, which are translucent, hide them.
 const MAY_BE_HIDDEN: usize = 3;
@@ -244,18 +248,18 @@ fn rows_of_causes(schema: &Schema, mut resultants: Vec<Resultant>) -> Vec<Row> {
 }
 
 impl ResultantRows {
-    /// Arrows from the centres, those of sums from beside them, all on the largest scale on which none is longer than
-    /// [`LONGEST`].
+    /// Arrows from the centres, those of sums from beside them, all on the scale on which the longest is [`longest`].
     fn of(view: FrameView<'_>, resultants: &[Resultant]) -> ResultantRows {
         /// How far the sum starts beside the centre, so that a parallel cause does not hide it [radii].
         const BESIDE: f64 = 0.12;
 
         let FrameView { schema, frame, .. } = view;
         let largest = schema.largest_radius();
-        let limit = |of: &Resultant| LONGEST * (schema.bodies[of.body].radius * largest).sqrt() / of.strength();
-        let scale = resultants.iter().map(limit).fold(f64::INFINITY, f64::min);
+        // how long an arrow is on the scale 1
+        let length = |of: &Resultant| of.strength() / (schema.bodies[of.body].radius * largest).sqrt();
+        let scale = longest(schema) / resultants.iter().map(length).fold(0.0, f64::max);
         let mut arrows = ResultantRows::default();
-        for &Resultant { body, term, acceleration } in resultants {
+        for &Resultant { body, term, acceleration } in resultants.iter().filter(|of| scale * length(of) > SHORTEST) {
             let beside = match schema.sum_of_terms() == Some(term) {
                 true => BESIDE * schema.bodies[body].radius * acceleration.cross(view.back).normalize_or_zero(),
                 false => DVec3::ZERO,
@@ -266,6 +270,11 @@ impl ResultantRows {
         }
         arrows
     }
+}
+
+/// [`LONGEST`], or [`LONGEST_OF_MANY`].
+pub fn longest(schema: &Schema) -> f64 {
+    if schema.bodies.len() > MAX_LABELS { LONGEST_OF_MANY } else { LONGEST }
 }
 
 /// The acceleration of a body by one cause [scene unit/s²]; `None` if it acts nowhere.

@@ -204,8 +204,7 @@ impl Heat {
             };
             let (first, others) = ranked.split_at(displaced.min(ranking::LABELLED));
             let taken = taken.iter().flatten();
-            let named = if ranked.len() > MOST_BODIES { displaced - first.len() } else { others.len() };
-            bodies.log(view, taken, first.iter().map(label), others.iter().copied().take(named), chunks);
+            bodies.log(view, taken, first.iter().map(label), others.iter().copied(), chunks);
         }
         if let Some(ranking) = &self.ranking {
             let rows = ranked.into_iter().take(displaced).map(|body| {

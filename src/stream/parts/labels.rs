@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, f64::consts::TAU};
 
 use glam::{DVec2, DVec3};
 
-use super::FrameView;
+use super::{FrameView, MAX_LABELS};
 use crate::{
     observe::Schema,
     sdk::{self, Points3D},
@@ -336,8 +336,8 @@ impl BodyLabels {
         BodyLabels { track, sides: Sides::default(), hidden }
     }
 
-    /// Logs the labels of `first` for which there is room beside those at the places `taken`, then as many names of the rest of
-    /// them and of `others`.
+    /// Logs the labels of `first` for which there is room beside those at the places `taken`, then the names of the rest of
+    /// them and of `others`, unless there are many bodies, which these would hide.
     pub fn log<'t>(
         &mut self,
         view: FrameView<'_>,
@@ -368,7 +368,8 @@ impl BodyLabels {
                 rest.push(body);
             }
         }
-        for body in rest.into_iter().chain(others).take(MAX_NAMED) {
+        let named = if view.schema.bodies.len() > MAX_LABELS { 0 } else { MAX_LABELS };
+        for body in rest.into_iter().chain(others).take(named) {
             take(body, view.schema.bodies[body].name.clone(), false);
         }
         chunks.push_changed(self.track, view.at, &[&places, &labels]);

@@ -2,8 +2,9 @@
 //! bodies.
 
 use super::{
-    FrameView, MAX_LABELS,
+    FrameView,
     labels::{Labels, Names},
+    ranking::is_ranked,
     recent::Recent,
 };
 use crate::{
@@ -18,10 +19,6 @@ use crate::{
         settings::Settings,
     },
 };
-
-/// Upper limit on the number of labelled pairs: the highlighted one, then the closest. More labels would cover each
-/// other and the bodies.
-const MAX_LABELLED: usize = 3;
 
 /// Pair lines.
 pub struct Lines {
@@ -51,9 +48,9 @@ struct LineRows {
 impl Lines {
     /// Shows at most as many pairs as the settings allow.
     pub fn new(schema: &Schema, settings: &Settings, chunks: &mut Chunks) -> Lines {
-        let has_labels = schema.bodies.len() <= MAX_LABELS;
-        let style =
-            LineStrips3D::update_fields().with_radii([sdk::Radius::new_ui_points(1.5)]).with_show_labels(has_labels);
+        let style = LineStrips3D::update_fields()
+            .with_radii([sdk::Radius::new_ui_points(1.5)])
+            .with_show_labels(!is_ranked(schema));
         chunks.log_static(PAIR_LINES.path, &style);
         let components =
             [LineStrips3D::descriptor_strips(), LineStrips3D::descriptor_colors(), LineStrips3D::descriptor_labels()];
@@ -98,12 +95,12 @@ impl Lines {
         if let Some(names) = &mut self.names {
             names.log(view, recent.as_flattened(), &mut labels_in_space, chunks);
         }
-        let most = MAX_LABELLED.saturating_sub(recent.len());
         let mut labelled = 0;
-        for index in 0..self.closest.len() {
+        // the ranking has q of more than a few pairs, which would hide the bodies
+        for index in 0..if is_ranked(view.schema) { 0 } else { self.closest.len() } {
             let pair = self.closest[index];
             let mut has_room = || labels_in_space.take(middle(pair.a, pair.b), &label(&pair));
-            if !recent.contains(&[pair.a, pair.b]) && labelled < most && has_room() {
+            if !recent.contains(&[pair.a, pair.b]) && has_room() {
                 self.closest[labelled..=index].rotate_right(1);
                 labelled += 1;
             }

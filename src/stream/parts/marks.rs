@@ -23,8 +23,8 @@ pub struct Marks {
 /// With more events than this, their marks on the axis are small: they would hide the curves there.
 const FEW: usize = 40;
 
-/// The name of all marks on the axis.
-const ON_AXIS: &str = "phase changes";
+/// The name of all marks: one for each kind would fill the legends, and cover the curves.
+const NAME: &str = "phase changes";
 /// Shape and size of the marks of events on lines of q.
 const AT_Q: (MarkerShape, f32) = (MarkerShape::Diamond, 5.0);
 
@@ -32,13 +32,12 @@ impl Marks {
     /// Logs the markers of an event; `is_plotted`: whether its pair has a plot of q.
     pub fn log(&mut self, schema: &Schema, event: &PairEvent, is_plotted: bool, chunks: &mut Chunks) {
         let rgb = schema.phases[event.to].color;
-        // on the axis with one name: those of all kinds would fill the legends of all plots
-        let markers = [(&MARKS_ON_AXIS, ON_AXIS, MarkerShape::Up, 5.0), (&MARKS_AT_Q, event.name, AT_Q.0, AT_Q.1)];
+        let markers = [(&MARKS_ON_AXIS, MarkerShape::Up, 5.0), (&MARKS_AT_Q, AT_Q.0, AT_Q.1)];
         self.count += 1;
         if !self.styled.iter().any(|(name, _)| *name == event.name) {
             self.styled.push((event.name, rgb));
-            for (parent, name, shape, size) in markers {
-                chunks.log_static(&entity(parent, event.name), &style(name, rgb, shape, size));
+            for (parent, shape, size) in markers {
+                chunks.log_static(&entity(parent, event.name), &style(NAME, rgb, shape, size));
             }
         }
         let at = Instant { step: event.step, time: event.time };
@@ -53,7 +52,7 @@ impl Marks {
     /// Ends a run: of many events, the marks on the axis become small.
     pub fn finish(&self, chunks: &mut Chunks) {
         for &(event, rgb) in self.styled.iter().filter(|_| self.count > FEW) {
-            chunks.log_static(&entity(&MARKS_ON_AXIS, event), &style(ON_AXIS, rgb, MarkerShape::Up, 2.0));
+            chunks.log_static(&entity(&MARKS_ON_AXIS, event), &style(NAME, rgb, MarkerShape::Up, 2.0));
         }
     }
 }
@@ -77,7 +76,7 @@ pub fn log_events(schema: &Schema, events: &[&PairEvent], chunks: &mut Chunks) {
         if !styled.contains(&event.name) {
             styled.push(event.name);
             let rgb = schema.phases[event.to].color;
-            chunks.log_static(&of_kind, &style(event.name, rgb, AT_Q.0, AT_Q.1));
+            chunks.log_static(&of_kind, &style(NAME, rgb, AT_Q.0, AT_Q.1));
         }
         chunks.log(&of_kind, Instant { step: event.step, time: event.time }, &Scalars::new([event.q]));
     }
@@ -130,10 +129,10 @@ pub fn log_style_of_scheduled(chunks: &mut Chunks) {
 /// Marks the ends of a run in every plot, so that all of them show the same range of time; `level` is any plotted q, if
 /// there is one.
 pub fn log_ends(ends: [Instant; 2], level: Option<f64>, chunks: &mut Chunks) {
-    for (family, name, value) in [(&MARKS_ON_AXIS, ON_AXIS, Some(0.0)), (&MARKS_AT_Q, "start, end", level)] {
+    for (family, value) in [(&MARKS_ON_AXIS, Some(0.0)), (&MARKS_AT_Q, level)] {
         let Some(value) = value else { continue };
         let entity = family.of(&["ends"]);
-        chunks.log_static(&entity, &style(name, GREY, MarkerShape::Plus, 3.0));
+        chunks.log_static(&entity, &style(NAME, GREY, MarkerShape::Plus, 3.0));
         for at in ends {
             chunks.log(&entity, at, &Scalars::new([value]));
         }

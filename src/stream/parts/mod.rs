@@ -63,7 +63,7 @@ use super::{
 use crate::geometry::bounds;
 use crate::observe::{BodyFrame, Frame, Schema, schema::BodySchema};
 
-/// Scenes with more bodies have no labels of pairs; the last event's pair is drawn alone, too.
+/// With more bodies, the last event's pair is drawn alone too, and only the bodies that matter most are labelled.
 const MAX_LABELS: usize = 8;
 
 /// The input of a part: the frame to be logged.

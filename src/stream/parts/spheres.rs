@@ -1,6 +1,6 @@
 //! Influence spheres, coloured by the deepest phase of their body.
 
-use super::FrameView;
+use super::{FrameView, ranking::is_ranked};
 use crate::{
     observe::{BodyFrame, Schema},
     sdk::{self, Ellipsoids3D, components::FillMode},
@@ -19,21 +19,15 @@ const LINE: f32 = 0.6;
 
 /// Influence spheres.
 pub struct SphereEntities {
-    track: TrackId,
-    /// The radii that were logged last, as half sizes.
-    half_sizes: Vec<Float3>,
+    centres: TrackId,
+    /// The radii.
+    half_sizes: TrackId,
+    colors: TrackId,
     /// In a batched scene, spheres that reach another body have a separate entity: thousands of wireframe spheres are
     /// slow to draw, and would hide them.
     reaching: Option<Reaching>,
     /// Colour of spheres that reach no other body.
     idle: Rgb,
-    /// The centres of the frame. Reused.
-    centres: Vec<Float3>,
-    /// The colours that were logged last.
-    colors: Vec<Rgb>,
-    /// The deepest phase of each body; scratch storage, reused.
-    phases: Vec<Option<usize>>,
-    next_colors: Vec<Rgb>,
 }
 
 /// The spheres of bodies with another body within reach, drawn with the pairs.
@@ -52,17 +46,11 @@ impl SphereEntities {
             .with_show_labels(schema.bodies.len() == 1);
         chunks.log_static(INFLUENCE.path, &spheres);
         SphereEntities {
-            half_sizes: Vec::new(),
-            track: chunks.track(INFLUENCE.path, [Ellipsoids3D::descriptor_centers()]),
+            centres: chunks.track(INFLUENCE.path, [Ellipsoids3D::descriptor_centers()]),
+            half_sizes: chunks.track(INFLUENCE.path, [Ellipsoids3D::descriptor_half_sizes()]),
+            colors: chunks.track(INFLUENCE.path, [Ellipsoids3D::descriptor_colors()]),
             reaching: (entities == Entities::Batch).then(|| Reaching::new(chunks)),
-            idle: match entities {
-                Entities::Body => palette::IDLE_SPHERE,
-                Entities::Batch => palette::IDLE_SPHERE_OF_MANY,
-            },
-            centres: Vec::new(),
-            colors: Vec::new(),
-            phases: Vec::new(),
-            next_colors: Vec::new(),
+            idle: if is_ranked(schema) { palette::IDLE_SPHERE_OF_MANY } else { palette::IDLE_SPHERE },
         }
     }
 
@@ -73,32 +61,21 @@ impl SphereEntities {
             false => half_size(view.schema, body, view.at.time),
         };
         let sizes: Vec<Float3> = view.frame.bodies.iter().enumerate().map(size).collect();
-        if self.half_sizes != sizes {
-            let spheres = Ellipsoids3D::update_fields().with_half_sizes(sizes.iter().copied());
-            chunks.log(INFLUENCE.path, view.at, &spheres);
-            self.half_sizes = sizes;
-        }
-        self.phases.clear();
-        self.phases.resize(view.frame.bodies.len(), None);
+        chunks.push_changed(self.half_sizes, view.at, &[&sizes]);
+        let mut phases = vec![None; view.frame.bodies.len()]; // the deepest of each body
         for pair in &view.frame.pairs {
             for i in [pair.a, pair.b] {
-                self.phases[i] = self.phases[i].max(Some(pair.phase));
+                phases[i] = phases[i].max(Some(pair.phase));
             }
         }
-        self.centres.clear();
-        self.centres.extend(view.frame.bodies.iter().map(|body| body.centre.as_vec3().to_array()));
-        chunks.push_changed(self.track, view.at, &[&self.centres]);
+        let centres: Vec<Float3> = view.frame.bodies.iter().map(|body| body.centre.as_vec3().to_array()).collect();
+        chunks.push_changed(self.centres, view.at, &[&centres]);
         if let Some(reaching) = &mut self.reaching {
-            reaching.log(view, &self.phases, chunks);
+            reaching.log(view, &phases, chunks);
         }
-        self.next_colors.clear();
-        self.next_colors
-            .extend(self.phases.iter().map(|phase| phase.map_or(self.idle, |phase| view.schema.phases[phase].color)));
-        if self.next_colors != self.colors {
-            std::mem::swap(&mut self.next_colors, &mut self.colors);
-            let spheres = Ellipsoids3D::update_fields().with_colors(self.colors.iter().map(|&rgb| color(rgb)));
-            chunks.log(INFLUENCE.path, view.at, &spheres);
-        }
+        let rgb = |phase: &Option<usize>| phase.map_or(self.idle, |phase| view.schema.phases[phase].color);
+        let colors: Vec<u32> = phases.iter().map(|phase| color(rgb(phase)).to_u32()).collect();
+        chunks.push_changed(self.colors, view.at, &[&colors]);
     }
 }
 
