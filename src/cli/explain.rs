@@ -330,8 +330,11 @@ impl Explained<'_> {
         // an edit may change a phase by changing its threshold
         let edit = |from: f64, to: f64| {
             let is_in = |time: f64| (from - ROUNDING * schema.dt..=to + ROUNDING * schema.dt).contains(&time);
-            let of = schema.scheduled.iter().rfind(|of| of.text.starts_with(Scheduled::EDIT) && is_in(of.time));
-            of.map_or(String::new(), |of| format!("; {} at t = {:.6} s", of.text, of.time))
+            let edits = || schema.scheduled.iter().filter(|of| of.text.starts_with(Scheduled::EDIT) && is_in(of.time));
+            let Some(Scheduled { time, .. }) = edits().next_back() else { return String::new() };
+            // several at one time: any of them may be the cause
+            let texts: Vec<&str> = edits().filter(|of| of.time == *time).map(|of| of.text.as_str()).collect();
+            format!("; {} at t = {time:.6} s", texts.join(", "))
         };
         let mut text = format!("\npair {name}: {}", schema.phases[pair.phase].name);
         match before {

@@ -78,6 +78,9 @@ pub(super) fn live(program: Program<'_>, arguments: Arguments) -> Result<(), Fai
     };
     let name = path.file_stem().map_or(first.schema().name, |stem| stem.to_string_lossy().into_owned());
     let save = arguments.save.unwrap_or_else(|| PathBuf::from(format!("{name}-live.rrd")));
+    if let Some(folder) = save.parent().filter(|folder| !folder.as_os_str().is_empty() && !folder.is_dir()) {
+        return Err(Failure::Input(format!("--save: there is no directory {}: create it first", folder.display())));
+    }
     let is_loopback = arguments.bind.bind.is_loopback();
     interrupt::raise_stop()?;
     let options = live::Options { serve: arguments.bind, save, interrupt: &OUTDATED };

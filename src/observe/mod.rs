@@ -36,7 +36,8 @@ pub use run::Run;
 pub use schema::Schema;
 pub(crate) use simulation::body_between;
 pub use simulation::{
-    Experiment, NearPair, Refusal, Shortfall, Simulation, StageFrame, StepFailure, StepSummary, between, state_within,
+    Experiment, NearPair, Refusal, Shortfall, Simulation, StageFrame, StepFailure, StepSummary, interpolated,
+    state_within,
 };
 pub use surface::SurfaceEvent;
 pub use verify::verify;

@@ -13,7 +13,7 @@
 //! | which bodies are near each other, by a grid | `neighbours`, [`reach`] |
 //! | nodes, polynomials, responses of oscillators, roots, SIMD lanes | `numerics` |
 //! | changes between steps; handles of bodies | `edit`, `handle` |
-//! | observation: forces by cause, energy | `observe` |
+//! | observation: forces by cause, energy; what is computed when asked for | `observe`, `on_request` |
 //! | what a step reports | `report` |
 //! | how much work a step may do | `work` |
 //! | hash of the exact state | `checksum` |
@@ -102,6 +102,7 @@ pub(crate) mod memory;
 mod neighbours;
 pub(crate) mod numerics;
 pub(crate) mod observe;
+mod on_request;
 pub(crate) mod prescribed;
 #[doc(hidden)]
 pub mod reach;

@@ -57,8 +57,6 @@ pub(crate) struct Work {
     by_turn: Vec<AtomicU64>,
     /// The first turn known to exceed the limit.
     last_turn: AtomicUsize,
-    /// Whether the last step took more than its allowance.
-    is_beyond: bool,
     /// Whether the debt was announced.
     is_announced: bool,
     /// Set to end the run.
@@ -153,14 +151,7 @@ impl Work {
     pub fn end(&mut self, work: u64, base: u64, vertices: u64) {
         self.base = base;
         let allowance = self.allowance(vertices);
-        let all = self.before.saturating_add(work);
-        self.is_beyond = all > allowance;
-        self.debt = self.debt.saturating_add(all).saturating_sub(allowance);
-    }
-
-    /// Whether the last step took more work than its allowance.
-    pub fn is_beyond_allowance(&self) -> bool {
-        self.is_beyond
+        self.debt = self.debt.saturating_add(self.before).saturating_add(work).saturating_sub(allowance);
     }
 
     /// Whether the debt is to be announced, which happens once.

@@ -136,7 +136,8 @@ impl Simulation for World {
             ("coming to rest", ledger.rest),
             ("edits", ledger.edits),
         ];
-        let brought = brought.into_iter().filter(|&(_, energy)| energy != 0.0);
+        let noise = 1e-14 * brought.iter().map(|(_, energy)| energy.abs()).fold(0.0, f64::max);
+        let brought = brought.into_iter().filter(|&(_, energy)| energy.abs() > noise);
         let brought: Vec<String> = brought.map(|(name, energy)| format!("{name} {}", change(energy))).collect();
         let left = now - self.first_energy() - ledger.total();
         let brought = if brought.is_empty() { "nothing changed it".to_owned() } else { brought.join(", ") };
@@ -235,11 +236,6 @@ impl Simulation for World {
                 return;
             }
             stages::within_coupled(step, time, bodies, frame);
-        }
-        for &index in bodies {
-            if let Some(path) = self.scene().bodies[index].path() {
-                frame.bodies[index].centre = path.position(time);
-            }
         }
     }
 

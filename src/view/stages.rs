@@ -18,7 +18,7 @@ use crate::{
 };
 
 /// The largest number of intervals that are recomputed to find a state within a step.
-const MAX_PARTS: usize = 64;
+const MAX_PARTS: usize = 1024;
 
 /// What a stage's frame contains.
 const WANT: Want = Want { forces: true, scalars: false };
@@ -28,8 +28,6 @@ const MAX_VERTICES: u64 = 1 << 20;
 const MIN_STAGES: u64 = 16;
 /// Work limit for recomputing a step [units].
 const MAX_WORK: u64 = 100_000_000;
-/// Work limit for the state of a few bodies at one instant within a step [units].
-const MAX_WORK_WITHIN: u64 = 4_000_000;
 
 /// The stages of the step that led from `before` to the current state of the world, in order. If there are too many,
 /// or they take too much work, or the world was interrupted, middle ones are omitted, and the name of the last one says
@@ -235,33 +233,22 @@ pub fn step_of_solver<'a>(
 /// Writes the state of some bodies at a time within a step, on its solution; false if that is too much work, or if the scene
 /// is coupled. Only for the exponential integrator: the others have no dense output.
 ///
-/// A search for the time of a contact calls this many times a step, and its work is no part of the debt that ends a
-/// run. So a step that took more than its allowance is not repeated.
+/// A search for the time of a contact calls this up to some sixty times a step: what was found before is continued.
 pub fn within(
     StepOfSolver { before, world, end }: StepOfSolver<'_>,
     time: f64,
     bodies: &[usize],
     frame: &mut Frame,
 ) -> bool {
-    if world.work.is_beyond_allowance() {
-        return false;
-    }
-    let work = Work::limited(MAX_WORK_WITHIN, world.options().interrupt);
+    let work = Work::limited(MAX_WORK, world.options().interrupt);
     let Some(recomputed) = Recomputed::new(world, before_step(before), end, &work) else { return false };
-    let mut breaks = recomputed.breaks();
-    breaks.retain(|&at| at < time);
-    if breaks.len() > MAX_PARTS {
+    let breaks = recomputed.breaks();
+    if breaks.partition_point(|&at| at < time) > MAX_PARTS {
         return false;
     }
-    breaks.push(time);
     for &index in bodies {
-        let (mut states, mut pushes) = (states_before(before, world, index), recomputed.pushes(index));
-        for ends in breaks.windows(2) {
-            recomputed.advance(index, ends[0], ends[1], &mut states, &mut pushes);
-            if recomputed.is_over() {
-                return false;
-            }
-        }
+        let start = || states_before(before, world, index);
+        let Some(states) = recomputed.at(index, time, &breaks, start) else { return false };
         let now = &mut frame.bodies[index];
         now.centre = recomputed.path(index).position(time);
         (now.displacements, now.velocities) = (states.displacement, states.velocity);

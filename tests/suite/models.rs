@@ -5,7 +5,7 @@ use std::{path::Path, process::Command, sync::Arc};
 use glam::DVec3;
 use meldscope::{
     Scene,
-    analysis::surface::Merger,
+    analysis::{surface::Merger, touch::Touches},
     bench,
     geometry::{Mesh, mesh::signed_volume},
     models::{self, SceneRun, side_by_side::SideBySide},
@@ -38,6 +38,43 @@ fn record(experiment: &dyn Experiment, path: &Path, settings: Settings) {
 
 fn run(name: &str, model: Model) -> SceneRun {
     SceneRun { scene: Scene { model, ..Scene::builtin(name).expect("a built-in scene") }, options: Options::default() }
+}
+
+/// Spheres that nothing deforms touch where their paths say, in every model; one of them jumps away.
+#[test]
+fn bodies_on_paths_touch_where_their_paths_are() {
+    let text = "duration = 1.5\n[material]\nresponse = \"rigid\"\n[influence]\nalpha = 0\nbeta = 0\n\
+                [[body]]\nname = \"a\"\nradius = 1.0\nmotion = { fixed = [0, 0, 0] }\n[[body]]\nname = \"b\"\nradius = 0.8\n\
+                motion = { sine = { center = [2.2, 0, 0], amplitude = [1, 0, 0], frequency = 1.2, phase = 0.3 } }\n\
+                [[body]]\nname = \"h\"\nradius = 0.5\n\
+                motion = { keyframes = { keys = [[0, 0, 1.2, 0], [1.01, 0, 4, 0]], interpolation = \"hold\" } }\n";
+    let scene = Scene::parse(text, "rigid.toml").expect("a valid scene");
+    for (model, dt) in
+        [Model::Oscillators, Model::Lattice, Model::Fem].into_iter().flat_map(|model| [(model, 0.01), (model, 0.05)])
+    {
+        let scene = Scene { model, dt, ..scene.clone() };
+        let steps = scene.steps();
+        let mut simulation =
+            SceneRun { scene: scene.clone(), options: Options::default() }.start().expect("it can run");
+        let mut touches = Touches::new(&*simulation);
+        let (mut frame, mut found, mut events) = (Frame::default(), Vec::new(), Vec::new());
+        for _ in 0..steps {
+            let mut summary = StepSummary::default();
+            simulation.step(&mut summary);
+            simulation.observe(Want::default(), &mut frame);
+            touches.step(&*simulation, &frame, &summary.events, &mut found);
+            events.extend(found.iter().filter(|event| event.is_contact()).map(|event| (event.b, event.time, event.q)));
+        }
+        let path = scene.bodies[1].path().expect("a path");
+        let of_b: Vec<(f64, f64)> = events.iter().filter(|(b, ..)| *b == 1).map(|&(_, time, q)| (time, q)).collect();
+        assert!(of_b.len() >= 2, "{model:?}: {events:?}");
+        for (time, q) in of_b {
+            let distance = path.position(time).length();
+            assert!((distance - 1.8).abs() < 1e-5 && (q - distance / 1.8).abs() < 1e-9, "{model:?}, {dt}: {time}, {q}");
+        }
+        let of_h: Vec<f64> = events.iter().filter(|(b, ..)| *b == 2).map(|of| of.1).collect();
+        assert!(matches!(of_h[..], [jump] if (jump - 1.01).abs() < 2e-7), "{model:?}, {dt}: {of_h:?}");
+    }
 }
 
 /// The rates of q against the differences of the frames around.

@@ -926,7 +926,7 @@ impl Run {
             let limit = |of: &(usize, &str, DVec3, DVec3)| most * mean_radius(of) / of.3.length();
             let scale = if longest > 0.0 { expected.iter().map(limit).fold(f64::INFINITY, f64::min) } else { 0.0 };
             // shorter arrows would be specks
-            let is_drawn = |of: &&(usize, &str, DVec3, DVec3)| scale * of.3.length() > 0.1 * mean_radius(of);
+            let is_drawn = |of: &&(usize, &str, DVec3, DVec3)| scale * of.3.length() > 0.1 * most * mean_radius(of);
             let drawn = || expected.iter().filter(is_drawn);
             let held = &track.held[frame];
             // a net force starts beside the centre
@@ -1127,12 +1127,16 @@ impl Run {
             look.assert_readable(&shown, &at);
             // the label of the mark, and the vertex that it marks
             let mark = &track.held[frame];
-            let longest = mark.texts("Points3D:labels").concat();
-            let longest = longest.lines().map(|line| line.chars().count()).max().unwrap_or(0);
+            let label = mark.texts("Points3D:labels").concat();
+            let longest = label.lines().map(|line| line.chars().count()).max().unwrap_or(0);
             let places = mark.vectors("Points3D:positions");
-            let of_mark: Vec<_> = places.iter().rev().zip([longest, 0]).collect();
-            let of_mark: Vec<_> =
-                of_mark.into_iter().map(|(place, length)| (usize::MAX, place.as_dvec3(), length)).collect();
+            let mut of_mark: Vec<_> = places.iter().map(|place| (usize::MAX, place.as_dvec3(), 0)).collect();
+            // its lines hang below its place
+            if let Some((.., first, _)) = of_mark.pop() {
+                let line = 0.07 * (look.eye - first).dot(look.axes[2]) * look.axes[1];
+                let lines = (0..label.lines().count()).map(|number| first - number as f64 * line);
+                of_mark.extend(lines.map(|place| (usize::MAX, place, longest)));
+            }
             let has_room = |index: usize| {
                 let largest = |of: usize| largest_of(&world.body(of));
                 let larger = |of: &&(usize, DVec3, usize)| largest(of.0) >= (1.0 - 1e-12) * largest(index);
@@ -1208,14 +1212,15 @@ impl Run {
                 let from = if in_view.is_some() { ends[1] } else { marked.as_vec3() };
                 assert_eq!((ends.len(), ends[0]), (2, from), "step {}", world.steps_taken());
                 let [from, to] = [ends[0], ends[1]].map(|end| end.as_dvec3());
-                // seen from the eye, the label stands above the vertex and all bodies, perhaps closer to the eye
-                let [away, of_vertex] = [to, from].map(|end| (end - look.eye).truncate());
+                // seen from a place twice as far as the eye, the label stands above the vertex and all bodies, perhaps closer to it
+                let far = look.eye + look.distance * look.axes[2];
+                let [away, of_vertex] = [to, from].map(|end| (end - far).truncate());
                 let share = if in_view.is_some() { 1.0 } else { away.length() / of_vertex.length() };
-                let seen = look.eye + (to - look.eye) / share;
+                let seen = far + (to - far) / share;
                 let is_above = seen.z > top.max(from.z) || in_view.is_some();
                 let is_aside = seen.truncate().distance(from.truncate());
                 assert!(
-                    is_above && is_aside < 1e-5 * look.distance && (0.59..1.001).contains(&share),
+                    is_above && is_aside < 1e-5 * look.distance && (0.79..1.001).contains(&share),
                     "{ends:?}, {top}"
                 );
                 if !is_counted {

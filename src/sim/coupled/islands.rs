@@ -18,6 +18,7 @@ use crate::{
     sim::{
         free::{self, Body, Driven, Island, Pair, Parts, Paths, Report, Scratch, Shape},
         neighbours::PairId,
+        on_request::OnRequest,
         span::Span,
         work::{Tally, Work},
     },
@@ -71,17 +72,7 @@ pub(super) struct Job {
     /// Whether it takes steps of fixed length.
     pub is_fixed: bool,
     /// The states within the step, computed on first use; `Some(None)` if they cannot be found.
-    dense: OnRequest,
-}
-
-/// States that are computed on first use; a clone computes them again.
-#[derive(Default)]
-struct OnRequest(Mutex<Option<Option<DenseOutput>>>);
-
-impl Clone for OnRequest {
-    fn clone(&self) -> OnRequest {
-        OnRequest::default()
-    }
+    dense: OnRequest<Option<DenseOutput>>,
 }
 
 /// The input for advancing islands.

@@ -32,11 +32,13 @@ use self::{
     deformation::Now,
     pairs::{Pair, Pairs, Surrounded},
     tracks::Tracks,
+    within::Reached,
 };
 use super::{
     body::{BodyView, Solved},
     integrator::{explicit::Scheme, exponential},
     neighbours::later_neighbours,
+    on_request::OnRequest,
     report::{Failure, Shortfall, Stage, StepReport, Stopwatch, Strain, Toil},
     solver::{Setting, Step, Takeover},
     span::Span,
@@ -68,6 +70,8 @@ pub(super) struct Prescribed {
     woken: Vec<u32>,
     /// Computed when the energy is first requested.
     energy_of_distant_pairs: OnceLock<f64>,
+    /// States within the last step.
+    reached: OnRequest<Vec<Reached>>,
 }
 
 impl Prescribed {
@@ -96,6 +100,7 @@ impl Prescribed {
             pairs: Pairs::new(scene),
             woken: Vec::new(),
             energy_of_distant_pairs: OnceLock::new(),
+            reached: OnRequest::default(),
         }
     }
 
@@ -205,6 +210,7 @@ impl Prescribed {
     /// The step could not be completed.
     pub fn step(&mut self, step: &mut Step<'_>) -> Result<Option<usize>, Failure> {
         let mut stopwatch = Stopwatch::start();
+        self.reached = OnRequest::default();
         if step.setting.is_partial {
             self.actives.wake_all();
         }

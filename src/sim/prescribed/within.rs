@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use super::{Prescribed, body::Body, deformation::Deformation};
 use crate::{
+    lock,
     model::phase::Phase,
     scene::Path,
     sim::{
@@ -25,6 +26,15 @@ pub(crate) struct Before {
     pub time: f64,
     /// The bodies of the pairs that were near each other, in ascending order, and their phases.
     pub phases: Vec<([usize; 2], Phase)>,
+}
+
+/// A state of a body within the last step, from which later ones are computed.
+pub(super) struct Reached {
+    body: usize,
+    /// [s]
+    time: f64,
+    states: States,
+    pushes: PushField,
 }
 
 /// The last step of a world of bodies on paths, recomputed from the state before it. The world is only read, and steps
@@ -127,6 +137,34 @@ impl<'a> Recomputed<'a> {
         let velocity: Vectors = velocity;
         let displacement = states.displacement.iter().zip(velocity.iter()).map(moved).collect();
         States { displacement, velocity }
+    }
+
+    /// The states of a body at `time`, given those at the start of the step, and the [breaks](Recomputed::breaks). `None` if the
+    /// limit of work is reached.
+    pub fn at(&self, index: usize, time: f64, breaks: &[f64], start: impl FnOnce() -> States) -> Option<States> {
+        /// Upper limit on the states kept: a search asks for times ever closer to each other.
+        const MOST: usize = 64;
+
+        let mut reached = lock(&self.prescribed.reached.0);
+        let reached = reached.get_or_insert_default();
+        let before = reached.iter().filter(|of| of.body == index && of.time <= time);
+        let (mut from, mut states, mut pushes) = match before.max_by(|one, other| one.time.total_cmp(&other.time)) {
+            Some(of) => (of.time, of.states.clone(), of.pushes.clone()),
+            None => (self.before.time, start(), self.pushes(index)),
+        };
+        let between = breaks.iter().copied().filter(|&at| from < at && at < time);
+        for to in between.chain((from < time).then_some(time)).collect::<Vec<_>>() {
+            self.advance(index, from, to, &mut states, &mut pushes);
+            if self.is_over() {
+                return None;
+            }
+            from = to;
+        }
+        if reached.len() == MOST {
+            reached.remove(0);
+        }
+        reached.push(Reached { body: index, time, states: states.clone(), pushes });
+        Some(states)
     }
 
     /// The pushes on a body, before it is [advanced](Recomputed::advance) from the start of the step.

@@ -33,7 +33,7 @@ pub const MOST_BODIES: usize = 16;
 /// are seen, too.
 const LONGEST: f64 = 1.5;
 const LONGEST_OF_MANY: f64 = 3.0;
-/// The length of the shortest arrow, in the same unit: of a shorter one only a speck would be seen.
+/// The length of the shortest arrow [that of the longest]: of a shorter one only a speck would be seen.
 const SHORTEST: f64 = 0.1;
 
 /// Number of the bodies with the largest net forces that are labelled even if others, which are translucent, hide them.
@@ -257,9 +257,12 @@ impl ResultantRows {
         let largest = schema.largest_radius();
         // how long an arrow is on the scale 1
         let length = |of: &Resultant| of.strength() / (schema.bodies[of.body].radius * largest).sqrt();
-        let scale = longest(schema) / resultants.iter().map(length).fold(0.0, f64::max);
+        let longest_length = resultants.iter().map(length).fold(0.0, f64::max);
+        let scale = longest(schema) / longest_length;
         let mut arrows = ResultantRows::default();
-        for &Resultant { body, term, acceleration } in resultants.iter().filter(|of| scale * length(of) > SHORTEST) {
+        for &Resultant { body, term, acceleration } in
+            resultants.iter().filter(|of| length(of) > SHORTEST * longest_length)
+        {
             let beside = match schema.sum_of_terms() == Some(term) {
                 true => BESIDE * schema.bodies[body].radius * acceleration.cross(view.back).normalize_or_zero(),
                 false => DVec3::ZERO,

@@ -157,8 +157,8 @@ impl Heat {
                 &format!("; up to {} on the surface, at {}", significant(largest.displacement), largest.place(view));
         }
         chunks.push_changed(self.ticks, view.at, &[&ticks]);
-        // the line to the label rises in front of the bodies: for the eye, it is straight
-        let in_front = |place: DVec3| place.lerp(view.eye, displacements.clearance);
+        // the line to the label rises in front of the bodies: seen from there, it is straight
+        let in_front = |place: DVec3| place.lerp(Labels::new(view).far(), displacements.clearance);
         let mark = outside.filter(|largest| largest.displacement > 0.0).map(|outside| {
             let hidden = of_all.filter(|of_all| of_all.displacement > outside.displacement);
             let hidden = hidden.map(|hidden| format!("\ninside another body: {}", hidden.text(view)));
@@ -170,18 +170,16 @@ impl Heat {
                 Some(seen) => (Some(*seen), format!("largest in front: {}\n", seen.text(view))),
                 None => (None, String::new()),
             };
-            let height = f64::min(recent::label_height(view), view.top() + ABOVE * view.schema.largest_radius());
-            let below = marked.unwrap_or(outside).position;
-            let end = in_front(view.schema.raised(below, f64::max(height, below.dot(view.schema.up))));
             let behind = if marked.is_none() { ", not in view" } else { "" };
             let label =
                 format!("{front}largest on the surface: {}{behind}{}", outside.text(view), hidden.unwrap_or_default());
+            let height = f64::min(recent::label_height(view), view.top() + ABOVE * view.schema.largest_radius());
+            let below = marked.unwrap_or(outside).position;
+            let height = height.max(Labels::new(view).height_above(below, &label));
+            let end = in_front(view.schema.raised(below, height));
             ([marked.map_or(end, |marked| marked.position), end], label)
         });
-        let taken = mark.as_ref().map(|([place, end], label)| {
-            let widest = label.lines().max_by_key(|line| line.chars().count()).unwrap_or_default();
-            [(*place, String::new()), (*end, widest.to_owned())]
-        });
+        let taken = mark.as_ref().map(|([place, end], label)| [(*place, String::new()), (*end, label.clone())]);
         let front = seen.map(|of| in_front(of.position) - of.position);
         self.mark.log(mark, front, view.at, chunks);
         let largest = |body: usize| view.frame.bodies[body].max_displacement / view.schema.bodies[body].radius;
@@ -259,7 +257,7 @@ pub struct Displacements {
     outside: Option<Largest>,
     /// The largest on the surface that is seen from the usual direction of the camera.
     seen: Option<Largest>,
-    /// The share of the way to the eye on which a line that rises from there has no body in front of it.
+    /// The [`Labels::clearance`] there.
     clearance: f64,
     of_all: Option<Largest>,
     /// Whether the most displaced vertex of each body is not on the surface.

@@ -92,7 +92,8 @@ impl<'a> Labels<'a> {
 
     /// Takes this place unless the label, of a size times `size`, would cover another one, or the place is not suitable.
     fn take_if(&mut self, place: DVec3, label: &str, size: f64, is_suitable: impl FnOnce(&Self) -> bool) -> bool {
-        let ((middle, _), half) = (self.in_view(place), self.half_size(label));
+        let ((first, _), half) = (self.in_view(place), self.half_size(label));
+        let middle = first - DVec2::new(0.0, half.y - self.half_size("").y); // other lines are below the first
         let is_clear = self.taken.iter().all(|&(other, other_half)| {
             let (apart, sum) = ((other - middle).abs(), size * (half + other_half));
             apart.x > sum.x || apart.y > sum.y
@@ -138,8 +139,25 @@ impl<'a> Labels<'a> {
 
     /// Half of the size of a label in the view.
     fn half_size(&self, label: &str) -> DVec2 {
-        let width = Labels::MARGINS + Labels::CHARACTER * label.chars().count() as f64;
-        0.5 * self.distance * DVec2::new(width, Labels::HEIGHT)
+        let widest = label.lines().map(|line| line.chars().count()).max().unwrap_or(0);
+        let width = Labels::MARGINS + Labels::CHARACTER * widest as f64;
+        0.5 * self.distance * DVec2::new(width, Labels::HEIGHT * label.lines().count().max(1) as f64)
+    }
+
+    /// The height at which a label above a place is seen above all bodies that would be under it, unless it would be out of view
+    /// there [scene unit].
+    pub fn height_above(&self, place: DVec3, label: &str) -> f64 {
+        /// The top of the view [distance].
+        const TOP: f64 = 0.48;
+
+        let ([_, upwards, back], up) = (self.axes, self.view.schema.up);
+        let ((at, _), half) = (self.in_view(place), self.half_size(label));
+        let under = self.hiding.iter().filter(|of| (of.disc.0.x - at.x).abs() < of.disc.1 + half.x);
+        let top = under.map(|of| of.disc.0.y + of.disc.1).fold(f64::NEG_INFINITY, f64::max);
+        let tangent = ((top + 2.0 * half.y) / self.distance).min(TOP);
+        let from = place - self.view.eye;
+        let by = (-tangent * from.dot(back) - from.dot(upwards)) / (up.dot(upwards) + tangent * up.dot(back));
+        place.dot(up) + by.max(0.0)
     }
 
     /// Number of other bodies that the middle or an end of a label at this place is on.
@@ -196,19 +214,25 @@ impl<'a> Labels<'a> {
         })
     }
 
-    /// The share of the way to the eye on which a line that rises from a place has no body in front of it.
-    pub fn clearance(&self, place: DVec3) -> f64 {
-        const MOST: f64 = 0.4;
+    /// A place behind the eye, twice as far away: what is moved towards it stays about where it is seen from the eye, and from
+    /// a camera that keeps a wider run in view.
+    pub fn far(&self) -> DVec3 {
+        self.view.eye + self.distance * self.view.back
+    }
 
-        let up = self.view.schema.up;
-        let to_eye = (self.view.eye - place).normalize_or_zero();
+    /// The share of the way to [`Labels::far`] on which a line that rises from a place has no body in front of it.
+    pub fn clearance(&self, place: DVec3) -> f64 {
+        const MOST: f64 = 0.2;
+
+        let (up, far) = (self.view.schema.up, self.far());
+        let to_eye = (far - place).normalize_or_zero();
         let beside = to_eye.cross(up).normalize_or_zero();
         let depth = self.hiding.iter().map(|of| {
             let to = of.centre - place;
             let is_beside = to.dot(beside).abs() > of.radius || to.dot(up) < -of.radius;
             if is_beside { 0.0 } else { to.dot(to_eye) + of.radius }
         });
-        (depth.fold(0.0, f64::max) / self.view.eye.distance(place)).min(MOST)
+        (depth.fold(0.0, f64::max) / far.distance(place)).min(MOST)
     }
 
     /// Whether no other body is in front of a place, or only by `depth` [its radii].
