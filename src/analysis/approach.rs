@@ -105,6 +105,11 @@ impl NearPair {
         std::array::from_fn(|k| self.apart_at(next, simulation, ends, ends[0] + at(k) * (ends[1] - ends[0])))
     }
 
+    /// About how far the one centre moves as seen from the other within the step to `next` [scene unit].
+    pub fn path_length(&self, next: &NearPair, simulation: &dyn Simulation, ends: [f64; 2]) -> f64 {
+        self.looks(next, simulation, ends).windows(2).map(|ends| ends[0].distance(ends[1])).sum()
+    }
+
     /// Time [s] and value of the minimum of `sign` times the distance, by golden section about the least of `looks`.
     fn golden_section(
         &self,

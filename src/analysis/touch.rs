@@ -173,10 +173,13 @@ impl Touches {
         self.placed.clear();
         let own = simulation.contacts();
         let mut watched: Vec<PairFrame> = now.pairs.clone();
-        // pairs that met and left within the step, and pairs in contact that left
+        // pairs that met and left within the step, and pairs in contact that are out of reach
         let met = changes.iter().take(MAX_CHANGES).map(|of| PairFrame::new(of.a, of.b, of.q, of.to));
-        let is_touching = |pair: &&PairFrame| self.pairs.get(&[pair.a, pair.b]).is_some_and(|known| known.is_touching);
-        for left in met.chain(self.before.pairs.iter().filter(is_touching).copied()) {
+        let touching = self.pairs.iter().filter(|(_, known)| known.is_touching).map(|(&[a, b], _)| {
+            let [one, other] = [a, b].map(|body| (now.bodies[body].centre, self.schema.bodies[body].radius));
+            PairFrame::new(a, b, one.0.distance(other.0) / (one.1 + other.1), 0)
+        });
+        for left in met.chain(touching) {
             if !watched.iter().any(|pair| (pair.a, pair.b) == (left.a, left.b)) {
                 watched.push(left);
             }
@@ -332,8 +335,9 @@ impl Touches {
             }
             known = pair.last;
             self.update_contact_in(&inside, pair.bodies, &mut known);
-            if known.is_touching == pair.last.is_touching {
-                break;
+            if !is_exact && known.is_touching == pair.last.is_touching {
+                self.inside = inside;
+                return Some(()); // which does not prove that there was no change before
             }
         }
         self.inside = inside;
@@ -386,7 +390,7 @@ impl Touches {
             return Samples { count: count(apart(now).distance(apart(&self.before)), 0.0).max(1), extremum: None };
         };
         let span = ends[1] - ends[0];
-        let path = from.apart.distance(to.apart).max(0.5 * (from.rate.length() + to.rate.length()) * span);
+        let path = from.path_length(to, simulation, ends).max(0.5 * (from.rate.length() + to.rate.length()) * span);
         let [time, distance] = from.extremum(to, simulation, ends, before.is_touching);
         // where forces jump, the cubic that the extremum comes from is no bound
         let next = self.schema.scheduled.partition_point(|of| of.time <= ends[0]);
@@ -806,6 +810,92 @@ mod tests {
                 coarse.iter().zip(&fine).all(|(one, other)| (one - other).abs() < 1e-6),
                 "{dt}: {coarse:?} {fine:?}"
             );
+        }
+    }
+
+    /// In a long step, an extremum of the distance at which an interpolated state shows no contact is no end of the interval
+    /// that is searched, and a body swings there and back.
+    #[test]
+    fn paths_that_turn_within_a_step_touch_at_the_same_times() {
+        let of = |radius: f64, [stacks, slices]: [u32; 2], motion: &str, name: &str| {
+            format!(
+                "[[body]]\nname = '{name}'\nradius = {radius}\nshape = {{ sphere = {{ stacks = {stacks}, slices = {slices} }} }}\n\
+                 motion = {{ {motion} }}\n"
+            )
+        };
+        let head = |damping: f64, merge_at: f64| {
+            format!(
+                "duration = 2.0\n[material]\nomega = 60.0\ndamping = {damping}\nresponse = 'rigid'\n[influence]\nalpha = 20.0\n\
+                 beta = 200.0\nreach = 2.0\nmerge_at = {merge_at}\nsplit_at = 1.35\ncore_at = 0.0\n"
+            )
+        };
+        let sine = |center: &str, amplitude: &str, rest: &str| {
+            format!("sine = {{ center = [{center}], amplitude = [{amplitude}], {rest} }}")
+        };
+        let vibrating = head(0.3, 1.05)
+            + &of(1.0, [8, 12], "fixed = [-0.271, -0.09, 0.035]", "a")
+            + &of(
+                1.0,
+                [6, 8],
+                "keyframes = { keys = [[0, 0.877, 0.086, 0.116], [0.652, 1.167, 0.051, -0.065], [1.369, 0.747, 0.21, 0.427]] }",
+                "b",
+            )
+            + &of(
+                0.7,
+                [8, 12],
+                &sine("3.221, -0.195, -0.022", "-0.539, -0.279, -0.137", "frequency = 2.868, phase = -0.329"),
+                "c",
+            );
+        let swinging = head(8.0, 0.8)
+            + &of(
+                1.0,
+                [8, 12],
+                &sine("-0.408, 0.299, -0.12", "-0.502, 0.03, -0.138", "frequency = 0.59, phase = 2.555"),
+                "a",
+            )
+            + &of(
+                0.7,
+                [12, 24],
+                &sine("1.194, -0.103, -0.295", "0.776, 0.459, -0.388", "frequency = 3.716, phase = 1.746"),
+                "b",
+            );
+        let times = |text: &str, dt: f64| -> Vec<f64> {
+            found(text, dt).into_iter().filter(SurfaceEvent::is_contact).map(|event| event.time).collect()
+        };
+        for text in [vibrating, swinging] {
+            let fine = times(&text, 1.0 / 60.0);
+            for dt in [0.1, 0.25] {
+                let coarse = times(&text, dt);
+                assert_eq!(coarse.len(), fine.len(), "{dt}: {coarse:?} {fine:?}");
+                let is_same = coarse.iter().zip(&fine).all(|(one, other)| (one - other).abs() < 3e-6);
+                assert!(is_same, "{dt}: {coarse:?} {fine:?}");
+            }
+        }
+    }
+
+    /// A strongly deformed body leaves the reach of another that its surface still touches.
+    #[test]
+    fn a_contact_beyond_the_reach_of_spheres_ends() {
+        let body = |name: &str, radius: f64, from: &str, velocity: &str, spin: &str| {
+            format!(
+                "[[body]]\nname = '{name}'\nradius = {radius}\nshape = {{ sphere = {{ stacks = 5, slices = 6 }} }}\n\
+                 motion = {{ free = {{ from = [{from}], velocity = [{velocity}], spin = [{spin}] }} }}\n"
+            )
+        };
+        let text =
+            "duration = 1.7\ngravity = [0, 0, -3]\n[material]\nomega = 5.0\ndamping = 0.0\n[influence]\nalpha = 50.0\n\
+                    beta = 60.0\nmerge_at = 0.8\nsplit_at = 1.2\n"
+                .to_owned()
+                + &body("a", 0.6, "-0.061, -0.356, 0.37", "2.34, 0.464, 0", "2.679, -3.363, 5.191")
+                    .replace("5, slices = 6", "8, slices = 12")
+                + &body("b", 1.0, "2.196, -0.374, -0.197", "0, -0.491, 0", "3.177, -4.984, 3.805")
+                + &body("c", 1.0, "4.142, -0.169, -0.008", "-2.54, -0.108, 0", "1.841, -3.657, -3.822")
+                + "[[push]]\nbody = 'a'\ndirection = [1, 0, 0]\nstrength = 200\nstart = 0.933\nduration = 0.1\n";
+        for dt in [0.02, 0.005] {
+            let events = found(&text, dt);
+            let last = events.iter().rfind(|event| event.is_contact() && [event.a, event.b] == [0, 2]);
+            let last = last.unwrap_or_else(|| panic!("{dt}: {events:?}"));
+            assert!(last.what == Finding::Part && (last.time - 1.525935).abs() < 1e-5, "{dt}: {last:?}");
         }
     }
 

@@ -387,8 +387,11 @@ impl Explained<'_> {
                 );
                 if let Some(closest) = self.history.approaches.closest().iter().find(|near| [near.a, near.b] == [a, b])
                 {
-                    let _ =
-                        write!(text, "; the closest within reach is q = {:.6} at t = {:.6} s", closest.q, closest.time);
+                    let _ = write!(
+                        text,
+                        ". The closest of the whole run is q = {:.6} at t = {:.6} s",
+                        closest.q, closest.time
+                    );
                 }
             }
         }

@@ -325,7 +325,7 @@ impl RunningSweep<'_> {
             if self.sweep.experiment.is_none() { "scene" } else { "experiment" },
             self.sweep.scene_file,
             env!("CARGO_PKG_VERSION"),
-            map::MISSABLE
+            map::missable(&self.sweep.design)
         );
         let drawn = svg::svg(&map, first.trim(), &about);
         let path = self.store.write(MAP, |to| to.write_all(drawn.as_bytes()))?;
@@ -335,7 +335,7 @@ impl RunningSweep<'_> {
             .map_err(|error| Failure::Run(error.to_string()))?;
         let size = bytes(drawn.len() as u64);
         let where_to = format!("map: {}, {size}, and for the viewer {}", path.display(), recording.display());
-        Ok(vec![where_to, format!("note: {}", map::MISSABLE)])
+        Ok(vec![where_to, format!("note: {}", map::missable(&self.sweep.design))])
     }
 
     /// Finds the thresholds along an axis.

@@ -156,8 +156,8 @@ impl Comparison {
         let name = format!("{}: {} and {}", schema.name, plan.labels[0], plan.labels[1]);
         chunks.log_static(RECORDING_INFO.path, &sdk::RecordingInfo::new().with_name(name));
         let about = format!(
-            "**{}**: the translucent surface is {}: grey where the two agree, the bluer the more they differ, compared with the \
-             largest difference now. Red arrows lead to the vertices of {}, orange dots, wherever that is more than {LEAST} of it; \
+            "**{}**: the translucent surface is {}: grey up to a hundredth of the largest difference now, blue at that, \
+             on a logarithmic scale. Red arrows lead to the vertices of {}, orange dots, wherever that is more than {LEAST} of it; \
              the longest of an instant has a length of at least {LONGEST} radii. {}  \nThe plot has the largest \
              distance of each body, from a thousandth of the tolerance on; grey: the tolerance, {:e}.{}{}",
             schema.name,
@@ -172,7 +172,7 @@ impl Comparison {
             if pairs.is_empty() {
                 ""
             } else {
-                " Below it, q of each pair whose events differ: \
+                " Below it, q of the first pairs whose events differ: \
                  the first run thick and blue, the second thin and orange; diamonds are events that differ, level lines \
                  thresholds that do."
             },
@@ -303,7 +303,8 @@ impl Comparison {
                 let mut positions: Vec<_> = positions.iter().map(|position| position.as_vec3()).collect();
                 let facets = mesh.facets();
                 facets.into_iter().for_each(|facets| facets.extend(&mut positions, 0));
-                let mut shares: Vec<f64> = differences.iter().map(|of| of / most).collect();
+                let share = |of: &f64| (1.0 + 0.5 * (of / most).log10()).max(0.0);
+                let mut shares: Vec<f64> = differences.iter().map(share).collect();
                 facets.into_iter().for_each(|facets| facets.extend(&mut shares, 0));
                 let rgb =
                     |vertex: usize| palette::between([SAME, COLORS[0]], shares.get(vertex).copied().unwrap_or(1.0));

@@ -7,7 +7,7 @@ use super::{
     Sweep,
     bisect::Threshold,
     classes::{self, Classes},
-    design::{Axis, Sampling, Scale, Values},
+    design::{Axis, Design, Sampling, Scale, Values},
     file::Until,
     row::Cell,
     store::{Store, StoreError},
@@ -89,8 +89,16 @@ struct Seen {
 }
 
 /// What a map cannot show, for its readers.
-pub const MISSABLE: &str = "a region smaller than a cell of the first grid may be missing: --refine divides only cells with a \
-                            boundary in sight";
+pub fn missable(design: &Design) -> &'static str {
+    match design.sampling {
+        Sampling::Grid => {
+            "a region smaller than a cell of the first grid may be missing: --refine divides only cells with a boundary in sight"
+        }
+        Sampling::Latin { .. } | Sampling::Sobol { .. } => {
+            "a region without a sample is missing: a larger count shows more"
+        }
+    }
+}
 
 impl Map {
     /// The maps of the rows in a folder, with thresholds that were bisected; `None` if the sweep has no numeric axis, or

@@ -6,7 +6,7 @@ use super::{
     Sweep,
     classes::{self, FAILED},
     design::Axis,
-    map::{MISSABLE, Map, Slice, boundary, regions, ticks, written},
+    map::{Map, Slice, boundary, missable, regions, ticks, written},
     row::Cell,
     store::{Store, StoreError},
 };
@@ -101,9 +101,10 @@ pub fn save(
     let undecided = map.about_undecided().map_or(String::new(), |text| format!("{text}. "));
     let about = format!(
         "**{title}**: {}; {}. Point at a run to see its row{recorded}\n\n{colored}{outcomes}\n{lines}{dots}{undecided}Note: \
-         {MISSABLE}.",
+         {}.",
         counted(map.rows, "run"),
         axes.join(", "),
+        missable(&sweep.design),
     );
     chunks.log_static(ABOUT.path, &TextDocument::new(about).with_media_type(MediaType::MARKDOWN));
     log_ticks(&mut chunks, map);

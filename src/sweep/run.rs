@@ -96,8 +96,10 @@ impl Outcome {
         match self {
             Outcome::Apart => "No pair merged, and the bodies did not turn back.",
             Outcome::Bounced => "No pair merged, and the bodies turned back.",
-            Outcome::Split => "Bodies merged, turned back, and split.",
-            Outcome::Passed => "Bodies merged, and split without turning back: they passed through each other.",
+            Outcome::Split => "Bodies merged, and split without passing through each other.",
+            Outcome::Passed => {
+                "Bodies merged, passed through each other (their line of centres turned by more than 90°), and split."
+            }
             Outcome::Merged => "A pair is merged at the end.",
         }
     }

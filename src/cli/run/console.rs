@@ -70,7 +70,7 @@ impl Console {
         let all = about(size.bytes);
         let few = about(size.bytes / (every / settings.every).max(1));
         let from = match settings.steps {
-            Some(steps) if size.seen < steps => format!(" by the first {}", counted(size.seen, "step")),
+            Some(steps) if size.seen < steps => format!(", judging by the first {}", counted(size.seen, "step")),
             _ => String::new(),
         };
         let frames = counted(size.frames, "frame");

@@ -143,15 +143,17 @@ impl PairPlot {
 }
 
 /// Whether two bodies are joined by their phase, and touch by their surfaces: names and colours.
-const CONTACTS: [(&str, palette::Rgb); 4] = [
+const CONTACTS: [(&str, palette::Rgb); 5] = [
     ("apart", colors::GREY),
     ("joined and touching", colors::GREEN),
     ("joined, not touching", colors::VERMILION),
     ("touching, not joined", colors::YELLOW),
+    ("not measured", palette::IDLE_SPHERE_OF_MANY),
 ];
 /// Indices in [`CONTACTS`].
 const APART: usize = 0;
 const TOGETHER: usize = 1;
+const UNKNOWN: usize = 4;
 
 /// The index in [`CONTACTS`].
 fn contact_of(is_joined: bool, is_touching: bool) -> usize {
@@ -421,6 +423,10 @@ impl PairPlots {
                 if last.replace(phase) != Some(phase) {
                     chunks.log(&pair.phase, at, &StateChange::single(schema.phases[phase].name));
                 }
+            }
+            // the pair was in reach for long before its event
+            if let Some(Kept { at, .. }) = before.front() {
+                chunks.log(&pair.contact, *at, &StateChange::single(CONTACTS[UNKNOWN].0));
             }
             for Kept { at, q, .. } in before {
                 series.log(chunks, pair.distance, q, at);
