@@ -700,16 +700,19 @@ pub fn hold(
 fn solve_equations<const N: usize>(mut a: [[f64; N]; N], mut b: [f64; N]) -> [f64; N] {
     for p in 0..N {
         let pivot = (p + 1..N).fold(p, |best, i| if a[i][p].abs() > a[best][p].abs() { i } else { best });
-        a.swap(p, pivot);
-        b.swap(p, pivot);
-        let (row, known) = (a[p], b[p]);
+        if pivot != p {
+            a.swap(p, pivot);
+            b.swap(p, pivot);
+        }
+        let (above, below) = a.split_at_mut(p + 1);
+        let (row, known) = (&above[p], b[p]);
         let scale = 1.0 / row[p];
-        for i in p + 1..N {
-            let factor = a[i][p] * scale;
+        for (other, right) in below.iter_mut().zip(&mut b[p + 1..]) {
+            let factor = other[p] * scale;
             for column in p + 1..N {
-                a[i][column] -= factor * row[column];
+                other[column] -= factor * row[column];
             }
-            b[i] -= factor * known;
+            *right -= factor * known;
         }
     }
     for p in (0..N).rev() {
