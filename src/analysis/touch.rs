@@ -5,7 +5,7 @@
 //! tolerance. This holds for bodies on paths and for free bodies. The explicit schemes use cubic Hermite interpolation
 //! between steps, whose error is of fourth order in the step. So does the exponential integrator for a step of bodies
 //! on paths in which forces jump more than 1024 times or that takes very much work, and for a step in which a large scene
-//! has edits, or any scene more than sixteen. Centres on paths are exact always. Fourth is also the order of `rk4`; with the other schemes, the times have the lower order of the
+//! has edits, or any scene more than sixteen. Centres on paths are always exact. Fourth is also the order of `rk4`; with the other schemes, the times have the lower order of the
 //! scheme.
 
 use std::{

@@ -36,7 +36,7 @@ pub use run::Run;
 pub use schema::Schema;
 pub(crate) use simulation::body_between;
 pub use simulation::{
-    Experiment, NearPair, Refusal, Shortfall, Simulation, StageFrame, StepFailure, StepSummary, interpolated,
+    Experiment, NearPair, Refusal, Shortfall, Simulation, StageFrame, StepFailure, StepSummary, between, interpolated,
     state_within,
 };
 pub use surface::SurfaceEvent;

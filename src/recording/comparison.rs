@@ -156,8 +156,8 @@ impl Comparison {
         let name = format!("{}: {} and {}", schema.name, plan.labels[0], plan.labels[1]);
         chunks.log_static(RECORDING_INFO.path, &sdk::RecordingInfo::new().with_name(name));
         let about = format!(
-            "**{}**: the translucent surface is {}: grey up to a hundredth of the largest difference now, blue at that, \
-             on a logarithmic scale. Red arrows lead to the vertices of {}, orange dots, wherever that is more than {LEAST} of it; \
+            "**{}**: the translucent surface is {}: grey up to a hundredth of the largest difference now (of the tolerance, if \
+             that is larger), blue at that, on a logarithmic scale. Red arrows lead to the vertices of {}, orange dots, wherever that is more than {LEAST} of it; \
              the longest of an instant has a length of at least {LONGEST} radii. {}  \nThe plot has the largest \
              distance of each body, from a thousandth of the tolerance on; grey: the tolerance, {:e}.{}{}",
             schema.name,
@@ -286,11 +286,14 @@ impl Comparison {
             differences.push(of_body);
         }
         // what is within the tolerance counts as equal
-        let most = worst.map_or(0.0, |(worst, ..)| worst).max(tolerance).max(f64::MIN_POSITIVE);
+        let finite = differences.iter().flatten().copied().filter(|of| of.is_finite());
+        let most = finite.fold(tolerance.max(f64::MIN_POSITIVE), f64::max);
         let (mut origins, mut apart, mut dots) = (Vec::new(), Vec::new(), Vec::new());
         for (((_, name, mesh), both), differences) in self.shown.iter().zip(&all).zip(&differences) {
             if let [Some(a), Some(b)] = both {
-                for ((a, b), _) in a.iter().zip(b).zip(differences).filter(|(_, of)| **of > LEAST * most) {
+                for ((a, b), _) in
+                    a.iter().zip(b).zip(differences).filter(|(_, of)| of.is_finite() && **of > LEAST * most)
+                {
                     origins.push(a.as_vec3());
                     apart.push(*b - *a);
                     dots.push(b.as_vec3());
@@ -298,20 +301,23 @@ impl Comparison {
             }
             for (side, positions) in SIDES.into_iter().zip(both) {
                 let Some(positions) = positions else { continue };
-                let vectors = positions.iter().copied().collect();
-                let normals = extractor.normals(mesh, &vectors);
-                let mut positions: Vec<_> = positions.iter().map(|position| position.as_vec3()).collect();
-                let facets = mesh.facets();
-                facets.into_iter().for_each(|facets| facets.extend(&mut positions, 0));
-                let share = |of: &f64| (1.0 + 0.5 * (of / most).log10()).max(0.0);
-                let mut shares: Vec<f64> = differences.iter().map(share).collect();
-                facets.into_iter().for_each(|facets| facets.extend(&mut shares, 0));
-                let rgb =
-                    |vertex: usize| palette::between([SAME, COLORS[0]], shares.get(vertex).copied().unwrap_or(1.0));
-                let mesh = Mesh3D::update_fields().with_vertex_positions(positions).with_vertex_colors(
-                    normals.iter().enumerate().map(|(vertex, &normal)| light.on(rgb(vertex), normal)),
-                );
-                self.chunks.log(&COMPARED_SURFACE.of(&[side, name]), at, &mesh);
+                let (count, facets) = (positions.len(), mesh.facets());
+                let mut points: Vec<_> = positions.iter().map(|position| position.as_vec3()).collect();
+                facets.into_iter().for_each(|facets| facets.extend(&mut points, 0));
+                let mut surface = Mesh3D::update_fields().with_vertex_positions(points);
+                if side == SIDES[0] {
+                    let share =
+                        |of: &f64| if of.is_finite() { (1.0 + 0.5 * (of / most).log10()).max(0.0) } else { 1.0 };
+                    let mut shares: Vec<f64> = differences.iter().map(share).collect();
+                    shares.resize(count, 1.0); // the other run is unknown
+                    facets.into_iter().for_each(|facets| facets.extend(&mut shares, 0));
+                    let normals = extractor.normals(mesh, &positions.iter().copied().collect());
+                    let colors = normals.iter().zip(shares);
+                    surface = surface.with_vertex_colors(
+                        colors.map(|(&normal, share)| light.on(palette::between([SAME, COLORS[0]], share), normal)),
+                    );
+                }
+                self.chunks.log(&COMPARED_SURFACE.of(&[side, name]), at, &surface);
             }
         }
         for (pair, [a, b]) in &self.pairs {

@@ -55,16 +55,16 @@ impl Scene {
         no_step.into_iter().chain(late).chain(of_pairs).chain(of_bodies).chain(self.placement_warning()).collect()
     }
 
-    /// Pushes, force points and edits that begin after the end.
+    /// Pushes, force points and edits that begin when the last step has ended.
     fn late(&self) -> Vec<String> {
         let pushes = self.pushes.iter().map(|of| (format!("the push on {}", self.bodies[of.body].name), of.start));
         let points = self.points.iter().map(|of| (format!("force point {}", of.name), of.start));
         let edits = self.edits.iter().map(|of| ("an edit".to_owned(), of.time));
-        let late = pushes.chain(points).chain(edits).filter(|(_, start)| *start > self.duration);
+        let end = self.steps() as f64 * self.dt;
+        let late = pushes.chain(points).chain(edits).filter(|(_, start)| *start >= end * (1.0 - MARGIN));
         let warning = |(what, start)| {
-            let end = self.duration;
             format!(
-                "{what} begins at t = {start}, after the end of the scene at duration = {end}: raise duration, or begin earlier"
+                "{what} begins at t = {start}, where the scene has ended (its last step ends at {end:.6}): raise duration, or begin earlier"
             )
         };
         late.map(warning).collect()

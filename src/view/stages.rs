@@ -233,7 +233,7 @@ pub fn step_of_solver<'a>(
 /// Writes the state of some bodies at a time within a step, on its solution; false if that is too much work, or if the scene
 /// is coupled. Only for the exponential integrator: the others have no dense output.
 ///
-/// A search for the time of a contact calls this up to some sixty times a step: what was found before is continued.
+/// A search for the time of a contact calls this many times a step: each state is computed from one that was found before.
 pub fn within(
     StepOfSolver { before, world, end }: StepOfSolver<'_>,
     time: f64,

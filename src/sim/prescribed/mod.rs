@@ -32,7 +32,7 @@ use self::{
     deformation::Now,
     pairs::{Pair, Pairs, Surrounded},
     tracks::Tracks,
-    within::Reached,
+    within::Known,
 };
 use super::{
     body::{BodyView, Solved},
@@ -71,7 +71,7 @@ pub(super) struct Prescribed {
     /// Computed when the energy is first requested.
     energy_of_distant_pairs: OnceLock<f64>,
     /// States within the last step.
-    reached: OnRequest<Vec<Reached>>,
+    known: OnRequest<Known>,
 }
 
 impl Prescribed {
@@ -100,7 +100,7 @@ impl Prescribed {
             pairs: Pairs::new(scene),
             woken: Vec::new(),
             energy_of_distant_pairs: OnceLock::new(),
-            reached: OnRequest::default(),
+            known: OnRequest::default(),
         }
     }
 
@@ -210,7 +210,7 @@ impl Prescribed {
     /// The step could not be completed.
     pub fn step(&mut self, step: &mut Step<'_>) -> Result<Option<usize>, Failure> {
         let mut stopwatch = Stopwatch::start();
-        self.reached = OnRequest::default();
+        self.known = OnRequest::default();
         if step.setting.is_partial {
             self.actives.wake_all();
         }

@@ -28,8 +28,16 @@ pub(crate) struct Before {
     pub phases: Vec<([usize; 2], Phase)>,
 }
 
-/// A state of a body within the last step, from which later ones are computed.
-pub(super) struct Reached {
+/// What is known of the states within the last step.
+#[derive(Default)]
+pub(super) struct Known {
+    reached: Vec<Reached>,
+    /// The earliest time that took too much work [s].
+    too_far: Option<f64>,
+}
+
+/// A state of a body, from which later ones are computed.
+struct Reached {
     body: usize,
     /// [s]
     time: f64,
@@ -142,11 +150,16 @@ impl<'a> Recomputed<'a> {
     /// The states of a body at `time`, given those at the start of the step, and the [breaks](Recomputed::breaks). `None` if the
     /// limit of work is reached.
     pub fn at(&self, index: usize, time: f64, breaks: &[f64], start: impl FnOnce() -> States) -> Option<States> {
-        /// Upper limit on the states kept: a search asks for times ever closer to each other.
-        const MOST: usize = 64;
+        /// Upper limits on the states of a body and on the vertices of all that are kept: a search asks for times ever closer to
+        /// each other.
+        const MOST: usize = 8;
+        const MOST_VERTICES: usize = 1 << 20;
 
-        let mut reached = lock(&self.prescribed.reached.0);
-        let reached = reached.get_or_insert_default();
+        let mut known = lock(&self.prescribed.known.0);
+        let Known { reached, too_far } = known.get_or_insert_default();
+        if too_far.is_some_and(|too_far| time >= too_far) {
+            return None;
+        }
         let before = reached.iter().filter(|of| of.body == index && of.time <= time);
         let (mut from, mut states, mut pushes) = match before.max_by(|one, other| one.time.total_cmp(&other.time)) {
             Some(of) => (of.time, of.states.clone(), of.pushes.clone()),
@@ -156,14 +169,22 @@ impl<'a> Recomputed<'a> {
         for to in between.chain((from < time).then_some(time)).collect::<Vec<_>>() {
             self.advance(index, from, to, &mut states, &mut pushes);
             if self.is_over() {
+                *too_far = Some(time);
                 return None;
             }
             from = to;
         }
-        if reached.len() == MOST {
-            reached.remove(0);
+        let away = |of: &Reached| (of.time - time).abs();
+        let own: Vec<usize> = (0..reached.len()).filter(|&at| reached[at].body == index).collect();
+        if let Some(&farthest) = own.iter().max_by(|&&x, &&y| away(&reached[x]).total_cmp(&away(&reached[y])))
+            && own.len() == MOST
+        {
+            reached.swap_remove(farthest);
         }
-        reached.push(Reached { body: index, time, states: states.clone(), pushes });
+        let vertices: usize = reached.iter().map(|of| of.states.displacement.len()).sum();
+        if vertices + states.displacement.len() <= MOST_VERTICES {
+            reached.push(Reached { body: index, time, states: states.clone(), pushes });
+        }
         Some(states)
     }
 

@@ -158,7 +158,8 @@ impl Heat {
         }
         chunks.push_changed(self.ticks, view.at, &[&ticks]);
         // the line to the label rises in front of the bodies: seen from there, it is straight
-        let in_front = |place: DVec3| place.lerp(Labels::new(view).far(), displacements.clearance);
+        let space = Labels::new(view);
+        let in_front = |place: DVec3| place.lerp(space.far(), displacements.clearance);
         let mark = outside.filter(|largest| largest.displacement > 0.0).map(|outside| {
             let hidden = of_all.filter(|of_all| of_all.displacement > outside.displacement);
             let hidden = hidden.map(|hidden| format!("\ninside another body: {}", hidden.text(view)));
@@ -175,7 +176,7 @@ impl Heat {
                 format!("{front}largest on the surface: {}{behind}{}", outside.text(view), hidden.unwrap_or_default());
             let height = f64::min(recent::label_height(view), view.top() + ABOVE * view.schema.largest_radius());
             let below = marked.unwrap_or(outside).position;
-            let height = height.max(Labels::new(view).height_above(below, &label));
+            let height = height.max(space.height_above(below, &label));
             let end = in_front(view.schema.raised(below, height));
             ([marked.map_or(end, |marked| marked.position), end], label)
         });

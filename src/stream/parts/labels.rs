@@ -392,9 +392,10 @@ impl BodyLabels {
                 rest.push(body);
             }
         }
-        let named = if view.schema.bodies.len() > MAX_LABELS { 0 } else { MAX_LABELS };
-        for body in rest.into_iter().chain(others).take(named) {
-            take(body, view.schema.bodies[body].name.clone(), false);
+        if view.schema.bodies.len() <= MAX_LABELS {
+            for body in rest.into_iter().chain(others) {
+                take(body, view.schema.bodies[body].name.clone(), false);
+            }
         }
         chunks.push_changed(self.track, view.at, &[&places, &labels]);
     }

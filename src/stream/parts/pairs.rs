@@ -416,7 +416,7 @@ impl PairPlots {
             if self.known.len() >= max || !self.is_shown(schema, &pair) {
                 return None;
             }
-            let pair = PairPlot::new(schema, a, b, palette::distance(self.known.len()), series, chunks);
+            let mut pair = PairPlot::new(schema, a, b, palette::distance(self.known.len()), series, chunks);
             let before = self.kept.remove(&(a, b)).unwrap_or_default();
             let mut last = None;
             for (at, phase) in before.iter().map(|&Kept { at, phase, .. }| (at, phase)).chain([(at, phase)]) {
@@ -426,6 +426,7 @@ impl PairPlots {
             }
             // the pair was in reach for long before its event
             if let Some(Kept { at, .. }) = before.front() {
+                pair.last_contact = Some(UNKNOWN);
                 chunks.log(&pair.contact, *at, &StateChange::single(CONTACTS[UNKNOWN].0));
             }
             for Kept { at, q, .. } in before {
