@@ -88,11 +88,16 @@ pub fn unique_name(start: impl Into<OsString>, end: &str) -> io::Result<OsString
     Ok(name)
 }
 
+/// What to do where the folder of a file is missing.
+pub fn missing_folder(path: &Path) -> Option<String> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty() && !folder.is_dir())?;
+    Some(format!("there is no directory {}: create it first", folder.display()))
+}
+
 /// What to do about a file that cannot be written, for the end of a message.
 pub fn remedy(path: &Path, error: &io::Error) -> String {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty() && !folder.is_dir());
-    if let (io::ErrorKind::NotFound, Some(folder)) = (error.kind(), folder) {
-        return format!("there is no directory {}: create it first", folder.display());
+    if let (io::ErrorKind::NotFound, Some(remedy)) = (error.kind(), missing_folder(path)) {
+        return remedy;
     }
     let remedy = match error.kind() {
         io::ErrorKind::StorageFull => "the disk is full: make room or save elsewhere",

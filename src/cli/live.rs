@@ -17,6 +17,7 @@ use super::{
     run, say,
 };
 use crate::{
+    atomic,
     live::{self, Live, change::Problem},
     observe::Experiment,
     scene::{Scene, template::Override},
@@ -78,8 +79,8 @@ pub(super) fn live(program: Program<'_>, arguments: Arguments) -> Result<(), Fai
     };
     let name = path.file_stem().map_or(first.schema().name, |stem| stem.to_string_lossy().into_owned());
     let save = arguments.save.unwrap_or_else(|| PathBuf::from(format!("{name}-live.rrd")));
-    if let Some(folder) = save.parent().filter(|folder| !folder.as_os_str().is_empty() && !folder.is_dir()) {
-        return Err(Failure::Input(format!("--save: there is no directory {}: create it first", folder.display())));
+    if let Some(remedy) = atomic::missing_folder(&save) {
+        return Err(Failure::Input(format!("--save: {remedy}")));
     }
     let is_loopback = arguments.bind.bind.is_loopback();
     interrupt::raise_stop()?;

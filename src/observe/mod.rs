@@ -34,10 +34,9 @@ pub use parameter::{Branch, InvalidVariation, Parameter, Poke, Variation};
 pub use row::EventRow;
 pub use run::Run;
 pub use schema::Schema;
-pub(crate) use simulation::body_between;
 pub use simulation::{
-    Experiment, NearPair, Refusal, Shortfall, Simulation, StageFrame, StepFailure, StepSummary, between, interpolated,
-    state_within,
+    Experiment, NearPair, Refusal, Shortfall, Simulation, StageFrame, StepFailure, StepSummary, between, state_within,
 };
+pub(crate) use simulation::{body_between, put_on_paths};
 pub use surface::SurfaceEvent;
 pub use verify::verify;

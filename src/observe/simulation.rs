@@ -135,20 +135,8 @@ pub fn state_within(
     put_on_paths(simulation, time, bodies, frame);
 }
 
-/// Like [`state_within`] at little cost: [`between`] the ends, with centres on their paths.
-pub fn interpolated(
-    simulation: &dyn Simulation,
-    schema: &Schema,
-    ends: [&Frame; 2],
-    time: f64,
-    bodies: &[usize],
-    frame: &mut Frame,
-) {
-    between(schema, ends, time, bodies, frame);
-    put_on_paths(simulation, time, bodies, frame);
-}
-
-fn put_on_paths(simulation: &dyn Simulation, time: f64, bodies: &[usize], frame: &mut Frame) {
+/// Writes the centres of the bodies that are on paths at a time [s].
+pub fn put_on_paths(simulation: &dyn Simulation, time: f64, bodies: &[usize], frame: &mut Frame) {
     for &body in bodies {
         if let Some([position, _]) = simulation.on_path(body, time) {
             frame.bodies[body].centre = position;

@@ -1,5 +1,5 @@
-//! A recording that visualises the difference between two runs: both surfaces, error arrows between them, and plots of
-//! their distance.
+//! A recording that visualises the difference between two runs: the surfaces of the first, coloured by the difference, arrows
+//! to the vertices of the second, and plots of their distance.
 
 use std::{path::Path, sync::Arc};
 

@@ -140,6 +140,23 @@ mod tests {
         assert_eq!(warnings(""), [""; 0]);
     }
 
+    #[test]
+    fn what_begins_where_the_scene_has_ended_is_reported() {
+        let late = |start: f64| {
+            let text = format!(
+                "duration = 1.1\ndt = 0.4\n[[body]]\nname = 'a'\nradius = 1.0\nmotion = {{ fixed = [0, 0, 0] }}\n[[push]]\n\
+                 body = 'a'\ndirection = [1, 0, 0]\nstrength = 1\nstart = {start}\nduration = 1\n[[edit]]\ntime = {start}\n\
+                 set = {{ \"influence.beta\" = 1 }}\n"
+            );
+            Scene::parse(&text, "late.toml").unwrap().warnings()
+        };
+        // three steps of 0.4 s
+        assert_eq!(late(1.15), [""; 0]);
+        let found = late(1.2);
+        assert!(found.len() == 1 && found[0].starts_with("the push on a begins at t = 1.2, "), "{found:?}");
+        assert!(found[0].ends_with("(and one more entry like it)"), "{found:?}");
+    }
+
     /// The conditions of 3.2: the influence sphere encloses its body, which encloses their common centre.
     #[test]
     fn a_sphere_within_its_body_and_a_centre_outside_it_are_reported() {

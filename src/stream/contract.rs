@@ -127,7 +127,7 @@ entities! {
     BODY_FORCE = "/forces/NAME/CAUSE" ["Scalars"]
         "Net force on a body by one cause over its mass: the length of the mean acceleration of its vertices, by mass if it is free, and of that by forces at points [scene unit/s²]; with at most 16 bodies, from the first frame in which it acts.";
     RESULTANTS = "/world/resultants" ["Arrows3D"]
-        "The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre, the net force beside it; all of an instant on the largest scale on which none is longer than 1.5 times the geometric mean of the radius of its body and the largest radius.";
+        "The mean acceleration of the vertices of each body by each cause, by mass if it is free, and by forces at points, as arrows at its centre, the net force beside it; all of an instant on the scale on which the longest is 1.5 times, with more than 8 bodies 3 times, the geometric mean of the radius of its body and the largest radius; without those that are at most a tenth as long.";
     RESULTANT_LABELS = "/world/resultants/labels" ["Points3D"]
         "Of the five bodies with the largest net forces, the names, these forces and their strongest causes [scene unit/s²], and the names of others, of at most 32, where there is room.";
     STRONGEST = "/strongest/CAUSE" ["Scalars"]
@@ -165,7 +165,7 @@ entities! {
     PAIR_NECK = "/pairs/A~B/neck" ["Scalars"]
         "Radius of the seam [radii of the smaller body].";
     PAIR_CONTACT = "/pairs/A~B/contact" ["StateChange, StateConfiguration"]
-        "Whether the bodies are joined by their phase, and whether their surfaces touch.";
+        "Whether the bodies are joined by their phase, and whether their surfaces touch; \"not measured\" before a pair that has entities because of an event got them.";
     TOUCHING = "/touching/MODEL" ["StateChange, StateConfiguration"]
         "With several models side by side: the pairs of bodies whose surfaces touch, of those with plots.";
     PAIR_SCALAR = "/between/SCALAR/A~B" ["Scalars"]
@@ -246,8 +246,8 @@ entities! {
         "In a golden recording: the quantities of pairs and groups every 20 steps, by the entity that plots them.";
     COMPARED_SURFACE = "/world/SIDE/NAME" ["Mesh3D"]
         "In a comparison: the surface of a body in the first or the second run.";
-    COMPARED_ERROR = "/world/error" ["Arrows3D"]
-        "In a comparison: arrows from the vertices of the first run towards those of the second; the longest of an instant has a length of at least 0.3 radii.";
+    COMPARED_ERROR = "/world/error" ["Arrows3D, Points3D"]
+        "In a comparison: arrows from the vertices of the first run towards those of the second, and points at these, where they differ by more than a tenth of the largest difference of the instant; the longest of an instant has a length of at least 0.3 radii.";
     COMPARED_WORST = "/world/worst" ["Points3D, LineStrips3D"]
         "In a comparison: the vertex that differs most, and a line to its label.";
     COMPARED_DISTANCE = "/q/SIDE/A~B" ["Scalars"]

@@ -70,7 +70,7 @@ fn bodies_on_paths_touch_where_their_paths_are() {
         assert!(of_b.len() >= 2, "{model:?}: {events:?}");
         for (time, q) in of_b {
             let distance = path.position(time).length();
-            assert!((distance - 1.8).abs() < 1e-5 && (q - distance / 1.8).abs() < 1e-9, "{model:?}, {dt}: {time}, {q}");
+            assert!((distance - 1.8).abs() < 1e-6 && (q - distance / 1.8).abs() < 1e-9, "{model:?}, {dt}: {time}, {q}");
         }
         let of_h: Vec<f64> = events.iter().filter(|(b, ..)| *b == 2).map(|of| of.1).collect();
         assert!(matches!(of_h[..], [jump] if (jump - 1.01).abs() < 2e-7), "{model:?}, {dt}: {of_h:?}");

@@ -159,7 +159,8 @@ impl Heat {
         chunks.push_changed(self.ticks, view.at, &[&ticks]);
         // the line to the label rises in front of the bodies: seen from there, it is straight
         let space = Labels::new(view);
-        let in_front = |place: DVec3| place.lerp(space.far(), displacements.clearance);
+        let clearance = seen.map_or(0.0, |of| space.clearance(of.position));
+        let in_front = |place: DVec3| place.lerp(space.far(), clearance);
         let mark = outside.filter(|largest| largest.displacement > 0.0).map(|outside| {
             let hidden = of_all.filter(|of_all| of_all.displacement > outside.displacement);
             let hidden = hidden.map(|hidden| format!("\ninside another body: {}", hidden.text(view)));
@@ -258,8 +259,6 @@ pub struct Displacements {
     outside: Option<Largest>,
     /// The largest on the surface that is seen from the usual direction of the camera.
     seen: Option<Largest>,
-    /// The [`Labels::clearance`] there.
-    clearance: f64,
     of_all: Option<Largest>,
     /// Whether the most displaced vertex of each body is not on the surface.
     is_inside: Vec<bool>,
@@ -458,7 +457,6 @@ impl Displacements {
             !mesh::hides(&now.positions, triangles, of.vertex, view.eye - now.centre) && is_outside(of)
         };
         self.seen = self.candidates.iter().find(is_clear).copied();
-        self.clearance = self.seen.map_or(0.0, |of| labels.clearance(of.position));
         (self.outside, self.of_all) = (outside.or(of_all), of_all);
         let largest = self.outside.map_or(0.0, |largest| largest.displacement);
         let rank = (SHARE * self.lengths.len() as f64) as usize;
