@@ -213,11 +213,11 @@ impl Follower {
 }
 
 impl Followed<'_> {
-    /// Time [s] and q of the closest approach within the step, if it is within reach and below `limit` [–]; that at the ends
-    /// of the step is not searched for. `acceleration` bounds that of b as seen from a [scene unit/s²]; infinite if unknown.
-    pub fn closest_below(&self, limit: f64, acceleration: f64) -> Option<[f64; 2]> {
+    /// Time [s] and q of the closest approach within the step, if it is below `limit` [–] and within reach, or `was_near`: once a
+    /// pair was, it is followed beyond. The ends of the step are not searched. `acceleration` bounds that of b as seen from a [scene unit/s²]; infinite if unknown.
+    pub fn closest_below(&self, limit: f64, acceleration: f64, was_near: bool) -> Option<[f64; 2]> {
         let Followed { pair, ends, simulation, .. } = self;
-        let limit = if self.is_within_reach { limit } else { limit.min(self.reach) };
+        let limit = if self.is_within_reach || was_near { limit } else { limit.min(self.reach) };
         // the least rate with which it cannot have turned in the step
         let steady = 0.5 * acceleration * (ends[1] - ends[0]);
         if -pair.apart.dot(pair.rate) >= steady * pair.apart.length() {
@@ -285,12 +285,14 @@ impl Approaches {
                 }
                 let mut closest =
                     known.map_or(Approach { q: f64::INFINITY, time, a: pair.a, b: pair.b }, |known| known.closest);
-                if followed.is_within_reach && q < closest.q {
+                // a reach that shrinks does not end the approach
+                let was_near = closest.q < f64::INFINITY;
+                if (followed.is_within_reach || was_near) && q < closest.q {
                     (closest.q, closest.time) = (q, time);
                 }
                 let has_changed = has_changed || known.is_some_and(|known| known.has_changed);
                 if !has_changed
-                    && let Some([time, q]) = followed.closest_below(closest.q * (1.0 - 1e-12), f64::INFINITY)
+                    && let Some([time, q]) = followed.closest_below(closest.q * (1.0 - 1e-12), f64::INFINITY, was_near)
                 {
                     // a distance below the threshold would have been an event: what is left is interpolation
                     let q = f64::max(q, schema.level(0, [pair.a, pair.b], time).unwrap_or(0.0));
@@ -428,6 +430,22 @@ mod tests {
         let (coarse, fine) = (of(0.1), of(1.0 / 240.0));
         assert!(coarse.len() == 1 && fine.len() == 1, "{coarse:?} {fine:?}");
         assert!((coarse[0].q - fine[0].q).abs() < 1e-4 && fine[0].q > 1.05, "{coarse:?} {fine:?}");
+    }
+
+    /// The pair is followed where its reach, which depends on how much its bodies are deformed, falls below its distance; a
+    /// free body elsewhere changes nothing.
+    #[test]
+    fn a_near_miss_beyond_a_shrinking_reach_is_found() {
+        let text = "dt = 0.03\nduration = 2.283\n[material]\nomega = 10.967\ndamping = 0.847\n[influence]\nalpha = 113.576\n\
+                    beta = 49.103\nreach = 1.203\nweight = 'wendland'\nscaling = 'absolute'\nmerge_at = 1.289\nsplit_at = 1.357\n\
+                    [[body]]\nname = 'b0'\nradius = 0.8259\nmotion = { sine = { center = [-0.275785, -1.35509, 1.25941], \
+                    amplitude = [1.33728, 0.417466, 1.94396], frequency = 0.994 } }\n[[body]]\nname = 'b3'\nradius = 0.056\n\
+                    motion = { line = { from = [0.692782, 0.408612, -1.0169], velocity = [-0.580103, -0.211096, 0.815525] } }\n";
+        let free = "[[body]]\nname = 'b4'\nradius = 0.03\nmotion = { free = { from = [9, 9, 9] } }\n";
+        for text in [text.to_owned(), format!("{text}{free}")] {
+            let (found, _) = closest(&text);
+            assert!((found[0].q - 1.64753).abs() < 1e-4 && (found[0].time - 1.9880).abs() < 1e-3, "{found:?}");
+        }
     }
 
     /// b comes near a; c begins near both and moves away.

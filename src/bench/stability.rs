@@ -7,7 +7,6 @@
 //! | the closed form without influence | [`exact`] |
 //! | a million steps without damping | [`drift`] |
 //! | free bodies | [`free`] |
-//! | the other models | [`models`] |
 //!
 //! A run passes if its state is finite after every step and within [`MARGIN`] of the energy bound. The exponential
 //! integrator has a tolerance, so it must also be as close to the exact solution as the tolerance promises, where there

@@ -196,7 +196,7 @@ fn report(name: &str, difference: &GoldenDifference, is_accepted: bool) {
     }
     match &difference.worst {
         Some(worst) => print(&format!(
-            "  worst at step {} (t = {:.6} s): body \"{}\", vertex {}: displacement {}, now {}: {:.3e} radii apart, {} \
+            "  worst at step {} (t = {:.6} s): body \"{}\", vertex {}: displacement {}, now {}: {} radii apart, {} \
              tolerance; {} vertices differ",
             worst.step,
             worst.time,
@@ -204,7 +204,7 @@ fn report(name: &str, difference: &GoldenDifference, is_accepted: bool) {
             worst.vertex,
             vector(&worst.recorded),
             vector(&worst.found),
-            worst.difference,
+            text::short(worst.difference),
             if difference.is_within_tolerance { "within" } else { "BEYOND" },
             thousands(worst.vertices as u64),
         )),

@@ -26,7 +26,7 @@ use crate::{
         settings::{DETAILS, Detail, Frames, Settings, application},
         sinks::{Complete, Destinations, Sinks},
     },
-    text::{bytes, counted, thousands, vector},
+    text::{bytes, counted, short, thousands, vector},
 };
 
 #[derive(clap::Args)]
@@ -161,12 +161,12 @@ fn verify(arguments: &Arguments, recorded: &Recorded, name: &str) -> Result<(), 
                         format!("at step {} (t = {:.6} s), the first frame that shows it", worst.step, worst.time)
                     };
                     print(&format!(
-                        "  worst {at}: body \"{}\", vertex {}: {} recorded, {} now, from the centre: {:.3e} radii apart; {} differ",
+                        "  worst {at}: body \"{}\", vertex {}: {} recorded, {} now, from the centre: {} radii apart; {} differ",
                         worst.body,
                         worst.vertex,
                         vector(&worst.recorded),
                         vector(&worst.found),
-                        worst.difference,
+                        short(worst.difference),
                         counted(worst.vertices as u64, "vertex")
                     ));
                 }
@@ -331,7 +331,7 @@ impl Saver {
             pairs: recorded.settings.pairs,
             only: recorded.settings.only.clone(),
             around: recorded.settings.around.clone(),
-            ..Settings::for_bodies(schema.bodies.len(), schema.steps)
+            ..Settings::for_schema(schema)
         };
         Ok(Saver { settings, steps, sinks, pipeline: None, end: None, last: 0, failure: None })
     }

@@ -98,7 +98,7 @@ pub struct Arguments {
     /// `merge`, `a~b` or "split a~b 2".
     #[arg(long, value_name = "EVENT", conflicts_with_all = ["thin", "keep"], help_heading = "What to record")]
     around: Option<String>,
-    /// Record only the scene and checksums, about ten bytes per step; `replay --save` restores the frames.
+    /// Record only the scene, checksums and events, about ten bytes per step; `replay --save` restores the frames.
     #[arg(long, conflicts_with_all = ["every", "detail", "entities", "keep", "plots", "tab"], help_heading = "What to record")]
     thin: bool,
     /// Flight recorder: keep the last N frames in memory; write them at the end, or when an --on event occurs, then with the
@@ -251,7 +251,7 @@ fn settings(arguments: &Arguments, schema: &Schema) -> Result<Settings, Failure>
     let on = arguments.on.iter().map(|word| Trigger::parse(word, schema)).collect::<Result<_, _>>();
     let (only, around) = (only.map_err(named("--pair"))?, around.map_err(named("--around"))?);
     let on = on.map_err(named("--on"))?;
-    let own = Settings::for_bodies(schema.bodies.len(), schema.steps);
+    let own = Settings::for_schema(schema);
     Ok(Settings {
         steps: match arguments.steps {
             None => own.steps,

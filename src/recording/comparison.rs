@@ -374,7 +374,7 @@ impl Comparison {
         let line = match change {
             // what differs first: long lines are cut
             Change::Moved(was, is) => {
-                format!("{}: {} at t = {:.9} s, now at {:.9} s", change.how(), was.what(), was.time, is.time)
+                format!("{}: {} at t = {:.9} s,\n    now at {:.9} s", change.how(), was.what(), was.time, is.time)
             }
             _ => change.to_string(),
         };

@@ -27,7 +27,7 @@ use crate::{
         settings::Frames,
         sinks::{Saved, SinkError},
     },
-    text::{counted, step_size, thousands, vector},
+    text::{counted, short, step_size, thousands, vector},
 };
 
 /// Instants at most this far apart are equal [s]; recordings have a resolution of one nanosecond.
@@ -88,7 +88,8 @@ impl fmt::Display for Difference {
             let Worst { body, difference, vertex, time, step, .. } = worst;
             write!(
                 f,
-                "\n  body \"{body}\": up to {difference:.3e} radii, vertex {vertex} at t = {time:.6} s (step {step})"
+                "\n  body \"{body}\": up to {} radii, vertex {vertex} at t = {time:.6} s (step {step})",
+                short(*difference)
             )?;
         }
         match self.bodies.len() {
@@ -101,7 +102,8 @@ impl fmt::Display for Difference {
             write!(
                 f,
                 "\nfirst beyond tolerance: step {step} (t = {time:.6} s), body \"{body}\", vertex {vertex}: {recorded} and \
-                 {found}, from the centre: {difference:.3e} radii apart"
+                 {found}, from the centre: {} radii apart",
+                short(*difference)
             )?;
         }
         self.starts.iter().take(LISTED).try_for_each(|pair| write!(f, "\nphases at the start: {pair}"))?;

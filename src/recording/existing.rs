@@ -28,7 +28,7 @@ pub const REASONS: &str = "BLESSED.md";
 pub enum Kind {
     /// The expected results of a scene.
     Golden,
-    /// The scene and its checksums only, without frames.
+    /// The scene, its checksums and events only, without frames.
     Thin,
     /// The last frames of a run.
     Last,

@@ -1,6 +1,6 @@
 //! Golden recordings: the expected results of a scene, and comparison with them.
 //!
-//! A golden recording is thin: the scene and a checksum of every step. To locate a difference, it also has the events,
+//! A golden recording is thin: the scene, the events and a checksum of every step. To locate a difference, it also has
 //! a two-byte hash for every displaced vertex at every step ([`GOLDEN_VERTICES`]), which shows at which vertices two states
 //! diverge, and at regular intervals the full displacements ([`GOLDEN_STATES`]) and geometric quantities ([`GOLDEN_SURFACES`]).
 
@@ -346,7 +346,11 @@ pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -
     let steps = [recorded.last(), schema.steps];
     let other_counts = recorded.counts.clone().filter(|then| *then != counts_now);
     let is_golden = recorded.blessed.is_some();
-    let is_same = first.is_none() && steps[0] == steps[1] && other_counts.is_none() && surfaces.is_empty();
+    // the end of a file that is cut short may lack events
+    let cut_short = recorded.cut_short();
+    let changes = if cut_short.is_some() { Vec::new() } else { events::compare(&recorded.events, &events) };
+    let is_same = first.is_none() && steps[0] == steps[1] && other_counts.is_none();
+    let is_same = is_same && changes.is_empty() && surfaces.is_empty();
     let moved = if is_same && is_rewritten { first_moved(scene, &recorded)? } else { None };
     if is_same && moved.is_none() {
         let (steps, events, digest) = (steps[1], events.len(), digest(&recorded.checksums));
@@ -354,7 +358,7 @@ pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -
     }
 
     let mut difference = GoldenDifference {
-        cut_short: recorded.cut_short(),
+        cut_short,
         steps: (steps[0] != steps[1]).then_some(steps),
         counts: other_counts.map(|then| [then, counts_now]),
         is_rewritten,
@@ -363,8 +367,7 @@ pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -
         moved,
         worst: None,
         is_within_tolerance: is_golden,
-        // the end of a file that is cut short may lack events
-        events: if recorded.cut_short().is_some() { Vec::new() } else { events::compare(&recorded.events, &events) },
+        events: changes,
         surfaces,
         comparison: None,
     };
@@ -435,6 +438,7 @@ fn compare_details(
     let last = recorded.last().min(schema.steps);
     let (mut run, mut frame) = (Run::again(simulation, last), Frame::default());
     let steps: BTreeSet<u64> = details.states.keys().copied().chain([step]).collect();
+    difference.is_within_tolerance &= !details.states.is_empty();
     for now in steps.into_iter().take_while(|now| *now <= last) {
         replay::go_to(now, &mut run, &recorded.path)?;
         run.simulation.observe(Want::default(), &mut frame);

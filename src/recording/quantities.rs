@@ -15,6 +15,7 @@ use crate::{
         contract::{GROUP_LINE, PAIR_GAP, PAIR_NECK, STAGE, path_of},
         parts::{groups, pairs::MEASURES},
     },
+    text::short,
 };
 
 /// Volumes, areas and distances of surfaces differ by a small multiple of the difference of their vertices: the volume
@@ -75,7 +76,10 @@ impl Deviation {
         let digits = if is_whole { 0.0 } else { 1.0 - (first - second).abs().log10().floor() };
         let digits = if digits.is_finite() { digits.clamp(0.0, 17.0) as usize } else { 6 };
         let value = |value: &f64| if value.is_nan() { "none".to_owned() } else { format!("{value:.digits$}") };
-        let later = if last == step { String::new() } else { format!(", up to {largest:.3e} apart, at step {last}") };
+        let later = match last == step {
+            true => String::new(),
+            false => format!(", up to {} apart, at step {last}", short(*largest)),
+        };
         format!("{what}: {} and {}{at}{later}", value(first), value(second))
     }
 }

@@ -329,6 +329,14 @@ impl<'a> Template<'a> {
     /// The document with these values.
     fn varied<'s>(&'s self, settings: &'s [(&KeyPath, String)]) -> Result<DeTable<'s>, SceneError> {
         let mut document: DeTable<'s> = self.document.clone();
+        let places: Vec<_> = settings.iter().map(|(key, _)| numbered(&document, key)).collect();
+        for (index, ((key, _), place)) in settings.iter().zip(&places).enumerate() {
+            let first = place.as_ref().and_then(|_| places[..index].iter().position(|first| first == place));
+            if let Some(&(first, _)) = first.map(|first| &settings[first]) {
+                let also = if first == *key { String::new() } else { format!(", also as {first}") };
+                return Err(self.error(key.text.clone(), format!("this value is set twice{also}: leave one out")));
+            }
+        }
         for (key, setting) in settings {
             let value = DeValue::parse(setting).map_err(|error| self.error(key.text.clone(), error.to_string()))?;
             replace(&mut document, key, value.into_inner()).map_err(|message| self.error(key.text.clone(), message))?;

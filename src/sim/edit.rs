@@ -40,7 +40,7 @@ impl World {
             let grown = self.scene.clone();
             self.scene.remove_body(last);
             let kept: Vec<Option<usize>> = (0..last).map(Some).chain([None]).collect();
-            self.restart_now(grown, &kept, false)?;
+            self.restart_now(grown, &kept)?;
         }
         self.work.set_vertices(self.scene.vertex_count());
         Ok(self.handles.push())
@@ -94,7 +94,7 @@ impl World {
             let mut scene = self.scene.clone();
             scene.remove_body(index);
             let kept: Vec<Option<usize>> = (0..self.body_count()).filter(|&old| old != index).map(Some).collect();
-            self.restart_now(scene, &kept, true)?;
+            self.restart_now(scene, &kept)?;
         }
         self.handles.remove(index);
         Ok(())
@@ -162,7 +162,7 @@ impl World {
             own.motion = before;
             own.force = force.or(own.force.take());
             let kept: Vec<Option<usize>> = (0..self.body_count()).map(|old| (old != index).then_some(old)).collect();
-            return self.restart_now(changed, &kept, true);
+            return self.restart_now(changed, &kept);
         }
         let (setting, solver, report) = self.split();
         match solver {
@@ -180,8 +180,8 @@ impl World {
         (Setting { scene, step: *step, arch, is_partial: false }, solver, report)
     }
 
-    fn restart_now(&mut self, scene: Scene, kept: &[Option<usize>], wake_all: bool) -> Result<(), EditError> {
+    fn restart_now(&mut self, scene: Scene, kept: &[Option<usize>]) -> Result<(), EditError> {
         self.forget_parts();
-        self.restart(scene, kept, wake_all, self.time())
+        self.restart(scene, kept, self.time())
     }
 }

@@ -73,8 +73,6 @@ pub(super) struct Takeover<'a> {
     pub scene: &'a Scene,
     /// The former index of each body that keeps its state.
     pub kept: &'a [Option<usize>],
-    /// Whether bodies at rest wake.
-    pub wake_all: bool,
     /// The time of the state [s].
     pub time: f64,
     /// Limit on the pairs of nearby bodies.
@@ -111,6 +109,14 @@ impl Solver {
             (Solver::Prescribed(now), Solver::Prescribed(before)) => Ok(now.resume(setting, before, takeover, report)),
             (Solver::Coupled(now), Solver::Coupled(before)) => Ok(now.resume(setting.scene, before, takeover, report)),
             _ => Err(EditError::Solver),
+        }
+    }
+
+    /// The bodies of a scene, undeformed and without pairs, to [take over](Solver::resume) a state.
+    pub fn undeformed(scene: &Scene) -> Solver {
+        match scene.is_coupled() {
+            true => Solver::Coupled(Box::new(Coupled::undeformed(scene))),
+            false => Solver::Prescribed(Box::new(Prescribed::undeformed(scene))),
         }
     }
 

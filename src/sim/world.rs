@@ -100,29 +100,22 @@ impl World {
         Ok(World { scene, options, step: 0, report, work, solver, edits: 0, parts: Some(Vec::new()), handles })
     }
 
-    /// Continues with a changed scene at `time` [s]. `kept` is the former index of each body that keeps its state; bodies
-    /// at rest stay at rest unless `wake_all` is set.
-    pub(super) fn restart(
-        &mut self,
-        scene: Scene,
-        kept: &[Option<usize>],
-        wake_all: bool,
-        time: f64,
-    ) -> Result<(), EditError> {
+    /// Continues with a changed scene at `time` [s]. `kept` is the former index of each body that keeps its state.
+    pub(super) fn restart(&mut self, scene: Scene, kept: &[Option<usize>], time: f64) -> Result<(), EditError> {
         let budget = memory::check(&scene)?;
         let max_pairs = budget.max_pairs(&scene);
         let mut work = Work::new(scene.vertex_count(), self.options.interrupt);
-        let Some(mut solver) = Solver::new(&scene, max_pairs, &mut work) else {
-            return Err(budget.exceeded(&scene, Some(max_pairs)).into());
-        };
-        if self.step > 0 || self.edits > 0 {
+        let solver = if self.step > 0 || self.edits > 0 {
             let setting = Setting { scene: &scene, ..self.setting() };
-            let takeover = Takeover { scene: &self.scene, kept, wake_all, time, max_pairs };
-            if !solver.resume(setting, &self.solver, &takeover, &mut self.report)? {
-                return Err(budget.exceeded(&scene, Some(max_pairs)).into());
-            }
+            let takeover = Takeover { scene: &self.scene, kept, time, max_pairs };
+            let mut solver = Solver::undeformed(&scene);
+            let is_resumed = solver.resume(setting, &self.solver, &takeover, &mut self.report)?;
             work.resume(&mut self.work);
-        }
+            is_resumed.then_some(solver)
+        } else {
+            Solver::new(&scene, max_pairs, &mut work)
+        };
+        let Some(solver) = solver else { return Err(budget.exceeded(&scene, Some(max_pairs)).into()) };
         (self.scene, self.solver, self.work) = (scene, solver, work);
         Ok(())
     }
@@ -134,7 +127,7 @@ impl World {
         let kept: Vec<Option<usize>> = (0..scene.bodies.len()).map(Some).collect();
         let step = self.step + 1;
         let failed = |error: EditError| Failure::Edit { step, time, error: Box::new(error) };
-        self.restart(scene, &kept, true, time).map_err(failed)
+        self.restart(scene, &kept, time).map_err(failed)
     }
 
     /// Advances the world by one step of the scene's Δt and reports what happened.

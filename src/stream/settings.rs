@@ -81,7 +81,7 @@ named! {
     pub enum Entities {
         /// Each body has its own entity, `/world/bodies/NAME`.
         Body = "body",
-        /// All bodies share `/world/resting/SHAPE` and `/world/deforming`.
+        /// All bodies share `/world/resting/SHAPE` and `/world/deforming/surface`.
         Batch = "batch",
     }
 }
@@ -91,7 +91,7 @@ named! {
 pub enum Frames {
     /// All frames.
     All,
-    /// No frames: only the scene and checksums, from which everything else can be reproduced.
+    /// No frames: only the scene, checksums and events, from which everything else can be reproduced.
     Thin,
     /// A flight recorder: the last `most` frames, written when a trigger of `on` fires, or at the end if `on` is empty;
     /// and the `after` frames that follow a trigger.
@@ -275,13 +275,17 @@ impl Settings {
     /// The default settings of a scene: everything is recorded.
     pub fn of(scene: &dyn Experiment) -> Settings {
         let schema = scene.schema();
+        Settings::for_schema(&schema)
+    }
+
+    /// The default settings of a run with this schema.
+    pub fn for_schema(schema: &Schema) -> Settings {
         let own = Settings::for_bodies(schema.bodies.len(), schema.steps);
         // as many in each variant of a scene
         Settings { pairs: own.pairs * schema.variants.len().max(1), ..own }
     }
 
-    /// The default settings for this many bodies and steps.
-    pub fn for_bodies(bodies: usize, steps: u64) -> Settings {
+    fn for_bodies(bodies: usize, steps: u64) -> Settings {
         let is_crowd = bodies > MAX_BODY_ENTITIES;
         Settings {
             steps: Some(steps),

@@ -57,7 +57,7 @@ pub enum Until {
 const UNTILS: [(&str, Until); 2] = [("certain", Until::Certain), ("end", Until::End)];
 
 /// Columns by which the map can be coloured.
-const COLORS: [&str; 9] = [
+const COLORS: [&str; 8] = [
     "outcome",
     "max_displacement",
     "closest",
@@ -66,7 +66,6 @@ const COLORS: [&str; 9] = [
     "first_split",
     "merges",
     "energy_by_events",
-    "events",
 ];
 
 const NOT_MEASURED: &str = "max_displacement is not measured";

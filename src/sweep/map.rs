@@ -113,7 +113,7 @@ impl Map {
         if numbers.is_empty() {
             return Ok(None);
         }
-        let is_measure = sweep.color != "outcome" && sweep.color != "events";
+        let is_measure = sweep.color != "outcome";
         let columns = store.named(&["outcome", &sweep.color]);
         let is_count = columns.get(2).or(columns.get(1)).is_some_and(|column| column.kind == Kind::Integer);
         let mut found: BTreeMap<u64, (Option<Cell>, f64)> = BTreeMap::new();

@@ -358,8 +358,9 @@ impl<'a> Run<'a> {
                     });
                 }
                 let acceleration = world.acceleration_within(pair.a, ends) + world.acceleration_within(pair.b, ends);
-                let nearest = followed.closest_below(least, acceleration);
-                for [time, q] in nearest.into_iter().chain(is_within_reach.then_some([time, q])) {
+                let was_near = pairs.contains_key(&(pair.a, pair.b));
+                let nearest = followed.closest_below(least, acceleration, was_near);
+                for [time, q] in nearest.into_iter().chain(was_near.then_some([time, q])) {
                     if q < least {
                         (least, *closest) = (q, Some((q, time)));
                     }

@@ -53,6 +53,14 @@ pub enum StoreError {
         /// The file that differs.
         file: &'static str,
     },
+    /// The folder has a file of the user where a copy of the sweep or its scene would be.
+    #[error(
+        "a sweep keeps a copy of itself and of its scene in its folder, where {path} stands: choose another folder"
+    )]
+    Taken {
+        /// The file.
+        path: String,
+    },
     /// A table cannot be read.
     #[error(transparent)]
     Table(#[from] table::TableError),
@@ -121,8 +129,21 @@ impl Store {
     /// The folder cannot be written, or belongs to another sweep.
     pub fn open(path: &Path, sweep: &Sweep, columns: Vec<Column>) -> Result<Store, StoreError> {
         let store = Store { path: path.to_owned(), columns };
+        let copies =
+            [("sweep.toml", &sweep.text, &sweep.file), ("scene.toml", &sweep.scene_with_meshes(), &sweep.scene_file)];
+        let has_rows = path.is_dir() && !store.parts()?.is_empty();
+        for (file, text, own) in copies {
+            let there = path.join(file);
+            let Ok(known) = fs::read(&there) else { continue };
+            // a copy that is the original would never differ from it
+            let is_own =
+                fs::canonicalize(own).is_ok_and(|own| fs::canonicalize(&there).is_ok_and(|there| own == there));
+            if is_own || known != text.as_bytes() && !has_rows {
+                return Err(StoreError::Taken { path: there.display().to_string() });
+            }
+        }
         fs::create_dir_all(path).map_err(|error| store.error("create the folder", path, error))?;
-        for (file, text) in [("sweep.toml", &sweep.text), ("scene.toml", &sweep.scene_with_meshes())] {
+        for (file, text, _) in copies {
             let there = path.join(file);
             if !there.exists()
                 && let Err(error) = atomic::write_new(&there, text)

@@ -158,7 +158,7 @@ fn an_own_program_sweeps_over_parameters() {
         ("pull", "pul", "there is no parameter \"pul\""),
         ("octahedra", "cube", "there is no experiment \"cube\": there are octahedra, boxes and alias"),
         ("from = 0", "from = -1", "pull = -1 makes"),
-        ("[[axis]]", "color = \"events\"\n[[axis]]", "only for scenes"),
+        ("[[axis]]", "color = \"closest\"\n[[axis]]", "only for scenes"),
     ] {
         fs::write(dir.file("bad.toml"), sweep.replacen(from, to, 1)).expect("disk space");
         let error = failed(&dir, 2, &["sweep", "bad.toml", "--out", "other"]);

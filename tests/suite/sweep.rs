@@ -11,6 +11,7 @@ use std::{
 };
 
 use meldscope::{
+    Scene,
     sweep::{
         Sweep,
         row::{Cell, RUN_TIME, columns},
@@ -391,6 +392,41 @@ fn a_killed_sweep_resumes_where_it_stopped() {
     fs::write(dir.file("s.toml"), text.replace("120", "121")).unwrap();
     let (status, output) = run(&dir, "s.toml --out out");
     assert!(status == 2 && output.contains("has the rows of another sweep"), "{output}");
+}
+
+#[test]
+fn a_sweep_keeps_no_copy_in_place_of_its_own_files() {
+    let (dir, axis) = (Dir::new(), "[[axis]]\nkey = 'influence.merge_at'\nvalues = [0.9, 1.0]\n");
+    let scene = |to: &str| Scene::builtin("two").expect("built in").source.replace("duration = 5", to);
+    for (folder, own) in [("a", "scene.toml"), ("b", "mine.toml")] {
+        fs::create_dir(dir.file(folder)).unwrap();
+        let scene_of_sweep = if own == "scene.toml" { "scene.toml" } else { "two" };
+        fs::write(dir.file(folder).join(own), format!("scene = '{scene_of_sweep}'\n{axis}")).unwrap();
+        fs::write(dir.file(folder).join("scene.toml"), scene("duration = 5")).unwrap();
+        fs::write(dir.file(folder).join("s.toml"), format!("scene = 'scene.toml'\n{axis}")).unwrap();
+        let before = fs::read_dir(dir.file(folder)).unwrap().count();
+        let (status, output) = run(&dir, &format!("{folder}/s.toml --out {folder}"));
+        assert!(status == 2 && output.contains("scene.toml stands: choose another folder"), "{output}");
+        assert_eq!(fs::read_dir(dir.file(folder)).unwrap().count(), before, "nothing is written");
+    }
+}
+
+#[test]
+fn a_value_is_set_once() {
+    let dir = Dir::new();
+    let (axis, set) = ("[[axis]]\nkey = 'KEY'\nvalues = [1.0, 2.0]\n", "[[set]]\nkey = 'KEY'\nvalue = 3.0\n");
+    let by_name = "body.left.motion.free.velocity[0]";
+    let by_number = "body[0].motion.free.velocity[0]";
+    for [first, second] in [[axis, axis], [axis, set], [set, set]] {
+        for keys in [[by_name, by_number], [by_number, by_name]] {
+            let tables = first.replace("KEY", keys[0]) + &second.replace("KEY", keys[1]);
+            let more =
+                if first == set { axis.replace("KEY", "dt").replace("1.0, 2.0", "0.01, 0.02") } else { String::new() };
+            fs::write(dir.file("s.toml"), format!("scene = 'collide'\n{tables}{more}")).unwrap();
+            let (status, output) = run(&dir, "s.toml --out out");
+            assert!(status == 2 && output.contains("this value is set twice"), "{output}");
+        }
+    }
 }
 
 #[test]

@@ -236,7 +236,7 @@ impl<'a> Body<'a> {
             // beyond these radii, the compared products over- or underflow; single triangles of other sizes do not
             // matter: where they are so small that their products underflow, the slack is negligible
             let is_known = (1e-30..1e30).contains(&self.radius) && slack_squared > 0.0 && slack_squared.is_finite();
-            if is_known && height_squared.is_finite() && self.topology.components == 1 {
+            if is_known && height_squared.is_finite() && self.topology.components.len() == 1 {
                 Star { slack: slack_squared.sqrt() / (6.0 * self.radius), inner_radius: height_squared.sqrt() }
             } else {
                 Star { slack: -1.0, inner_radius: 0.0 }

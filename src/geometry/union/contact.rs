@@ -16,7 +16,7 @@ const ZERO: f64 = 1e-12;
 pub enum Contact {
     /// An edge of one body passes through a triangle of the other.
     Crossing(Crossing),
-    /// One body is inside the other.
+    /// One body, or a separate piece of it, is inside the other.
     Inside,
 }
 
@@ -69,8 +69,8 @@ pub fn contact(a: &Body, b: &Body) -> Option<Contact> {
         return Some(Contact::Crossing(crossing));
     }
     let is_inside = |inner: &Body, outer: &Tree| {
-        let first = inner.topology.triangles.first().map(|corners| inner.position(corners[0]));
-        first.is_some_and(|at| outer.depth_beyond(at, 0.0, &mut Search::default()).is_some())
+        let mut pieces = inner.topology.components.iter().map(|&t| inner.topology.triangles[t as usize][0]);
+        pieces.any(|vertex| outer.depth_beyond(inner.position(vertex), 0.0, &mut Search::default()).is_some())
     };
     (is_inside(a, &trees[1]) || is_inside(b, &trees[0])).then_some(Contact::Inside)
 }

@@ -46,7 +46,7 @@ impl Cone {
 /// encloses its centre, with its outer side outwards.
 pub fn suspects(body: &Body, displaced: f64) -> Option<Vec<bool>> {
     let topology = body.topology;
-    if topology.components != 1 || !(1e-30..1e30).contains(&body.radius) {
+    if topology.components.len() != 1 || !(1e-30..1e30).contains(&body.radius) {
         return None;
     }
     let at: Vec<DVec3> = (0..topology.fan_count() as u32).map(|v| body.position(v) - body.centre).collect();

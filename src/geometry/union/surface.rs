@@ -411,7 +411,7 @@ impl<'a, 'b> Union<'a, 'b> {
     /// inside out.
     pub(super) fn is_simple(&self, body: usize) -> bool {
         let of = &self.bodies[body];
-        of.slack() > 0.0 || !self.may_cross_itself[body] && of.topology.components == 1 && of.volume() > 0.0
+        of.slack() > 0.0 || !self.may_cross_itself[body] && of.topology.components.len() == 1 && of.volume() > 0.0
     }
 
     /// Sum of the volumes of two bodies minus that of their union, which this is [scene unit³]; 0 at no cost where they are
@@ -605,7 +605,7 @@ impl<'a, 'b> Union<'a, 'b> {
     pub fn component_count(&self) -> usize {
         let is_cut = |b: usize| !self.removed[b].is_empty();
         let whole = (0..self.bodies.len()).filter(|&b| !is_cut(b));
-        let count: usize = whole.map(|b| self.bodies[b].topology.components as usize).sum();
+        let count: usize = whole.map(|b| self.bodies[b].topology.components.len()).sum();
         // a part is a whole block, a remaining triangle of another block, or a new triangle
         let mut parts = DisjointSets::default();
         let first_of: Vec<u32> = (self.bodies.iter().enumerate())

@@ -49,8 +49,8 @@ pub struct Topology {
     pub(super) block_pairs: Vec<[u32; 2]>,
     /// Hierarchy of the blocks, built from the first positions that are searched.
     pub(super) hierarchy: OnceLock<Vec<Branch>>,
-    /// Number of connected components.
-    pub(crate) components: u32,
+    /// A triangle of each connected component.
+    pub(crate) components: Vec<u32>,
     /// Number of vertices used by triangles, further fans included.
     pub(super) used_vertices: u32,
 }
@@ -154,7 +154,7 @@ impl Topology {
             block_of: vec![0; triangles.len()],
             block_pairs: Vec::new(),
             hierarchy: OnceLock::new(),
-            components: 0,
+            components: Vec::new(),
             used_vertices: 0,
         };
         let check = || if is_raised(interrupt) { Err(TopologyError::Interrupted) } else { Ok(()) };
@@ -163,7 +163,7 @@ impl Topology {
         topology.list_edges_of_vertices();
         topology.cluster(&check)?;
         topology.pair_blocks(&check)?;
-        topology.count_components(&check)?;
+        topology.find_components(&check)?;
         Ok(topology)
     }
 
@@ -344,13 +344,13 @@ impl Topology {
         Ok(())
     }
 
-    fn count_components(&mut self, check: Check) -> Result<(), TopologyError> {
+    fn find_components(&mut self, check: Check) -> Result<(), TopologyError> {
         let (mut seen, mut visited) = (vec![false; self.triangles.len()], 0);
         for start in 0..self.triangles.len() as u32 {
             if seen[start as usize] {
                 continue;
             }
-            self.components += 1;
+            self.components.push(start);
             seen[start as usize] = true;
             let mut queue = vec![start];
             while let Some(t) = queue.pop() {

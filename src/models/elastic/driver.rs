@@ -60,7 +60,8 @@ use crate::{
 /// Upper limit on the springs evaluated in a step, of a body or of all that are stepped together; more would take
 /// too long.
 const MAX_SPRINGS: f64 = 2e8;
-/// Upper limit on phase changes in a step, if there are free bodies: each divides it, and more would take too long.
+/// Upper limit on phase changes of a pair in a step, if there are free bodies: each divides it, and more would take too
+/// long.
 const MAX_CHANGES: usize = 1000;
 /// Work for finding the phase changes of a step [units of a step's work]: a second or two.
 const MAX_SEARCH: u64 = 1_000_000_000;
@@ -388,7 +389,8 @@ impl Elastic {
             let thresholds = self.scene.law(a, b).thresholds;
             let search = Search { paths: between, thresholds: &thresholds, work: &tally };
             let mut phase = self.phases.get(&pair).copied().unwrap_or(Phase::Apart);
-            let (mut from, mut count) = (start, self.events.len());
+            let known = self.events.iter().filter(|event| [event.a, event.b] == pair.map(|body| body as usize));
+            let (mut from, mut count) = (start, known.count());
             let too_much = |what: &str| {
                 let [a, b] = pair.map(|body| &self.scene.bodies[body as usize].name);
                 StepFailure::NotTaken(format!(

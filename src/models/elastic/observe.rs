@@ -2,7 +2,7 @@
 
 use std::sync::atomic::AtomicBool;
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 use super::{
     Elastic,
@@ -14,7 +14,10 @@ use super::{
 use crate::{
     geometry::Vectors,
     hash,
-    model::phase::Phase,
+    model::{
+        phase::Phase,
+        shape_matching::{outer, resistance, solve},
+    },
     models::lattice::Constants,
     observe::{
         BodyFrame, Frame, Instant, MotionFrame, NearPair, NetForce, PairFrame, Schema, Simulation, StepSummary, Want,
@@ -337,7 +340,21 @@ impl Elastic {
         }
         if !body.is_at_rest {
             let [springs, dampers] = body.internal();
-            add(Cause::Restoring, &|node| springs[node]);
+            // what keeps the torque of linear forces from turning the body belongs to them
+            let turning = match body.free.is_some() && self.scene.model == Model::Fem {
+                true => {
+                    let all = || positions.iter().zip(body.masses());
+                    let internal = springs.iter().zip(&dampers).map(|(spring, damper)| *spring + *damper);
+                    let torque = all().zip(internal).map(|((s, m), f)| s.cross(f * *m)).sum();
+                    solve(
+                        resistance(all().map(|(s, m)| outer(*s * *m, *s)).fold(DMat3::ZERO, |sum, of| sum + of)),
+                        torque,
+                    )
+                }
+                false => DVec3::ZERO,
+            };
+            let turning = if turning.is_finite() { turning } else { DVec3::ZERO };
+            add(Cause::Restoring, &|node| springs[node] - turning.cross(positions[node]));
             add(Cause::Damping, &|node| dampers[node]);
         }
         let mut back_at_centre = DVec3::ZERO;

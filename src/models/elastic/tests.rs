@@ -720,6 +720,23 @@ fn friction_takes_energy() {
     }
 }
 
+/// Many pairs may change their phases in one step: only one that does so again and again is too much.
+#[test]
+fn pairs_count_their_own_changes() {
+    let ball = |name: String, from: [f64; 3], velocity: f64| {
+        format!(
+            "[[body]]\nname = '{name}'\nradius = 1.0\nshape = {{ sphere = {{ stacks = 2, slices = 3 }} }}\n\
+             motion = {{ free = {{ from = {from:?}, velocity = [{velocity:?}, 0, 0] }} }}\n"
+        )
+    };
+    let pairs = (0..1010).map(|pair| {
+        let y = 10.0 * f64::from(pair);
+        ball(format!("a{pair}"), [0.0, y, 0.0], 0.0) + &ball(format!("b{pair}"), [2.11, y, 0.0], -1.0)
+    });
+    let text = "duration = 0.02\nmodel = 'lattice'\n[lattice]\ncells = 2\n".to_owned() + &pairs.collect::<String>();
+    assert_eq!(run(&mut start(&Scene::parse(&text, "many.toml").unwrap()), 1).len(), 1010);
+}
+
 /// A body of which all cells are cut is no longer touched by anything.
 #[test]
 fn friction_ends_with_the_last_cell() {

@@ -142,7 +142,7 @@ impl Metaballs {
         self.contacts.clear();
         let (end, step) = (self.world.time(), self.world.steps_taken());
         let centres = self.centres_at(end);
-        if centres == self.centres {
+        if self.scene.bodies.iter().all(|body| path(body).is_still(start, end)) {
             return;
         }
         let before = replace(&mut self.centres, centres);

@@ -22,11 +22,11 @@ fn ball(centre: DVec3, radius: f64, reach: f64) -> Ball {
 }
 
 /// Euler characteristic and number of components of a mesh, which must be closed and oriented.
-fn topology(mesh: &Mesh) -> (i64, u32) {
+fn topology(mesh: &Mesh) -> (i64, usize) {
     let topology = Topology::new(mesh.positions.len(), &mesh.triangles).expect("closed and oriented");
     let used: HashSet<u32> = mesh.triangles.iter().flatten().copied().collect();
     assert_eq!(used.len(), mesh.positions.len());
-    (mesh.positions.len() as i64 - mesh.triangles.len() as i64 / 2, topology.components)
+    (mesh.positions.len() as i64 - mesh.triangles.len() as i64 / 2, topology.components.len())
 }
 
 /// Gauss–Legendre nodes and weights on [0, 1].
@@ -201,6 +201,19 @@ fn two_balls_become_one_and_two_at_times_in_closed_form() {
         assert!(event.what == what && (event.time - time).abs() < 1e-11, "{event:?} {time}");
         assert!((event.q - 0.5 * d2.sqrt()).abs() < 1e-11 && event.step == (event.time / 0.1).ceil() as u64);
     }
+}
+
+/// A ball that is at one place at both ends of a step, and visits another within it.
+#[test]
+fn a_visit_within_a_step_is_found() {
+    let events = contacts(
+        "duration = 1.0\ndt = 0.5\n[[body]]\nname = 'a'\nradius = 1.0\nmotion = { fixed = [0, 0, 0] }\n\
+         [[body]]\nname = 'b'\nradius = 1.0\n\
+         motion = { keyframes = { interpolation = 'linear', keys = [[0, 3, 0, 0], [0.25, 1.5, 0, 0], [0.5, 3, 0, 0]] } }\n",
+    );
+    let found: Vec<_> = events.iter().map(|event| (event.what, event.step)).collect();
+    assert_eq!(found, [(Finding::Touch, 1), (Finding::Part, 1)]);
+    assert!((events[0].time + events[1].time - 0.5).abs() < 1e-9, "{events:?}");
 }
 
 /// Three balls moving to the middle of their triangle: by symmetry the saddle of a pair is on an altitude of the

@@ -30,51 +30,27 @@ impl Coupled {
         takeover: &Takeover<'_>,
         report: &mut StepReport,
     ) -> bool {
-        let &Takeover { kept, wake_all, time, .. } = takeover;
+        let time = takeover.time;
         let span = Span { start: time, end: time + scene.dt };
         (self.ledger, self.first_energy) = (before.ledger, before.first_energy);
         self.has_fixed = before.has_fixed;
         self.move_points(scene, time);
-        for (index, (member, kept)) in self.members.iter_mut().zip(kept).enumerate() {
-            member.neighbours.clear();
-            match kept {
-                Some(old) => member.resume(&before.members[*old]),
-                None => {
-                    if let Some(path) = scene.bodies[index].path() {
-                        member.body.follow(path.at(time));
-                    }
-                }
-            }
-            if wake_all && !member.is_awake {
+        for ((member, before), body) in self.members.iter_mut().zip(&before.members).zip(&scene.bodies) {
+            member.resume(before);
+            if !member.is_awake {
                 (member.is_awake, member.slow_steps) = (true, 0);
             }
-            member.bound_motion(&scene.bodies[index], free_fall(scene), span);
+            member.bound_motion(body, free_fall(scene), span);
         }
-        // what was not apart before is listed below
-        let among = Among { scene, members: &mut self.members, time: 0.0 };
+        let among = Among { scene, members: &mut self.members, time };
         let Some(near) = Near::of_all(among, takeover.max_pairs, &Work::limited(u64::MAX, None)) else { return false };
         self.near = near;
-        let now_at = takeover.now_at(before.members.len());
         // pairs that were not listed were apart
-        let unknown: Vec<(usize, u32, PairId)> = (0..self.members.len())
-            .flat_map(|a| self.members[a].neighbours.iter().map(move |neighbour| (a, neighbour.other, neighbour.pair)))
-            .filter(|&(a, other, _)| kept[a].is_some() && kept[other as usize].is_some())
-            .collect();
-        for (_, _, pair) in unknown {
-            self.near.enter(pair, Phase::Apart);
-        }
+        self.near.all_mut().iter_mut().for_each(|pair| pair.phase = Phase::Apart);
+        let mut among = Among { scene, members: &mut self.members, time };
         for pair in before.pairs().filter(|pair| pair.phase != Phase::Apart) {
-            if let (Some(a), Some(b)) = (now_at[pair.a as usize], now_at[pair.b as usize]) {
-                let mut among = Among { scene, members: &mut self.members, time };
-                let index = self.near.list(&mut among, a as u32, b as u32);
-                self.near.enter(index, pair.phase);
-            }
-        }
-        self.awake = (0..self.members.len() as u32).filter(|&body| self.members[body as usize].is_awake).collect();
-        self.sleeping_hash = 0;
-        for (body, member) in (0..).zip(&mut self.members).filter(|(_, member)| !member.is_awake) {
-            member.sleeping_hash = member.hash(body);
-            self.sleeping_hash = self.sleeping_hash.wrapping_add(member.sleeping_hash);
+            let index = self.near.list(&mut among, pair.a, pair.b);
+            self.near.enter(index, pair.phase);
         }
         let brought = self.energy(scene, time) - before.energy(takeover.scene, time);
         self.ledger.edits += brought;

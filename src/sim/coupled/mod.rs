@@ -134,10 +134,23 @@ impl Clone for Scratches {
 impl Coupled {
     /// The bodies at t = 0; `None` if there are more than `max_pairs` pairs of nearby bodies.
     pub fn new(scene: &Scene, max_pairs: u64, work: &Work) -> Option<Coupled> {
+        let mut coupled = Coupled::undeformed(scene);
+        let first = Span { start: 0.0, end: scene.dt };
+        for (member, body) in coupled.members.iter_mut().zip(&scene.bodies) {
+            member.bound_motion(body, free_fall(scene), first);
+        }
+        let among = Among { scene, members: &mut coupled.members, time: 0.0 };
+        coupled.near = Near::of_all(among, max_pairs, work)?;
+        coupled.first_energy = coupled.energy(scene, 0.0);
+        Some(coupled)
+    }
+
+    /// Undeformed bodies, without pairs.
+    pub fn undeformed(scene: &Scene) -> Coupled {
         let mut shapes = Shapes::default();
         let members: Vec<Member> =
             (0..scene.bodies.len()).map(|index| Member::new(scene, index, &mut shapes, 0.0)).collect();
-        let mut coupled = Coupled {
+        Coupled {
             members,
             points: scene.points.iter().map(|point| source_at(scene, point, 0.0)).collect(),
             near: Near::new(scene),
@@ -156,15 +169,7 @@ impl Coupled {
             ledger: Ledger::default(),
             has_fixed: false,
             first_energy: 0.0,
-        };
-        let first = Span { start: 0.0, end: scene.dt };
-        for (member, body) in coupled.members.iter_mut().zip(&scene.bodies) {
-            member.bound_motion(body, free_fall(scene), first);
         }
-        let among = Among { scene, members: &mut coupled.members, time: 0.0 };
-        coupled.near = Near::of_all(among, max_pairs, work)?;
-        coupled.first_energy = coupled.energy(scene, 0.0);
-        Some(coupled)
     }
 
     /// Takes a step, stage by stage. Returns the first body whose state is invalid afterwards.

@@ -490,6 +490,36 @@ fn the_ledger_of_a_world_accounts_for_its_energy() {
     }
 }
 
+/// What damping takes is accounted for where a step is longer than an oscillation: the first body falls freely between two
+/// impacts.
+#[test]
+fn the_ledger_follows_oscillations_shorter_than_a_step() {
+    let text = "dt = 0.5\n[material]\ndamping = 0.6\n[influence]\ncore_width = 0.0\nalpha = 400.0\n".to_owned()
+        + &free("a", [0.0; 3], [0.0; 3])
+        + &free("b", [45.0, 0.0, 0.0], [-8.0, 0.0, 0.0]);
+    let mut world = World::new(scene(&text)).unwrap();
+    let first = world.conserved().unwrap().energy();
+    run(&mut world, 20);
+    let (left, ledger) = (world.conserved().unwrap().energy() - first - world.ledger().total(), world.ledger());
+    assert!(ledger.damping < -1.0 && left.abs() < 1e-5, "{left:e} of {ledger:?}");
+}
+
+/// Late in a run, an instant at the rim of a core is known to a rounding of the time: steps end there all the same.
+#[test]
+fn steps_end_at_a_rim_late_in_a_run() {
+    let text = "dt = 0.5\n[influence]\nalpha = 400.0\n".to_owned()
+        + &free("a", [0.0; 3], [0.0; 3])
+        + &free("b", [24_005.0, 0.0, 0.0], [-8.0, 0.0, 0.0]);
+    let text = format!("duration = 4000.0\n{text}");
+    let mut world = World::new(Scene::parse(&text, "late.toml").unwrap()).unwrap();
+    run(&mut world, 5999);
+    for _ in 0..6 {
+        let report = world.step();
+        assert!(report.failure.is_none() && report.shortfall.is_none(), "{report:?}");
+        assert!(report.substeps < 500, "{} steps", report.substeps);
+    }
+}
+
 /// States within a step are those of another solution, with steps an eighth as long.
 #[test]
 fn states_within_a_step_follow_the_solution() {

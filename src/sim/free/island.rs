@@ -18,12 +18,12 @@ use super::{
 use crate::{
     model::phase::Phase,
     sim::numerics::{
-        control::{GROWTH, MAX_ANGLE, MAX_GROWTH, ORDER, SAFETY, STANDING},
+        control::{GROWTH, MAX_ANGLE, MAX_GROWTH, ORDER, RESOLVED, SAFETY, STANDING},
         larger,
     },
 };
 
-/// Largest number of steps of one advance of an island.
+/// Largest number of attempts of one advance of an island that end in an error, or without progress.
 const MAX_STEPS: u64 = 20_000;
 /// Largest number of phase changes of one pair in one advance of an island.
 pub(super) const MAX_CHANGES: u32 = 200;
@@ -322,8 +322,12 @@ impl Island {
         }
         let on_paths = (0..self.bodies.len()).filter(|&body| !self.bodies[body].is_free());
         let fastest = on_paths.map(|body| paths.turning_rate(body)).fold(0.0, f64::max);
+        // the ledger integrates what damping takes over samples of a step
+        let damped = self.bodies[..count].iter().filter(|body| body.is_free() && body.is_losing_energy());
+        let rates = damped.map(|body| body.oscillator.omega + 2.0 * body.oscillator.damping);
+        let longest = f64::min(MAX_ANGLE / fastest, RESOLVED / rates.fold(0.0, f64::max));
         let shortest = (end - self.time) * STANDING;
-        Advance { end, shortest, longest: f64::max(MAX_ANGLE / fastest, shortest), tried: 0 }
+        Advance { end, shortest, longest: longest.max(shortest), tried: 0 }
     }
 
     /// Takes one step of the solver, of the length that the tolerance allows.
@@ -346,7 +350,11 @@ impl Island {
             }
             advance.tried += 1;
             let (h, factor) = match attempt {
-                Some(attempt) if attempt.outcome.error <= 1.0 => break attempt,
+                Some(attempt)
+                    if attempt.outcome.error <= 1.0 && (attempt.end > self.time || advance.tried < MAX_STEPS) =>
+                {
+                    break attempt;
+                }
                 Some(Attempt { end, outcome, .. }) => {
                     (end - self.time, growth(outcome.error).clamp(1.0 / MAX_GROWTH, SAFETY))
                 }

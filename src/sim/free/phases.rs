@@ -1,7 +1,5 @@
 //! Where a pair of an island changes its phase, and steps that end there.
 
-use glam::DVec3;
-
 use super::{
     super::work::Tally,
     conserved,
@@ -31,9 +29,11 @@ pub(super) struct Crossing {
 }
 
 /// The difference of a distance from `rim` below which the two are the same [scene unit]: far from the origin, the rounding
-/// of the centres.
-fn standing(rim: f64, centres: [DVec3; 2]) -> f64 {
-    f64::max(STANDING * rim, ROUNDING * (centres[0].length() + centres[1].length()))
+/// of the centres; late in a run, the way at `rate` [scene unit/s] within the rounding of `time`.
+fn standing(rim: f64, [a, b]: [Place; 2], time: f64) -> f64 {
+    let rate = (a.centre - b.centre).normalize_or_zero().dot(a.velocity - b.velocity);
+    let of_places = ROUNDING * (a.centre.length() + b.centre.length());
+    (STANDING * rim).max(of_places).max(2.0 * f64::EPSILON * time * rate.abs())
 }
 
 impl Island {
@@ -68,7 +68,7 @@ impl Island {
             return None;
         }
         let polynomial = Polynomial::new(&values, &rates);
-        let stands = (distance[0] - rim).abs() <= standing(rim, [a[0].centre, b[0].centre]);
+        let stands = (distance[0] - rim).abs() <= standing(rim, [a[0], b[0]], self.time);
         Some(if stands { polynomial.starting_at_zero() } else { polynomial })
     }
 
@@ -153,7 +153,7 @@ impl Island {
             let distance = apart.length();
             let rate = apart.dot(a.velocity - b.velocity) / distance;
             let off = (distance - rim) / rate;
-            let standing = standing(rim, [a.centre, b.centre]);
+            let standing = standing(rim, [a, b], end);
             if !((distance - rim).abs() > 0.1 * standing && off.abs() < next - self.time && end - off != end) {
                 return Some((end, left));
             }
@@ -185,7 +185,7 @@ impl Island {
                 let beyond = self.pairs[index].transitions().find(|way| {
                     let side = if way.falling { 1.0 } else { -1.0 };
                     let gap = side * (apart.length() - way.level * radii);
-                    let standing = standing(way.level * radii, [a.centre, b.centre]);
+                    let standing = standing(way.level * radii, [a, b], self.time);
                     gap < -standing || (first && gap <= standing && side * rate < 0.0)
                 });
                 let Some(way) = beyond else { break };

@@ -89,7 +89,7 @@ impl Prescribed {
     }
 
     /// Undeformed bodies, without pairs.
-    fn undeformed(scene: &Scene) -> Prescribed {
+    pub fn undeformed(scene: &Scene) -> Prescribed {
         let mut pushes = vec![Vec::new(); scene.bodies.len()];
         scene.pushes.iter().for_each(|push| pushes[push.body].push(*push));
         let bodies = pushes.into_iter().enumerate().map(|(index, pushes)| Body::new(scene, index, pushes));

@@ -285,9 +285,14 @@ impl Layout {
         self.log(&format!("{}/PlotLegend", plot.path), &PlotLegend::new().with_visible(false));
     }
 
-    /// Rows with labels and bars.
+    /// Rows with labels and bars, as many as fit.
     pub fn ranking(&mut self, title: &str, path: &str) -> Part {
-        let [left, right, top, bottom] = ranking::BOUNDS;
+        self.ranking_of(ranking::ROWS, title, path)
+    }
+
+    /// So many rows with labels and bars.
+    pub fn ranking_of(&mut self, rows: usize, title: &str, path: &str) -> Part {
+        let [left, right, top, bottom] = ranking::bounds(rows);
         let range = datatypes::Range2D { x_range: [left, right].into(), y_range: [top, bottom].into() };
         self.view("2D", title, path, &[including(path)], &[("VisualBounds2D", &VisualBounds2D::new(range))])
     }

@@ -31,15 +31,12 @@ use crate::{
         parts::{
             body_forces, forces, groups, heat, numbers,
             pairs::{self, MEASURES},
-            ranking::is_ranked,
+            ranking::{self, is_ranked},
             recent, trails,
         },
         settings::{Detail, Entities, Settings},
     },
 };
-
-/// The shares of the width of a plot of energies and of the numbers beside it.
-const ENERGY_SHARES: [f32; 2] = [1.5, 1.0];
 
 /// The title of plots of distances.
 pub const PAIR_DISTANCES: &str = "Pair distances q and their thresholds";
@@ -484,7 +481,8 @@ impl Layout {
         let stages = self.container(ContainerKind::Vertical, "Stages", stages, &[1.6, 1.0]);
         let title = "Total of each stage; longest [ms] and its step; +: other threads";
         let sums = vec![self.ranking(title, RANKED_STAGES.path), self.speed()];
-        let sums = self.container(ContainerKind::Vertical, "Sums", sums, &[1.2, 1.0]);
+        let ranked = ranking_height(ranking::ROWS);
+        let sums = self.container(ContainerKind::Vertical, "Sums", sums, &[ranked, COLUMN - ranked]);
         self.container(ContainerKind::Horizontal, "Timings", vec![stages, sums], &[1.6, 1.0])
     }
 
@@ -516,13 +514,13 @@ impl Layout {
         plot
     }
 
-    /// Energies and what changed them, each plot beside its numbers at the instant; the other scalars one at a time, beside the
-    /// events that made energies jump.
+    /// Energies and what changed them over time, above the other scalars, one at a time; beside them their numbers at the
+    /// instant, and the events that made energies jump.
     fn energy_tab(&mut self, schema: &Schema) -> Part {
         let ranked = numbers::energies(schema);
         let number_of = |name: &str| ranked.iter().position(|(plot, _)| *plot == name);
         let mut others = Vec::new();
-        let mut rows = Vec::new();
+        let (mut left, mut right, mut heights) = (Vec::new(), Vec::new(), Vec::new());
         for (name, plot) in self.diagnostics(schema, usize::MAX) {
             let Some(number) = number_of(name) else {
                 let first = if numbers::is_energy(name) { 0 } else { others.len() };
@@ -531,15 +529,20 @@ impl Layout {
             };
             self.hide_legend(&plot); // the ranking names the colours
             let title = format!("Now: {}", name.split(';').next().unwrap_or(name));
-            let ranking = self.ranking(&title, &numbers::ranked_energies(number));
-            rows.push(self.container(ContainerKind::Horizontal, "Energies", vec![plot, ranking], &ENERGY_SHARES));
+            let rows = ranked[number].1.len().min(ranking::ROWS);
+            left.push(plot);
+            right.push(self.ranking_of(rows, &title, &numbers::ranked_energies(number)));
+            heights.push(ranking_height(rows));
         }
         let events = self.lines("Events, and steps beyond the tolerance", EVENTS.path);
         // a model without energies has room for its other scalars
-        let kind = if rows.is_empty() { ContainerKind::Vertical } else { ContainerKind::Tabs };
-        let others = self.container(kind, "Others", others, &[]);
-        rows.push(self.container(ContainerKind::Horizontal, "Others", vec![others, events], &ENERGY_SHARES));
-        self.container(ContainerKind::Vertical, "Energy", rows, &[])
+        let kind = if left.is_empty() { ContainerKind::Vertical } else { ContainerKind::Tabs };
+        left.push(self.container(kind, "Others", others, &[]));
+        right.push(events);
+        heights.push(f32::max(COLUMN - heights.iter().sum::<f32>(), 0.3 * COLUMN));
+        let left = self.container(ContainerKind::Vertical, "Over time", left, &[]);
+        let right = self.container(ContainerKind::Vertical, "Now", right, &heights);
+        self.container(ContainerKind::Horizontal, "Energy", vec![left, right], &[1.5, 1.0])
     }
 
     /// Plots of the schema's scalars, with their names.
@@ -575,6 +578,14 @@ impl Layout {
         let list = self.container(ContainerKind::Vertical, "Stages", vec![about, lines], &[1.4, 5.0]);
         self.container(ContainerKind::Horizontal, "Stages", vec![view, list], &[1.3, 1.0])
     }
+}
+
+/// The height of a window in rows of a ranking in its right column.
+const COLUMN: f32 = 27.0;
+
+/// The height of a ranking with its title, in rows.
+fn ranking_height(rows: usize) -> f32 {
+    rows as f32 + 1.4
 }
 
 /// The title of the ranking of pairs.

@@ -630,7 +630,9 @@ fn line(
     phases: &[&str],
     [time, q, rate]: [f64; 3],
 ) -> (TextLog, AnyValues) {
-    let line = TextLog::new(row.describe(schema)).with_level(name).with_color(color(rgb));
+    // the viewer cuts long lines: the remark on its surfaces is one of its own
+    let text = row.describe(schema).replacen("; ", ";\n    ", 1);
+    let line = TextLog::new(text).with_level(name).with_color(color(rgb));
     let typed = AnyValues::default()
         .with_component::<Text>(BODIES.0, bodies.map(|body| schema.bodies[body].name.as_str()))
         .with_component::<Text>(PHASES.0, phases.iter().copied())

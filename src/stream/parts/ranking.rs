@@ -30,9 +30,10 @@ const KEY: f32 = 4.0 - LABEL;
 /// A label hangs from its place.
 const HANG: f32 = 4.0;
 
-/// What is in view: left, right, top and bottom.
-pub const BOUNDS: [f64; 4] =
-    [-LABEL as f64, 1.06 * WIDTH as f64, -0.8 * PITCH as f64, PITCH as f64 * (ROWS as f64 - 0.2)];
+/// What is in view of so many rows: left, right, top and bottom.
+pub fn bounds(rows: usize) -> [f64; 4] {
+    [-LABEL as f64, 1.06 * WIDTH as f64, -0.8 * PITCH as f64, PITCH as f64 * (rows as f64 - 0.2)]
+}
 
 /// Whether a scene has rankings of its bodies and pairs: of few bodies, everything has its own line.
 pub fn is_ranked(schema: &Schema) -> bool {

@@ -76,6 +76,19 @@ fn a_ring_of_spheres_has_a_handle_and_a_lattice_many() {
     assert_eq!(unite(&lattice).eulers(), [-54]);
 }
 
+/// Of a body of two pieces, either may be inside another body.
+#[test]
+fn a_piece_inside_touches() {
+    let pieces =
+        |first: f64| sphere(6, 12).scaled(0.3).at(DVec3::X * first).and(sphere(6, 12).scaled(0.3).at(DVec3::X * 3.0));
+    for dumbbell in [pieces(0.0), pieces(6.0).at(-3.0 * DVec3::X)] {
+        let shapes = [sphere(6, 12), dumbbell];
+        let topologies = shapes.each_ref().map(|s| Topology::new(s.positions.len(), &s.triangles).unwrap());
+        let [a, b] = [0, 1].map(|i| Body::new(&topologies[i], &shapes[i].positions).unwrap());
+        assert_eq!([contact(&a, &b), contact(&b, &a)], [Some(Contact::Inside); 2]);
+    }
+}
+
 #[test]
 fn a_chain_is_one_component() {
     let chain: Vec<Shape> = (0..20).map(|i| sphere(12, 24).at(DVec3::new(1.9, 0.07, 0.03) * f64::from(i))).collect();
