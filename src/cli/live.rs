@@ -62,7 +62,8 @@ pub(super) fn live(program: Program<'_>, arguments: Arguments) -> Result<(), Fai
     if arguments.watch && !path.is_file() {
         return Err(Failure::Input(format!("--watch needs a scene file, and there is no file {:?}", arguments.scene)));
     }
-    let mut text = if arguments.watch { std::fs::read_to_string(path).unwrap_or_default() } else { String::new() };
+    let text = if arguments.watch { std::fs::read_to_string(path).unwrap_or_default() } else { String::new() };
+    let mut file = run::Watched::new(text);
     // what is saved has these values in its text
     let overridden = |scene: Scene| {
         let invalid = |error| Failure::Input(format!("--set: {error}"));
@@ -94,7 +95,7 @@ pub(super) fn live(program: Program<'_>, arguments: Arguments) -> Result<(), Fai
     let mut reported = String::new();
     while !interrupt::STOP.load(Ordering::Relaxed) {
         std::thread::sleep(CHECK_INTERVAL);
-        let Some(changed) = arguments.watch.then(|| run::changed(&mut text, path)).flatten() else { continue };
+        let Some(changed) = arguments.watch.then(|| file.changed(path)).flatten() else { continue };
         match changed.and_then(|scene| overridden(scene).map_err(|failure| failure.to_string())) {
             Ok(scene) => {
                 reported.clear();

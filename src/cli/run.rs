@@ -35,7 +35,7 @@ use console::{Console, summarize};
 use simulate::simulate;
 use watch::watch;
 
-pub(super) use watch::changed;
+pub(super) use watch::Watched;
 
 /// Notes are printed, and a watched file is checked, at this interval.
 const CHECK_INTERVAL: Duration = Duration::from_millis(50);

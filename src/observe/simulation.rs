@@ -91,7 +91,7 @@ pub trait Simulation {
     fn stages(&self, before: &Frame) -> Vec<StageFrame> {
         let mut frame = Frame::default();
         self.observe(Want { forces: true, scalars: false }, &mut frame);
-        let stage = |name: &str, frame| StageFrame { name: name.to_owned(), frame };
+        let stage = StageFrame::new;
         vec![stage("start", before.clone()), stage("end", frame)]
     }
 
@@ -372,11 +372,13 @@ pub struct StageFrame {
     pub name: String,
     /// State and forces at that point.
     pub frame: Frame,
+    /// Whether it shows what would have been: it follows from the start of the step, and nothing follows from it.
+    pub is_hypothetical: bool,
 }
 
 impl StageFrame {
     /// The state after an operation of this name.
     pub fn new(name: impl Into<String>, frame: Frame) -> StageFrame {
-        StageFrame { name: name.into(), frame }
+        StageFrame { name: name.into(), frame, is_hypothetical: false }
     }
 }

@@ -72,6 +72,8 @@ const MAX_CHANGES: usize = 256;
 pub struct Plan<'a> {
     /// Differences between the events.
     pub changes: &'a [Change],
+    /// The first and the last time that both runs reach [s].
+    pub common: [f64; 2],
     /// Display names of the two runs.
     pub labels: [String; 2],
     /// Bodies to show, in descending order of difference.
@@ -246,7 +248,7 @@ impl Comparison {
         }
         let second = plan.second.clone();
         let mut comparison = Comparison { chunks, sinks, shown, pairs, levels, second, worst, radius, frames: 0 };
-        plan.changes.iter().for_each(|change| comparison.change(change));
+        plan.changes.iter().for_each(|change| comparison.change(change, plan.common));
         comparison.send()?;
         Ok(comparison)
     }
@@ -363,7 +365,7 @@ impl Comparison {
     }
 
     /// Logs a difference between the events of the two runs.
-    fn change(&mut self, change: &Change) {
+    fn change(&mut self, change: &Change, common: [f64; 2]) {
         let &RecordedEvent { step, time, .. } = change.event();
         let at = Instant { step, time };
         let rgb = match change {
@@ -376,7 +378,7 @@ impl Comparison {
             Change::Moved(was, is) => {
                 format!("{}: {} at t = {:.9} s,\n    now at {:.9} s", change.how(), was.what(), was.time, is.time)
             }
-            _ => change.to_string(),
+            _ => change.remark(common).map_or_else(|| change.to_string(), |remark| format!("{change};\n    {remark}")),
         };
         self.chunks.log(EVENTS.path, at, &TextLog::new(line).with_color(color(rgb)));
         let runs = match change {

@@ -58,6 +58,8 @@ pub struct Difference {
     pub starts: Vec<String>,
     /// Differences between the events.
     pub events: Vec<Change>,
+    /// The first and the last time that both runs reach [s].
+    pub common: [f64; 2],
     /// Number of events of the first recording.
     pub event_count: usize,
     /// Geometric quantities that differ beyond the tolerance; `None` unless both recordings have them.
@@ -93,6 +95,7 @@ impl fmt::Display for Difference {
             )?;
         }
         match self.bodies.len() {
+            0 if self.first_bits.is_some() => write!(f, "\n  no body differs by more than single precision shows")?,
             0 => write!(f, "\n  no body differs")?,
             n if n > LISTED => write!(f, "\n  … and {} that differ less", counted((n - LISTED) as u64, "body"))?,
             _ => {}
@@ -113,7 +116,10 @@ impl fmt::Display for Difference {
         if self.events.is_empty() {
             write!(f, "\nevents: the same")?;
         }
-        events::listed(&self.events, LISTED).iter().try_for_each(|change| write!(f, "\nevent {change}"))?;
+        events::listed(&self.events, LISTED).iter().try_for_each(|change| {
+            write!(f, "\nevent {change}")?;
+            change.remark(self.common).map_or(Ok(()), |remark| write!(f, "; {remark}"))
+        })?;
         if self.events.len() > LISTED {
             write!(f, "\n… and {}", counted((self.events.len() - LISTED) as u64, "more event"))?;
         }
@@ -290,6 +296,7 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
         first_beyond,
         event_count,
         events: changes,
+        common: [start, end],
         run_again,
     })
 }
@@ -345,6 +352,7 @@ pub fn save(
     pairs.sort_by(|one, other| first(one).total_cmp(&first(other)));
     let plan = Plan {
         changes: &difference.events,
+        common: difference.common,
         second: &recorded[1].schema,
         pairs,
         labels: [[recorded[0], recorded[1]], [recorded[1], recorded[0]]].map(|[recorded, other]| {

@@ -47,6 +47,19 @@ impl Change {
     }
 }
 
+impl Change {
+    /// A remark on an event that only one run has, shortly before the last time that both reach; `common` is the first and the
+    /// last such time [s].
+    pub fn remark(&self, [start, end]: [f64; 2]) -> Option<String> {
+        /// Of the time in common.
+        const LATE: f64 = 0.1;
+
+        let (Change::Vanished(event) | Change::Appeared(event)) = self else { return None };
+        let is_late = end - event.time < LATE * (end - start);
+        is_late.then(|| format!("the runs are compared up to {end:.3} s: it may come later in the other"))
+    }
+}
+
 /// The changes to list first, at most `most`: all in order of time, or else what only one run has, and the largest moves.
 pub fn listed(changes: &[Change], most: usize) -> Vec<&Change> {
     let mut listed: Vec<&Change> = changes.iter().collect();

@@ -155,16 +155,14 @@ impl RecordedFrame {
         })
     }
 
-    /// Rounding error of a body's surface due to how it was recorded, in addition to its own single precision
-    /// [scene unit].
+    /// Rounding error of a body's surface due to how it was recorded: in single precision [scene unit].
     pub fn noise(&self, body: usize, radius: f64) -> f64 {
-        match self.surfaces.get(body).and_then(Option::as_ref).map(|surface| surface.kind) {
-            Some(SurfaceKind::World) => {
-                let far = self.centres[body].as_dvec3().abs().max_element() + 2.0 * radius;
-                2.0 * f64::from(f32::EPSILON) * far
-            }
-            Some(SurfaceKind::Resting) => DEFORMED * radius,
-            Some(SurfaceKind::Local) | None => 0.0,
+        let is_resting = |surface: &RecordedSurface| surface.kind == SurfaceKind::Resting;
+        let far = self.centres[body].as_dvec3().abs().max_element() + 2.0 * radius;
+        let rounding = 2.0 * f64::from(f32::EPSILON) * far;
+        match self.surfaces.get(body).and_then(Option::as_ref).is_some_and(is_resting) {
+            true => rounding.max(DEFORMED * radius),
+            false => rounding,
         }
     }
 }

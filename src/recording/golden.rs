@@ -482,6 +482,7 @@ fn show(
     }
     let plan = Plan {
         changes: &difference.events,
+        common: [0.0, f64::INFINITY],
         second: schema,
         labels: ["the golden recording".to_owned(), "this run".to_owned()],
         listed: worst.map(|worst| (worst.clone(), "largest")).into_iter().collect(),

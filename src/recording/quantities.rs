@@ -78,7 +78,10 @@ impl Deviation {
         let value = |value: &f64| if value.is_nan() { "none".to_owned() } else { format!("{value:.digits$}") };
         let later = match last == step {
             true => String::new(),
-            false => format!(", up to {} apart, at step {last}", short(*largest)),
+            false => {
+                let largest = if is_whole { format!("{largest:.0}") } else { short(*largest) };
+                format!(", up to {largest} apart, at step {last}")
+            }
         };
         format!("{what}: {} and {}{at}{later}", value(first), value(second))
     }
@@ -252,9 +255,6 @@ mod tests {
         deviations.compare("/groups/a/components", 3, 0.05, [2.0, f64::NAN]);
         deviations.compare("/groups/a/components", 4, 0.06, [2.0, 1.0]);
         let found: Vec<String> = deviations.finish().iter().map(ToString::to_string).collect();
-        assert_eq!(
-            found,
-            ["components of a's group: 2 and none at step 3 (t = 0.050000 s), up to 1.000e0 apart, at step 4"]
-        );
+        assert_eq!(found, ["components of a's group: 2 and none at step 3 (t = 0.050000 s), up to 1 apart, at step 4"]);
     }
 }

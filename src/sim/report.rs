@@ -8,7 +8,10 @@ use std::{
 use glam::DVec3;
 
 use super::{events::Event, free::Ledger, memory::TooLarge};
-use crate::scene::{Integrator, InvalidScene};
+use crate::{
+    scene::{Integrator, InvalidScene},
+    text::short,
+};
 
 named! {
     /// The stages of a step, in the order in which they run.
@@ -43,10 +46,10 @@ impl Stopwatch {
 /// A state that cannot follow from the equation of motion: the integrator is unstable at this step.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
-    "diverged at step {step} (t = {time:.6} s): body \"{body}\", vertex {vertex}: displacement {:e} scene units, speed {:e} \
-     scene units/s, beyond what any forces so far can have caused; integrator {integrator} with dt = {dt:e} s: use a smaller dt \
+    "diverged at step {step} (t = {time:.6} s): body \"{body}\", vertex {vertex}: displacement {} scene units, speed {} \
+     scene units/s, beyond what any forces so far can have caused; integrator {integrator} with dt = {} s: use a smaller dt \
      or `exponential`, which is stable at any",
-    displacement.length(), velocity.length()
+    short(displacement.length()), short(velocity.length()), short(*dt)
 )]
 pub struct Diverged {
     /// The integrator in use.

@@ -422,10 +422,15 @@ impl Recorder {
 
     fn log_stages(&mut self, stages: &[StageFrame], at: Instant) {
         let Some((state, moves)) = &mut self.stages else { return };
-        let moved = stages.windows(2).map(|ends| moves::between(&self.schema, [&ends[0].frame, &ends[1].frame]));
-        let moved: Vec<_> = [Vec::new()].into_iter().chain(moved).collect();
+        let moved = stages.iter().enumerate().map(|(index, stage)| {
+            let mut before = stages[..index].iter();
+            let since =
+                if stage.is_hypothetical { before.next() } else { before.rfind(|before| !before.is_hypothetical) };
+            since.map_or_else(Vec::new, |since| moves::between(&self.schema, [&since.frame, &stage.frame]))
+        });
+        let moved: Vec<_> = moved.collect();
         let longest = moved.iter().map(|moved| moves::longest(moved)).fold(0.0, f64::max);
-        for (StageFrame { name: stage, frame }, moved) in stages.iter().zip(moved) {
+        for (StageFrame { name: stage, frame, is_hypothetical }, moved) in stages.iter().zip(moved) {
             self.chunks.set_stage(Some(self.stage_count));
             let view = FrameView::of(&self.schema, frame, at);
             let displacements = view.bodies().map(|(body, now)| now.max_displacement / body.radius);
@@ -433,7 +438,8 @@ impl Recorder {
             let name = |body: usize| self.schema.bodies[body].name.as_str();
             let moved = match moves.log(moved, (view, longest), &mut state.extractor, &mut self.chunks) {
                 Some(Furthest { body, vertex, distance }) => {
-                    format!("moved {}:{vertex} {} R, ", name(body), significant(distance))
+                    let moved = if *is_hypothetical { "would move" } else { "moved" };
+                    format!("{moved} {}:{vertex} {} R, ", name(body), significant(distance))
                 }
                 None => String::new(),
             };
@@ -725,7 +731,7 @@ impl FrameParts {
         let merged = state.merged.merged();
         pairs.log(view, &merged.pairs, number, series, chunks);
         if let Some(changes) = changes {
-            changes.log(view, pairs, chunks);
+            changes.log(view, chunks);
         }
         groups.log(view, merged, series, chunks);
         touching.log(view, pairs.shown(), &merged.pairs, chunks);

@@ -33,10 +33,9 @@ const MAX_WORK: u64 = 100_000_000;
 /// or they take too much work, or the world was interrupted, middle ones are omitted, and the name of the last one says
 /// so.
 pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
-    let stage = |name: &str, frame: Frame| StageFrame { name: name.to_owned(), frame };
     let mut stages = vec![
-        stage("start", before.clone()),
-        stage("start, with the influence forces alone", only(before.clone(), world.scene(), is_influence)),
+        StageFrame::new("start", before.clone()),
+        StageFrame::new("start, with the influence forces alone", only(before.clone(), world.scene(), is_influence)),
     ];
     let max = (MAX_VERTICES / world.scene().vertex_count().max(1)).max(MIN_STAGES) as usize;
     let work = Work::limited(MAX_WORK, world.options().interrupt);
@@ -47,7 +46,7 @@ pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
         Some(recomputed) => intervals(&recomputed, before, world, max, &mut stages),
         None => at_events([before, &after], world, max, &mut stages),
     };
-    stages.push(stage(&last, after));
+    stages.push(StageFrame::new(last, after));
     stages
 }
 
@@ -65,7 +64,7 @@ fn at_events(ends: [&Frame; 2], world: &World, max: usize, stages: &mut Vec<Stag
         }
         let mut frame = Frame { pairs: pairs.clone(), ..Frame::default() };
         state_within(world, &schema, ends, event.time, &all, &mut frame);
-        stages.push(StageFrame { name: name_of(event, world), frame });
+        stages.push(StageFrame::new(name_of(event, world), frame));
     }
     match events.len().saturating_sub(max) {
         0 => "end".to_owned(),
@@ -87,26 +86,27 @@ fn intervals(
     let mut pushes: Vec<_> = (0..world.body_count()).map(|index| recomputed.pushes(index)).collect();
     let flown = states.iter().enumerate().map(|(index, states)| recomputed.flow(index, states)).collect();
     let mut last = "end".to_owned();
-    let without = StageFrame { name: "end if no sphere acted".to_owned(), frame: frame(end, start, flown) };
+    let without =
+        StageFrame { is_hypothetical: true, ..StageFrame::new("end if no sphere acted", frame(end, end, flown)) };
     match world.scene().integrator {
         Integrator::Exponential => {
             let breaks = recomputed.breaks();
             for (number, ends) in (1..).zip(breaks.windows(2)) {
                 let (from, to) = (ends[0], ends[1]);
                 if stages.len() >= max || recomputed.is_over() {
-                    last = format!("end; sub-steps from {number} to {} are left out", breaks.len() - 1);
+                    last = format!("end; parts from {number} to {} are left out", breaks.len() - 1);
                     break;
                 }
                 for (index, (states, pushes)) in states.iter_mut().zip(&mut pushes).enumerate() {
                     recomputed.advance(index, from, to, states, pushes);
                 }
                 if breaks.len() > 2 {
-                    let name = format!("after sub-step {number}, at t = {to:.9} s");
-                    stages.push(StageFrame { name, frame: frame(to, from, states.clone()) });
+                    let name = format!("after part {number}, at t = {to:.9} s");
+                    stages.push(StageFrame::new(name, frame(to, from, states.clone())));
                 }
                 let events = world.report().events.iter().filter(|event| event.time == to);
                 for event in events.take(max.saturating_sub(stages.len())) {
-                    stages.push(StageFrame { name: name_of(event, world), frame: frame(to, to, states.clone()) });
+                    stages.push(StageFrame::new(name_of(event, world), frame(to, to, states.clone())));
                 }
             }
         }
@@ -116,12 +116,11 @@ fn intervals(
             let predicted = frame(end, start, predicted);
             let restoring =
                 only(predicted.clone(), world.scene(), |cause| matches!(cause, Cause::Restoring | Cause::Damping));
-            stages.push(StageFrame { name: "prediction, (3.6) and (3.7)".to_owned(), frame: predicted });
-            stages.push(StageFrame { name: "restoring force T, (3.8)".to_owned(), frame: restoring });
+            stages.push(StageFrame::new("prediction, (3.6) and (3.7)", predicted));
+            stages.push(StageFrame::new("restoring force T, (3.8)", restoring));
         }
         Integrator::Euler | Integrator::Verlet | Integrator::Rk4 => {}
     }
-    // so that the end shows what the spheres did
     stages.push(without);
     last
 }

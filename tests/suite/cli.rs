@@ -1198,11 +1198,11 @@ fn events_are_the_same_in_summaries_recordings_and_tables() {
         let texts: Vec<String> = rows.iter().map(|row| row.text("TextLog:text")).collect();
         assert_eq!(texts.len(), events.len(), "{options:?}: {texts:?}");
         for (line, text) in events.iter().zip(&texts) {
-            let (head, remark) = text.split_once("; ").unwrap_or((text, ""));
+            let (head, remark) = text.split_once(";\n    ").unwrap_or((text, ""));
             assert!(line.contains(head) && line.contains(remark), "{line}: {text}");
         }
         let merge = texts.iter().find(|text| text.starts_with("merge a~b")).expect("a merge");
-        assert!(merge.contains("; surfaces "), "{merge}");
+        assert!(merge.contains(";\n    surfaces "), "{merge}");
         run(&dir, &["export", "s.rrd", "--events", "events.csv"]).succeeded();
         let table = fs::read_to_string(dir.path().join("events.csv")).expect("a table");
         let times: Vec<f64> = table

@@ -151,13 +151,16 @@ fn compare(scene: &Scene, acted: &mut BTreeSet<&'static str>) -> Option<f64> {
 /// The torque of linear forces on deformed finite elements does not turn a free body, nor does it stand in the forces.
 #[test]
 fn the_net_force_moves_finite_elements_far_from_rest() {
-    let text = "dt = 2e-4\nduration = 0.2\nmodel = \"fem\"\n[material]\nomega = 15.0\ndamping = 0.5\n[fem]\ncells = 4\n"
-        .to_owned()
-        + &body("a", "free = { from = [0, 0, 0], velocity = [2, 0.5, 0], spin = [0.3, 0.2, 1] }")
-        + &body("b", "free = { from = [1.9, 0.3, 0.2], velocity = [-1, 0, 0.3], spin = [1, -2, 0.4] }");
+    let text =
+        "dt = 2e-4\nduration = 0.35\nmodel = \"fem\"\n[material]\nomega = 15.0\ndamping = 0.0\n[fem]\ncells = 4\n\
+                [influence]\ncore_at = 0.0\n"
+            .to_owned()
+            + &body("a", "free = { from = [0, 0, 0], velocity = [2, 0.5, 0], spin = [0.3, 0.2, 1] }")
+            + &body("b", "free = { from = [1.9, 0.3, 0.2], velocity = [-1, 0, 0.3], spin = [1, -2, 0.4] }")
+                .replace("radius = 1.0", "radius = 0.6\nmass = 3.0");
     let scene = Scene::parse(&text, "fem.toml").unwrap_or_else(|error| panic!("{error}"));
     let difference = compare(&scene, &mut BTreeSet::new()).expect("it can run");
-    assert!(difference < 5e-4, "{difference:.1e}");
+    assert!(difference < 2e-3, "{difference:.1e}");
 }
 
 #[test]

@@ -24,7 +24,7 @@ pub fn watch(
     console: &mut Console,
 ) -> Result<Simulated, Failure> {
     let mut changes = Changes {
-        text: Scene::without_meshes(&simulation.schema().source).to_owned(),
+        file: Watched::new(Scene::without_meshes(&simulation.schema().source).to_owned()),
         reported: String::new(),
         runs: 0,
     };
@@ -120,10 +120,17 @@ fn duration(seconds: f64) -> String {
     }
 }
 
-/// A watched scene file.
-pub struct Changes {
+/// A file that is looked at again and again.
+pub struct Watched {
     /// Its content when last read.
     text: String,
+    /// How often it was missing or empty since then.
+    missing: u32,
+}
+
+/// A watched scene file.
+pub struct Changes {
+    file: Watched,
     /// The last reported error in it.
     reported: String,
     /// Number of runs started.
@@ -134,7 +141,7 @@ impl Changes {
     /// Returns the new scene if the file has changed and is valid. An error in it is reported once.
     pub fn scene(&mut self, arguments: &Arguments, console: &Console) -> Option<Scene> {
         let overridden = |scene| arguments.overrides.apply(scene, &arguments.scene).map_err(|error| error.to_string());
-        match changed(&mut self.text, Path::new(&arguments.scene))?.and_then(overridden) {
+        match self.file.changed(Path::new(&arguments.scene))?.and_then(overridden) {
             Ok(scene) => {
                 self.reported.clear();
                 Some(scene)
@@ -156,31 +163,54 @@ impl Changes {
     }
 }
 
-/// The scene in a file, if its text has changed since it was `text`, which is updated. While the file is none that can be read,
-/// the reason, at every call.
-pub fn changed(text: &mut String, path: &Path) -> Option<Result<Scene, String>> {
-    // a missing file may be about to be written; anything but a regular file may be endless or block forever
-    let metadata = std::fs::metadata(path).ok()?;
-    let mut bytes = Vec::new();
-    let unreadable = if !metadata.is_file() {
-        Some(format!("{} is no longer a file", path.display()))
-    } else if metadata.len() > Scene::LARGEST_TEXT {
-        Some(format!("{} now exceeds the size limit of a scene", path.display()))
-    } else {
-        File::open(path).ok()?.take(Scene::LARGEST_TEXT).read_to_end(&mut bytes).ok()?;
-        Scene::text_of(&bytes, path).err().map(|error| error.to_string())
-    };
-    if let Some(why) = unreadable {
-        text.clear(); // what it was before is new again
-        return Some(Err(why));
+impl Watched {
+    /// A file with this text.
+    pub fn new(text: String) -> Watched {
+        Watched { text, missing: 0 }
     }
-    let read = String::from_utf8(bytes).ok()?;
-    // an editor may truncate a file before writing it
-    if read == *text || read.is_empty() {
-        return None;
+
+    /// The scene in the file, if its text has changed. While the file is none that can be read, the reason, at every call.
+    pub fn changed(&mut self, path: &Path) -> Option<Result<Scene, String>> {
+        /// An editor may remove or truncate a file before writing it: for so many calls.
+        const PATIENCE: u32 = 20;
+
+        let why = match self.read(path) {
+            Ok(read) if !read.is_empty() => {
+                self.missing = 0;
+                if read == self.text {
+                    return None;
+                }
+                self.text = read;
+                return Some(Scene::parse_beside(&self.text, path).map_err(|error| error.to_string()));
+            }
+            Err(Some(why)) => why,
+            Ok(_) | Err(None) => {
+                self.missing = self.missing.saturating_add(1);
+                if self.missing < PATIENCE {
+                    return None;
+                }
+                format!("{} is missing or empty", path.display())
+            }
+        };
+        self.text.clear(); // what it was before is new again
+        Some(Err(why))
     }
-    *text = read;
-    Some(Scene::parse_beside(text, path).map_err(|error| error.to_string()))
+
+    /// Its text, or why it has none; `None` if it cannot be read now.
+    fn read(&self, path: &Path) -> Result<String, Option<String>> {
+        let metadata = std::fs::metadata(path).map_err(|_| None)?;
+        // anything but a regular file may be endless or block forever
+        if !metadata.is_file() {
+            return Err(Some(format!("{} is no longer a file", path.display())));
+        }
+        if metadata.len() > Scene::LARGEST_TEXT {
+            return Err(Some(format!("{} now exceeds the size limit of a scene", path.display())));
+        }
+        let mut bytes = Vec::new();
+        let read = File::open(path).and_then(|file| file.take(Scene::LARGEST_TEXT).read_to_end(&mut bytes));
+        read.map_err(|_| None)?;
+        Scene::text_of(&bytes, path).map(str::to_owned).map_err(|error| Some(error.to_string()))
+    }
 }
 
 #[cfg(test)]

@@ -10,6 +10,8 @@ const NARROW = { top: "Hidden", blueprint: "Hidden", selection: "Hidden", time: 
 let scene = null; // name, dt, steps, parameters, legend, bodies
 let run = null; // the run on screen: number, events, plots
 let before = null; // the run that it is compared with
+let base = null; // the run before a slider was dragged, until its last run is here
+let isDragging = false;
 let pinned = null; // the run that the user pinned
 let cursor = 0; // step
 let playing = false;
@@ -105,11 +107,14 @@ const handlers = {
   },
   run(message) {
     if (run && message.number < run.number) return;
-    if (message.number !== run?.number) before = message.is_repeated ? before : (pinned ?? run);
+    if (message.number !== run?.number) {
+      before = message.is_repeated ? before : (pinned ?? base ?? run);
+      if (!isDragging) base = null;
+    }
     else if (pinned?.number === run.number) pinned = before = message; // the same run again, with what its surfaces do
     run = message;
     say(`run ${message.number}: ${message.outcome}; simulated in ${message.simulated_ms.toFixed(1)} ms${warned()}`);
-    showProblem(message.problem ?? mistyped);
+    showProblem(message.problem ?? mistyped, Boolean(message.problem));
     showEvents();
     showPlot();
   },
@@ -136,9 +141,11 @@ function say(text) {
 
 let mistyped = null; // what is wrong with the text of a field
 
-function showProblem(problem) {
+// A problem that is not that of the run on screen means that this run is of another scene.
+function showProblem(problem, isOfRun = false) {
   for (const wrong of document.querySelectorAll(".parameter.wrong")) wrong.classList.remove("wrong");
   $("message").textContent = problem ? problem.text : "";
+  document.body.classList.toggle("stale", Boolean(problem) && !isOfRun);
   if (problem?.key) parameterOf(problem.key)?.row.classList.add("wrong");
 }
 
@@ -199,6 +206,7 @@ function pokeSection(open) {
     const track = element("input", { type: "range", min, max, step: "any", value, ariaLabel: label });
     track.dataset.key = `poke.${label}`;
     const exact = element("output", {}, shown(value));
+    drags(track);
     track.addEventListener("input", () => {
       poke = { ...poke, ...set(Number(track.value)) };
       exact.textContent = shown(Number(track.value));
@@ -240,6 +248,15 @@ function pokeSection(open) {
   return details;
 }
 
+// While a slider is dragged, runs are compared with that before.
+function drags(track) {
+  track.addEventListener("input", () => {
+    if (!isDragging) base = run;
+    isDragging = true;
+  });
+  track.addEventListener("change", () => (isDragging = false));
+}
+
 function slider(parameter) {
   const track = element("input", { type: "range", min: parameter.min, max: parameter.max, step: "any", id: `value of ${parameter.key}` });
   track.dataset.key = parameter.key;
@@ -257,6 +274,7 @@ function slider(parameter) {
     }
     row.classList.toggle("changed", value !== parameter.value);
   };
+  drags(track);
   track.addEventListener("input", () => change(parameter, Number(track.value)));
   track.addEventListener("change", () => branch || post("thresholds", { key: parameter.key }));
   exact.addEventListener("change", () => {
@@ -419,7 +437,7 @@ function matched() {
 
 function differenceOf({ event, old, isCompared, isGone }) {
   if (!before || before === run) return ["", ""];
-  if (isGone) return ["gone", "gone"];
+  if (isGone) return ["gone", event.time > 0.9 * scene.steps * scene.dt ? "gone, or after the end" : "gone"];
   if (!isCompared) return ["", ""];
   if (!old) return ["new", "new"];
   const by = event.time - old.time;
@@ -481,13 +499,16 @@ function showPlot() {
   const parts = [];
   for (const q of ticks(low, high, 4)) parts.push(draw("line", { class: "grid", x1: left, x2: width - right, y1: y(q), y2: y(q) }), draw("text", { x: left - 4, y: y(q) + 3, "text-anchor": "end" }, shown(q)));
   for (const t of ticks(0, scene.steps * scene.dt, 6)) parts.push(draw("text", { x: x(t / scene.dt), y: height - 5, "text-anchor": "middle" }, `${shown(t)} s`));
+  const labelled = [];
   for (const { label, lines, color } of run.levels.slice(0, 12)) {
     // an edit changes it from a step on
     lines.forEach(([step, q], index) => {
       if (q === null) return;
       const end = x(lines[index + 1]?.[0] ?? scene.steps);
       parts.push(draw("line", { class: "threshold", x1: x(step), x2: end, y1: y(q), y2: y(q), stroke: color }));
-      parts.push(draw("text", { x: end - 2, y: y(q) - 3, "text-anchor": "end", fill: color }, `${label} ${shown(q)}`));
+      const isTaken = labelled.some(([x, at]) => x === end && Math.abs(at - y(q)) < 11);
+      labelled.push([end, y(q)]);
+      parts.push(draw("text", { x: end - 2 - (isTaken ? 90 : 0), y: y(q) - 3, "text-anchor": "end", fill: color }, `${label} ${shown(q)}`));
     });
   }
   for (const { time } of branches) parts.push(draw("line", { class: "plotted-branch", x1: x(time / scene.dt), x2: x(time / scene.dt), y1: top, y2: height - bottom }));
@@ -510,7 +531,7 @@ function showPlot() {
   plot.replaceChildren(...parts);
   const pairs = run.plots.map((line, index) => [element("span", {}, line.pair), COLORS[index % COLORS.length]]);
   pairs.forEach(([name, color]) => (name.style.color = color));
-  $("plot-title").replaceChildren("distance q of ", ...pairs.slice(0, 6).flatMap(([name], index) => (index ? [", ", name] : [name])), pairs.length > 6 ? ` and ${pairs.length - 6} more` : "");
+  $("plot-title").replaceChildren("distance q of ", ...pairs.slice(0, 6).flatMap(([name], index) => (index ? [", ", name] : [name])), pairs.length > 6 ? ` and ${pairs.length - 6} more` : "", before && before !== run ? `; grey: run ${before.number}` : "");
 }
 
 function ticks(low, high, count) {

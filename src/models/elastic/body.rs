@@ -24,7 +24,7 @@ use crate::{
     observe::{SpringFrame, StepFailure},
     scene::{Model, Motion, Plane, Push, Scene, TearMode},
     sim::reach::Ball,
-    text::bytes,
+    text::{bytes, short},
 };
 
 /// Length of explicit steps over the limit of their stability: stretched springs are stiffer than at rest.
@@ -512,14 +512,14 @@ impl Body {
         if self.failure.is_none() && (!is_finite || self.extent > DIVERGED * self.radius) {
             let scene = around.scene;
             self.failure = Some(StepFailure::Diverged(format!(
-                "diverged at step {} (t = {:.6} s): body \"{}\", its nodes are {:e} scene units away; {} with dt = {:e} s, stable below {:.1e} s: use a \
+                "diverged at step {} (t = {:.6} s): body \"{}\", its nodes are {} scene units away; {} with dt = {} s, stable below {:.1e} s: use a \
                 smaller dt, or `exponential`, with which the model divides it",
                 around.step,
                 around.end,
                 scene.bodies[self.index].name,
-                self.extent,
+                short(self.extent),
                 scene.integrator,
-                scene.dt,
+                short(scene.dt),
                 self.statistics.step_limit
             )));
         }

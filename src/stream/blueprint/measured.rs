@@ -4,7 +4,7 @@ use super::{
     Subject, Tab,
     camera::{NARROW, WIDE, camera_past},
     layout::{Layout, TimingsPlot, family, including},
-    tabs::{PAIR_DISTANCES, VOLUMES},
+    tabs::{PAIR_DISTANCES, SPEEDS, VOLUMES},
 };
 use crate::{
     observe::schema::ScalarSchema,
@@ -25,7 +25,7 @@ use crate::{
         },
         series::Outline,
     },
-    text::{counted, significant},
+    text::{counted, significant, thousands},
 };
 
 /// Data of a run that is known only at its end.
@@ -101,7 +101,14 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         layout.log(&volumes, &ViewBlueprint::update_fields().with_display_name(format!("{VOLUMES}; {changed}")));
     }
     if let Some(speeds) = layout.speeds.take().filter(|_| measured.fastest > 0.0) {
-        layout.set_range(&speeds, readable([0.0, measured.fastest]));
+        // steps in which nothing happens would leave the others no room
+        let usual = measured.durations.map_or(0.0, |[of_steps, _]| of_steps.typical());
+        let [low, high] = readable([0.0, f64::min(measured.fastest, WHOLE * 1e3 / usual)]);
+        if measured.fastest > high {
+            let title = format!("{SPEEDS}; up to {}", thousands(measured.fastest as u64));
+            layout.log(&speeds, &ViewBlueprint::update_fields().with_display_name(title));
+        }
+        layout.set_range(&speeds, [low, high]);
     }
     if let Some(pairs::Axis { ends: [low, high], .. }) = measured.distances {
         // an automatic axis would begin at 0
@@ -189,7 +196,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     }
     let Told { moving, left_out, changed, met, all } = &measured.pairs;
     let drawn = if *left_out > 0 {
-        format!("q of {} of {} pairs, those with changes first", moving.len(), moving.len() + left_out)
+        format!("q of {} of {} pairs with plots, those with changes first", moving.len(), moving.len() + left_out)
     } else {
         PAIR_DISTANCES.to_owned()
     };

@@ -140,7 +140,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame, ne
     };
     let changes = match is_ranked(schema) && !schema.thresholds.is_empty() {
         true => {
-            "- **Next phase changes**: left, the colour of the pair's curve where it is drawn; right, q as a dot, its thresholds as lines\n"
+            "- **Next phase changes**: q and its rate, or when it reaches the next threshold; right, q as a dot, its thresholds as lines\n"
         }
         false => "",
     };

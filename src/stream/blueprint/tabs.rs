@@ -8,7 +8,6 @@ use super::{
     layout::{Layout, Part, TimingsPlot, VERTICES, family, including},
 };
 use crate::{
-    colors,
     observe::Schema,
     sdk::{
         self, Mesh3D, Points3D,
@@ -479,7 +478,7 @@ impl Layout {
             self.hide_legend(plot);
         }
         let stages = self.container(ContainerKind::Vertical, "Stages", stages, &[1.6, 1.0]);
-        let title = "Total of each stage; longest [ms] and its step; +: other threads";
+        let title = "Total of each stage, share of the run; longest [ms], its step; +: other threads";
         let sums = vec![self.ranking(title, RANKED_STAGES.path), self.speed()];
         let ranked = ranking_height(ranking::ROWS);
         let sums = self.container(ContainerKind::Vertical, "Sums", sums, &[ranked, COLUMN - ranked]);
@@ -505,9 +504,7 @@ impl Layout {
 
     fn speed(&mut self) -> Part {
         let contents = [&SPEED, &LAG].map(|line| including(line.path));
-        let lag = colors::name(numbers::LAG_COLOR);
-        let title = format!("Steps per second, of each step; with --realtime, also the lag in ms ({lag})");
-        let plot = self.plot(&title, "/", &contents, Corner2D::LeftTop);
+        let plot = self.plot(SPEEDS, "/", &contents, Corner2D::LeftTop);
         // it would cover the first steps
         self.hide_legend(&plot);
         self.speeds = Some(plot.path.clone());
@@ -579,6 +576,9 @@ impl Layout {
         self.container(ContainerKind::Horizontal, "Stages", vec![view, list], &[1.3, 1.0])
     }
 }
+
+/// The title of the plot of speeds.
+pub const SPEEDS: &str = "Steps per second, waits included; with --realtime, the lag [ms]";
 
 /// The height of a window in rows of a ranking in its right column.
 const COLUMN: f32 = 27.0;

@@ -4,12 +4,12 @@ use std::{cmp::Ordering, collections::BTreeMap};
 
 use super::{
     FrameView,
-    pairs::PairPlots,
     ranking::{Mark, Ranking, Row, is_ranked},
 };
 use crate::{
     observe::{PairFrame, Schema},
     stream::{chunks::Chunks, contract::RANKED_PAIRS},
+    text::significant,
 };
 
 /// Rate of q [1/s], and rate of change of that [1/s²], below which a pair does not move.
@@ -61,8 +61,8 @@ impl Changes {
         Some(Changes { ranking, last: BTreeMap::new(), time: 0.0, end })
     }
 
-    /// Logs changed rows, with the colours of the curves of q.
-    pub fn log(&mut self, view: FrameView<'_>, plots: &PairPlots, chunks: &mut Chunks) {
+    /// Logs changed rows.
+    pub fn log(&mut self, view: FrameView<'_>, chunks: &mut Chunks) {
         let FrameView { schema, frame, at, .. } = view;
         let since = (at.time - self.time).max(f64::MIN_POSITIVE);
         let mut ranked: Vec<(PairFrame, f64, Option<Next>)> = Vec::with_capacity(frame.pairs.len());
@@ -93,8 +93,7 @@ impl Changes {
             let level = |threshold: usize| schema.level(threshold, [pair.a, pair.b], at.time);
             let levels = (0..schema.thresholds.len()).filter_map(|threshold| Some((threshold, level(threshold)?)));
             let ticks = levels.map(|(threshold, level)| (Mark::Tick(place(level)), schema.thresholds[threshold].color));
-            let curve = plots.color_of([pair.a, pair.b]).map(|rgb| (Mark::Key, rgb));
-            let marks = ticks.chain([(Mark::Dot(place(pair.q)), phase.color)]).chain(curve).collect();
+            let marks = ticks.chain([(Mark::Dot(place(pair.q)), phase.color)]).collect();
             let what = match next.filter(|next| next.wait.is_finite()) {
                 Some(Next { threshold, wait, .. }) => {
                     let label = schema.thresholds[threshold].name.trim_end_matches("_at");
@@ -107,9 +106,9 @@ impl Changes {
                 }
                 None => match *rate {
                     0.0 => "does not move".to_owned(),
-                    ..0.0 if phase.is_joined => "goes deeper".to_owned(),
-                    ..0.0 => "comes closer".to_owned(),
-                    _ => "moves apart".to_owned(),
+                    ..0.0 if phase.is_joined => format!("deeper by {}/s", significant(-rate)),
+                    ..0.0 => format!("closer by {}/s", significant(-rate)),
+                    _ => format!("apart by {}/s", significant(*rate)),
                 },
             };
             let label = format!("{} {:.3}: {what}", schema.pair_name(pair.a, pair.b), pair.q);

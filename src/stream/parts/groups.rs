@@ -240,6 +240,7 @@ impl GroupPlots {
         let is_alone = |&body: &usize| !merged.is_merged[body] && !view.frame.bodies[body].is_absent;
         let mut alone: Vec<usize> = (0..ranked).filter(is_alone).collect();
         alone.sort_by(|&one, &other| self.volumes[other].total_cmp(&self.volumes[one]));
+        let ranked_alone = alone.len();
         let volumes = groups.iter().map(|group| apart(group).unwrap_or(0.0).max(group.volume));
         let largest = volumes.chain(alone.first().map(|&body| self.volumes[body])).fold(0.0, f64::max);
         let rows = groups.iter().map(|group| {
@@ -256,16 +257,17 @@ impl GroupPlots {
                 marks.push((Mark::Dot(apart / largest), SILVER));
                 label += &format!(" (bodies {})", short(apart));
             }
-            Row { label, color: palette::label(color), marks }
+            Row { label, color: SILVER, marks }
         });
         let rows = rows.chain(alone.into_iter().map(|body| {
             let (volume, color) = (self.volumes[body], palette::of_body(view.schema, body));
             let label = format!("{}: {}", view.schema.bodies[body].name, short(volume));
-            Row { label, color: palette::label(color), marks: vec![(Mark::Bar(volume / largest), color)] }
+            Row { label, color: SILVER, marks: vec![(Mark::Bar(volume / largest), color)] }
         }));
         // what all of it encloses, and how that has changed
+        let count = groups.len() + ranked_alone;
         let all = self.sums.zip(self.first).filter(|_| !groups.is_empty()).map(|([of_surfaces, _], first)| {
-            let label = format!("all: {}, {} % since start", short(of_surfaces), percent(of_surfaces / first));
+            let label = format!("all {count}: {}, {} % since start", short(of_surfaces), percent(of_surfaces / first));
             Row { label, color: SILVER, marks: Vec::new() }
         });
         let rows = all.into_iter().chain(rows);
@@ -290,7 +292,7 @@ fn names(schema: &Schema, bodies: &[usize], room: usize) -> String {
     for (number, &body) in bodies.iter().enumerate() {
         let name = &schema.bodies[body].name;
         if number > 0 && names.len() + name.len() >= room {
-            return format!("{names}+{}", bodies.len() - number);
+            return format!("{names} +{} more", bodies.len() - number);
         }
         names += if number > 0 { "+" } else { "" };
         names += name;

@@ -94,8 +94,6 @@ struct PairPlot {
     changes: Vec<PairEvent>,
     /// Whether its surfaces touched or its phase joined them.
     has_met: bool,
-    /// The colour of its curve of q.
-    color: palette::Rgb,
     distance: LineId,
     thresholds: Vec<(LineId, usize)>,
     /// Lines of gap, overlap and neck.
@@ -244,11 +242,6 @@ impl PairPlots {
     /// The pairs of the current frame that have their own entities.
     pub fn shown(&self) -> &[[usize; 2]] {
         &self.shown
-    }
-
-    /// The colour of the curve of a pair's q, if it has one.
-    pub fn color_of(&self, [a, b]: [usize; 2]) -> Option<palette::Rgb> {
-        self.known.get(&(a, b)).map(|pair| pair.color)
     }
 
     /// The axis of plots of q; `None` without a plot.
@@ -580,7 +573,6 @@ impl PairPlot {
             changes: Vec::new(),
             has_met: false,
             phase,
-            color: rgb,
             distance,
             thresholds,
             measures,

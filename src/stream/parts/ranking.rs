@@ -25,8 +25,6 @@ pub const NOISE: f64 = 1e-9;
 const PITCH: f32 = 10.0;
 const LABEL: f32 = 112.0;
 const WIDTH: f32 = 106.0;
-/// Place of a disc to the left of the labels.
-const KEY: f32 = 4.0 - LABEL;
 /// A label hangs from its place.
 const HANG: f32 = 4.0;
 
@@ -61,8 +59,6 @@ pub enum Mark {
     Dot(f64),
     /// Across the row, from the row above and to that below.
     Tick(f64),
-    /// A disc to the left of the label.
-    Key,
 }
 
 impl Mark {
@@ -86,7 +82,6 @@ impl Mark {
             Mark::Bar(to) => bar(0.0, x(to)),
             Mark::Signed(to) => bar(x(0.5), x(0.5 + 0.5 * to)),
             Mark::Dot(at) => ([[x(at), y], [x(at) + 0.5, y]], 2.4),
-            Mark::Key => ([[KEY, y], [KEY + 0.5, y]], 2.4),
             Mark::Tick(at) => ([[x(at), y - 0.5 * PITCH], [x(at), y + 0.5 * PITCH]], 0.4),
         }
     }
