@@ -372,7 +372,7 @@ fn say(line: &str) {
 
 /// Prints a note to standard error, if there is one.
 fn say_note(note: Option<String>) {
-    if let Some(note) = note {
+    if let Some(note) = note.filter(|_| !is_quiet()) {
         say(&format!("note: {note}"));
     }
 }

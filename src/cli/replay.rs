@@ -249,10 +249,12 @@ fn vary(program: Program<'_>, arguments: &Arguments, recorded: &Recorded) -> Res
         was.tolerance,
         arguments.set.iter().map(ToString::to_string).collect::<Vec<_>>().join(", "),
     ));
-    print(&format!(
-        "  largest displacement: {:.6} radii, of body \"{}\" at t = {:.6} s",
-        largest.0, largest.2, largest.1
-    ));
+    match largest {
+        (0.0, ..) => print("  no vertex is displaced"),
+        (displacement, time, body) => {
+            print(&format!("  largest displacement: {displacement:.6} radii, of body \"{body}\" at t = {time:.6} s"));
+        }
+    }
     let changes = counted(events.len() as u64, "phase change");
     print(&format!("  {changes}, {} recorded:", thousands(recorded.events.len() as u64)));
     for event in events.iter().take(MOST_LISTED) {

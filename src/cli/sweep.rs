@@ -79,7 +79,7 @@ fn parse_shard(text: &str) -> Result<Shard, String> {
 impl From<StoreError> for Failure {
     fn from(error: StoreError) -> Failure {
         match error {
-            StoreError::Other { .. } => Failure::Input(error.to_string()),
+            StoreError::Other { .. } | StoreError::Taken { .. } => Failure::Input(error.to_string()),
             _ => Failure::Run(error.to_string()),
         }
     }

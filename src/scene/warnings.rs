@@ -52,7 +52,21 @@ impl Scene {
             )
         });
         let late = if no_step.is_some() { None } else { summary(self.late(), "entry") };
-        no_step.into_iter().chain(late).chain(of_pairs).chain(of_bodies).chain(self.placement_warning()).collect()
+        // the timeline counts nanoseconds
+        let end = self.steps() as f64 * self.dt;
+        let beyond = (end > i64::MAX as f64 * 1e-9).then(|| {
+            format!(
+                "the scene ends at {end:e} s, but the timeline sim_time ends at 9.2e9 s: use the timeline step beyond"
+            )
+        });
+        no_step
+            .into_iter()
+            .chain(beyond)
+            .chain(late)
+            .chain(of_pairs)
+            .chain(of_bodies)
+            .chain(self.placement_warning())
+            .collect()
     }
 
     /// Pushes, force points and edits that begin when the last step has ended.

@@ -159,7 +159,7 @@ entities! {
     PAIR_PHASE = "/pairs/A~B/phase" ["StateChange, StateConfiguration"]
         "The phase, for the same pairs.";
     PAIR_GAP = "/pairs/A~B/gap" ["Scalars"]
-        "Smallest distance of the surfaces, or minus the depth of their overlap, the largest at vertices and in the middles of edges and triangles [radii of the smaller body].";
+        "Smallest distance of the surfaces, or minus the depth of their overlap, how deep a point of one surface lies in the other [radii of the smaller body].";
     PAIR_OVERLAP = "/pairs/A~B/overlap" ["Scalars"]
         "Volume of the intersection [its radius³].";
     PAIR_NECK = "/pairs/A~B/neck" ["Scalars"]

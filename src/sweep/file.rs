@@ -545,6 +545,12 @@ fn try_values(sweep: &Sweep, root: &Table<'_>, axes: &[Table<'_>], sets: &[Table
             let fixed = sweep.set[..count].iter().map(|(key, setting)| (key, setting));
             let of_axes = design.axes.iter().map(|axis| &axis.key).zip(point);
             let scene = template.scene(fixed.chain(of_axes))?;
+            if scene.steps() == 0 {
+                return Err(SceneError::plain(
+                    &sweep.scene_file,
+                    "there would be no step: lower dt, or raise duration".to_owned(),
+                ));
+            }
             if template.base().model != Model::Oscillators {
                 return Ok(()); // whatever the values are: the sweep says so when it runs
             }
@@ -568,7 +574,10 @@ fn try_values(sweep: &Sweep, root: &Table<'_>, axes: &[Table<'_>], sets: &[Table
         if is_unknown(error) {
             return table.error("key", in_words(error));
         }
-        let at = if table.get("values").is_some() { "values" } else { "from" };
+        let last = design.axes[index].sample(design.axes[index].sample_count() - 1);
+        let is_last = *value == last && *value != first[index];
+        let at = ["values", if is_last { "to" } else { "from" }].into_iter().find(|at| table.get(at).is_some());
+        let at = at.unwrap_or("from");
         let key = &design.axes[index].key;
         table.error(at, format!("{key} = {value} makes the scene invalid: {}", in_words(error)))
     };

@@ -317,7 +317,7 @@ mod tests {
         let [.., without, last] = &stages[..] else { panic!("no stages") };
         assert_eq!(without.name, "end if no sphere acted");
         assert!(
-            stages.len() as u64 <= MAX_VERTICES / 10 + 2 && last.name.starts_with("end; sub-steps from "),
+            stages.len() as u64 <= MAX_VERTICES / 10 + 2 && last.name.starts_with("end; parts from "),
             "{}",
             last.name
         );
@@ -356,7 +356,7 @@ mod tests {
         for name in ["push", "two", "three", "size_ratio"] {
             let scene = Scene::builtin(name).unwrap();
             let mut world = World::new(scene.clone()).unwrap();
-            let (mut largest, mut sub_steps, mut events) = (0.0, 0, 0);
+            let (mut largest, mut parts, mut events) = (0.0, 0, 0);
             for _ in 0..scene.steps() {
                 let mut before = Frame::default();
                 world.observe(WANT, &mut before);
@@ -366,11 +366,11 @@ mod tests {
                 assert_eq!(stages[0].name, "start");
                 assert_eq!(stages[stages.len() - 1].name, "end");
                 let named = |word: &str| stages.iter().filter(|stage| stage.name.contains(word)).count();
-                sub_steps += named("sub-step");
+                parts += named("after part");
                 events += named("~");
                 assert_eq!(named("~"), happened);
                 // the last interval ends the step
-                if let Some(last) = stages.iter().rfind(|stage| stage.name.contains("sub-step")) {
+                if let Some(last) = stages.iter().rfind(|stage| stage.name.contains("after part")) {
                     for (index, body) in world.bodies().enumerate() {
                         let ended = &last.frame.bodies[index].displacements;
                         for i in 0..body.vertex_count() {
@@ -380,7 +380,7 @@ mod tests {
                     }
                 }
             }
-            assert!(sub_steps > 0, "{name}: {sub_steps}");
+            assert!(parts > 0, "{name}: {parts}");
             assert!(events > 0 || name == "push");
             assert!(largest < 1e-6, "{name}: {largest:e}");
         }

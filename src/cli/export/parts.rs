@@ -4,7 +4,10 @@ use glam::DVec3;
 
 use crate::{
     analysis::surface::Merged,
-    geometry::{Facets, Vectors, mesh::append_normals},
+    geometry::{
+        Facets, Vectors,
+        mesh::{append_normals, signed_volume_of},
+    },
     observe::{Frame, Schema},
     stream::palette,
 };
@@ -56,14 +59,20 @@ pub fn parts(schema: &Schema, frame: &Frame, merged: &Merged) -> Vec<Part> {
         let positions: Vec<DVec3> = local.iter().map(|position| position + now.centre).collect();
         let colors = vec![palette::of_body(schema, index); positions.len()];
         let name = body.name.clone();
-        parts.push(match mesh.facets() {
+        let mut part = match mesh.facets() {
             Some(facets) => Part::faceted(name, facets, &positions, colors),
             None => {
                 let mut normals = Vec::new();
                 append_normals(&local, mesh.triangles(), &mut sums, &mut normals);
                 Part::smooth(name, &positions, normals, colors, mesh.triangles())
             }
-        });
+        };
+        // a body that is inside out encloses what it does in a group
+        if signed_volume_of(&local, mesh.triangles()) < 0.0 {
+            part.triangles.iter_mut().for_each(|corners| corners.swap(1, 2));
+            part.normals.iter_mut().for_each(|normal| *normal = normal.map(|component| -component));
+        }
+        parts.push(part);
     }
     parts
 }

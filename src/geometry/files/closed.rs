@@ -1,12 +1,21 @@
 //! Checks that triangles are the surface of a body: closed, manifold, consistently oriented, outward.
 
-use std::collections::{HashMap, hash_map::Entry};
+use std::{
+    collections::{BTreeMap, HashMap, hash_map::Entry},
+    f64::consts::TAU,
+};
 
 use glam::DVec3;
 use rustc_hash::FxBuildHasher;
 
 use super::Soup;
-use crate::geometry::union::{Budget, self_contact};
+use crate::{
+    disjoint_sets::DisjointSets,
+    geometry::{
+        mesh::solid_angle,
+        union::{Aabb, Budget, self_contact},
+    },
+};
 
 /// Work limit of the search for self-contact: per triangle, and at least. A sphere takes 10 to 20 per triangle.
 const WORK: [u64; 2] = [60, 30_000_000];
@@ -91,6 +100,15 @@ pub enum Flaw {
         /// … and of the other.
         second: DVec3,
     },
+    /// A separate piece encloses space twice, or less than not at all.
+    #[error(
+        "its separate piece at {position} is inside another and not a cavity of that, or inside out: flip its normals, or \
+         remove it"
+    )]
+    Nested {
+        /// A vertex of the piece.
+        position: DVec3,
+    },
     /// Too many triangles are near each other.
     #[error("its {triangles} triangles are too close to each other to check whether they cross; simplify it")]
     Tangled {
@@ -140,7 +158,7 @@ pub fn closed(soup: Soup, watch: &dyn Fn(f64)) -> Result<Soup, Flaw> {
     let Soup { positions, triangles } = &soup;
     let budget = Budget { work: WORK[1].max(WORK[0] * triangles.len() as u64), ..Budget::default() };
     match self_contact(positions, triangles, &budget, &|share| watch(0.4 + 0.6 * share)) {
-        Ok(None) => Ok(soup),
+        Ok(None) => check_nesting(&soup).map(|()| soup),
         Ok(Some(two)) => {
             let middle = |t: u32| {
                 let corners = triangles[t as usize].map(|corner| positions[corner as usize] / 3.0);
@@ -150,6 +168,46 @@ pub fn closed(soup: Soup, watch: &dyn Fn(f64)) -> Result<Soup, Flaw> {
         }
         Err(_) => Err(Flaw::Tangled { triangles: triangles.len() }),
     }
+}
+
+/// Checks that no part of space is enclosed twice: a piece inside another is a cavity, one inside that is solid again.
+fn check_nesting(soup: &Soup) -> Result<(), Flaw> {
+    /// Upper limit on the triangles that are compared with a vertex: about a second.
+    const MOST: usize = 1 << 25;
+
+    let Soup { positions, triangles } = soup;
+    let mut sets = DisjointSets::singletons(positions.len());
+    for &[a, b, c] in triangles {
+        sets.join(a, b);
+        sets.join(a, c);
+    }
+    if sets.count == 1 {
+        return Ok(());
+    }
+    let mut pieces: BTreeMap<u32, Vec<[DVec3; 3]>> = BTreeMap::new();
+    for triangle in triangles {
+        pieces.entry(sets.least(triangle[0])).or_default().push(triangle.map(|corner| positions[corner as usize]));
+    }
+    let bounds: Vec<Aabb> = pieces.values().map(|piece| Aabb::of(piece.iter().flatten().copied())).collect();
+    let mut left = MOST;
+    for (&vertex, own) in &pieces {
+        let at = positions[vertex as usize];
+        let volume: f64 =
+            own.iter().map(|corners| corners.map(|corner| corner - at)).map(|[a, b, c]| a.dot(b.cross(c))).sum();
+        let mut around = 0.0;
+        for ((&other, piece), bounds) in pieces.iter().zip(&bounds) {
+            if other == vertex || !bounds.contains(at) {
+                continue;
+            }
+            left = left.checked_sub(piece.len()).ok_or(Flaw::Tangled { triangles: triangles.len() })?;
+            let angles = piece.iter().map(|corners| solid_angle(corners.map(|corner| corner - at)));
+            around += angles.sum::<f64>() / (2.0 * TAU);
+        }
+        if around.round() != if volume > 0.0 { 0.0 } else { 1.0 } {
+            return Err(Flaw::Nested { position: at });
+        }
+    }
+    Ok(())
 }
 
 fn welded(soup: Soup) -> Result<Soup, Flaw> {

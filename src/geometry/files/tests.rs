@@ -260,6 +260,21 @@ fn every_flaw_is_reported() {
     });
     assert!(matches!(crossing, Flaw::Meets { .. }), "{crossing}");
     assert!(crossing.to_string().contains("the triangles about ["), "{crossing}");
+    let with_piece = |size: f64, at: f64, is_turned: bool| {
+        let mut soup = cube();
+        soup.positions.extend(cube().positions.iter().map(|p| size * *p + DVec3::splat(at)));
+        soup.triangles.extend(cube().triangles.iter().map(|t| t.map(|c| c + 8)).map(|[a, b, c]| match is_turned {
+            true => [a, c, b],
+            false => [a, b, c],
+        }));
+        closed::closed(soup, &|_| ()).map(drop)
+    };
+    // a cavity, and a second piece beside the first
+    assert_eq!([with_piece(0.5, 0.1, true), with_piece(0.5, 3.0, false)], [Ok(()); 2]);
+    for (at, is_turned) in [(0.1, false), (3.0, true)] {
+        let nested = with_piece(0.5, at, is_turned).unwrap_err();
+        assert!(matches!(nested, Flaw::Nested { .. }), "{nested}");
+    }
     let infinite = flaw(&|soup| soup.positions[3].y = f64::INFINITY);
     assert!(matches!(infinite, Flaw::NotFinite { vertex: 3, .. }), "{infinite}");
     let flat = flaw(&|soup| soup.positions.iter_mut().for_each(|p| *p = DVec3::X * (p.x + 2.0 * p.y + 4.0 * p.z)));

@@ -59,7 +59,8 @@ impl Aabb {
     }
 
     #[inline]
-    pub(super) fn contains(&self, point: DVec3) -> bool {
+    /// Whether a point is in the box.
+    pub fn contains(&self, point: DVec3) -> bool {
         self.min.cmple(point).all() && point.cmple(self.max).all()
     }
 }

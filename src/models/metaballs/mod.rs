@@ -14,8 +14,7 @@
 //! # Two criteria for merging
 //! The scene's thresholds on the centre distance give `merge` and `split` events, at the same times as for the
 //! oscillators. The surface has its own criterion: it joins when the density at the saddle between two centres reaches
-//! the threshold. These instants are `touch` and `part` events, found to rounding. The summary of a run compares the
-//! two.
+//! the threshold. These instants are `touch` and `part` events, found to rounding.
 //!
 //! # The mesh of a body
 //! Each vertex is on the ray of its rest position, where the density first falls below the threshold, or where another
@@ -62,11 +61,6 @@ const MAX_BODIES: usize = 2000;
 const MAX_HALVINGS: u32 = 200;
 /// Number of samples on the ray of a vertex, within the support of its body.
 const SAMPLES: u32 = 24;
-/// Maximum number of changes kept for the summary.
-const MAX_CHANGES: usize = 256;
-/// Maximum number of changes for which the summary compares the two criteria.
-const MAX_COMPARED: usize = 8;
-
 /// Metaballs on their paths.
 pub struct Metaballs {
     scene: Scene,
@@ -82,16 +76,6 @@ pub struct Metaballs {
     contacts: Vec<SurfaceEvent>,
     /// Time spent finding them.
     finding: Duration,
-    changes: Vec<Change>,
-}
-
-/// A pair that joined or separated.
-struct Change {
-    pair: [usize; 2],
-    /// Whether the surface was the criterion, or the thresholds on q.
-    is_of_surface: bool,
-    is_one: bool,
-    time: f64,
 }
 
 impl Metaballs {
@@ -110,7 +94,6 @@ impl Metaballs {
             ones: BTreeMap::new(),
             contacts: Vec::new(),
             finding: Duration::ZERO,
-            changes: Vec::new(),
         };
         balls.centres = balls.centres_at(0.0);
         for pair in balls.near() {
@@ -189,25 +172,6 @@ impl Metaballs {
         let q = one.distance(other) / (self.scene.bodies[a].radius + self.scene.bodies[b].radius);
         let what = if was { Finding::Part } else { Finding::Touch };
         self.contacts.push(SurfaceEvent { what, time: high, step, a, b, q });
-    }
-
-    fn record_changes(&mut self) {
-        let of_surface = self.contacts.iter().map(|event| Change {
-            pair: [event.a, event.b],
-            is_of_surface: true,
-            is_one: event.what == Finding::Touch,
-            time: event.time,
-        });
-        let by_phase = self.world.report().events.iter().filter_map(|event| {
-            let is_one = match event.name() {
-                "merge" => true,
-                "split" => false,
-                _ => return None,
-            };
-            Some(Change { pair: [event.a as usize, event.b as usize], is_of_surface: false, is_one, time: event.time })
-        });
-        let room = MAX_CHANGES.saturating_sub(self.changes.len());
-        self.changes.extend(of_surface.chain(by_phase).take(room));
     }
 
     /// Number of connected components of the bodies, connected by joined pairs.
@@ -311,7 +275,6 @@ impl Simulation for Metaballs {
         if self.world.step().failure.is_none() {
             let clock = Clock::now();
             self.find_contacts(start);
-            self.record_changes();
             self.finding = clock.elapsed();
         }
         view::summarise(&self.world, summary);
@@ -321,32 +284,6 @@ impl Simulation for Metaballs {
         summary.scalars.clear();
         summary.scalars.resize(SCALARS.len(), 0.0);
         summary.shortfall = None;
-    }
-
-    fn account(&self) -> Option<String> {
-        let mut lines = Vec::new();
-        for change in self.changes.iter().filter(|change| change.is_of_surface) {
-            let same =
-                |other: &&Change| !other.is_of_surface && (other.pair, other.is_one) == (change.pair, change.is_one);
-            let nearest = self.changes.iter().filter(same).min_by(|x, y| {
-                let apart = |other: &Change| (other.time - change.time).abs();
-                apart(x).total_cmp(&apart(y))
-            });
-            let pair = change.pair.map(|body| self.scene.bodies[body].name.as_str()).join("~");
-            let [one, phase] = if change.is_one { ["one", "merged"] } else { ["two", "split"] };
-            let other = match nearest.map(|other| other.time - change.time) {
-                None => format!("never {phase} by q"),
-                Some(later) => {
-                    let side = if later < 0.0 { "before" } else { "after" };
-                    format!("{phase} by q {:.6} s {side}", later.abs())
-                }
-            };
-            lines.push(format!("{pair} became {one} at t = {:.9} s, {other}", change.time));
-        }
-        let more = lines.len().saturating_sub(MAX_COMPARED);
-        lines.truncate(MAX_COMPARED);
-        let more = if more > 0 { format!("; and {more} more") } else { String::new() };
-        (!lines.is_empty()).then(|| format!("surfaces: {}{more}", lines.join("; ")))
     }
 
     fn interrupt(&self) -> Option<&'static std::sync::atomic::AtomicBool> {
@@ -486,7 +423,7 @@ pub fn check(scene: &Scene) -> Result<(), Unsupported> {
             return Err(Unsupported::new(scene, key, what, "give it a path, or choose model = \"oscillators\""));
         }
         if !body.shape.mesh().is_round() {
-            let what = format!("\"{}\": the density is that of a ball", body.shape.label());
+            let what = "the density is that of a ball, which this shape is not";
             let remedy = "use shape = { sphere … }, or choose model = \"lattice\", \"fem\" or \"oscillators\"";
             return Err(Unsupported::new(scene, key_of(body, "shape"), what, remedy));
         }

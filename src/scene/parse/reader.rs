@@ -470,7 +470,9 @@ impl<'a> Value<'a> {
 
     fn unquoted(&self, error: SceneError) -> SceneError {
         match self.text() {
-            Some(text) if text.trim().parse::<f64>().is_ok() => error.with_help("write the number without quotes"),
+            Some(text) if text.trim().parse::<f64>().is_ok() => {
+                error.with_help("write a number without quotes, and with digits on both sides of its point: 0.5, 1.0")
+            }
             _ => error,
         }
     }

@@ -292,7 +292,7 @@ fn names(schema: &Schema, bodies: &[usize], room: usize) -> String {
     for (number, &body) in bodies.iter().enumerate() {
         let name = &schema.bodies[body].name;
         if number > 0 && names.len() + name.len() >= room {
-            return format!("{names} +{} more", bodies.len() - number);
+            return format!("{names}+{}", bodies.len() - number);
         }
         names += if number > 0 { "+" } else { "" };
         names += name;

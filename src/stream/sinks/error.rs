@@ -129,7 +129,8 @@ impl SinkError {
 /// Advice for an error of a file that is being written.
 pub(super) fn file_help(path: &Path, source: &io::Error, kept: Option<&Path>) -> String {
     let remedy = atomic::remedy(path, source);
-    match kept {
+    // an empty file is removed
+    match kept.filter(|kept| std::fs::metadata(kept).is_ok_and(|written| written.len() > 0)) {
         Some(kept) => format!("{remedy}; the data written so far is in {}", kept.display()),
         None => remedy,
     }

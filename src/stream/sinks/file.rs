@@ -94,6 +94,10 @@ impl Claim {
                 }
                 there = Some(Handle::from_file(file).map_err(|err| file_error("read", err))?);
             }
+            // what is printed would follow it there
+            Ok(_) if Handle::from_path(path).ok().is_some_and(|there| Handle::stdout().ok() == Some(there)) => {
+                return Err(taken("it is standard output; use `--stdout`"));
+            }
             Ok(_) => {
                 let file = OpenOptions::new().write(true).open(path).map_err(|err| file_error("write", err))?;
                 return Ok(Claim { path: path.clone(), file, partial: None, is_stale: false, there });
