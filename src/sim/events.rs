@@ -37,7 +37,7 @@ pub struct Event {
     /// The phase that began.
     pub to: Phase,
     /// Energy brought by the change of strength, Σ m Δs (Φ − Φ(r_e)) [mass · scene unit²/s²]; 0 in scenes that are not
-    /// coupled.
+    /// coupled, and with explicit schemes.
     pub energy: f64,
 }
 

@@ -62,7 +62,7 @@ impl TooLarge {
                  are available; move bodies apart, lower `reach`, or use fewer bodies"
             ),
             Some(pairs) => format!(
-                ": {bodies} {noun} {have} more than {pairs} pairs near each other at the start, more than can be stepped; move \
+                ": {bodies} {noun} {have} more than {pairs} pairs near each other, more than can be stepped; move \
                  bodies apart, lower `reach`, or use fewer bodies"
             ),
             None => format!(

@@ -65,9 +65,9 @@
 //! 3. integrate, of an explicit scheme: `explicit::step` (`coupled`); otherwise:
 //! 4. reach: `find_islands` groups the bodies that can act on each other, and wakes those in reach
 //! 5. integrate: `islands::advance` → `Island::advance_with` ([`free`]) for every island
-//! 6. ‥ `Island::substep` tries steps until the error is within the tolerance: `solve` → `converge`
-//! 7. ‥ ‥ `evaluate` (`force`, `kernels`) computes forces, `Course::correct` (`step`) moves bodies
-//! 8. ‥ ‥ the step is shortened to end at the `first_crossing` of a threshold; `estimate_error`; `commit` makes it the state
+//! 6. ‥ `Island::substep`: `enter` applies what jumps now; then an `attempt` after another, until the error is within the tolerance:
+//! 7. ‥ ‥ `solve` → `converge`: `evaluate` (`force`, `kernels`) computes forces, `Course::correct` (`step`) moves bodies
+//! 8. ‥ ‥ `end_at` shortens it to the `first_crossing` of a threshold; `estimate_error`; `commit` makes it the state
 //! 9. ‥ an island for which that is too much work is advanced by `Island::advance_in_fixed_steps` (`verlet`) instead
 //! 10. again from 4 with wider bounds for bodies that moved farther than expected (`has_left_bounds`)
 //! 11. reach: `end` takes the results over, moves bodies on which nothing acts (`advance_unforced`), and lets slow ones `sleep`

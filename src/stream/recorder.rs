@@ -286,7 +286,7 @@ impl Recorder {
     /// The layout that the viewer opens with, at `tab`, to be sent before anything else.
     pub fn blueprint(&self, simulation: &dyn Simulation, tab: Tab) -> Vec<LogMsg> {
         match self.settings.frames {
-            // the viewer finds the text and the events without it, and a layout would be larger than everything else
+            // the viewer finds the text and the events without it, and a layout would be as large as everything else
             Frames::Thin => Vec::new(),
             _ => blueprint::messages(&self.subject(simulation), tab, self.chunks.store()),
         }

@@ -36,6 +36,8 @@ pub struct Map {
     pub axes: Vec<Axis>,
     /// The quantity by which the map is coloured.
     pub color: String,
+    /// What it is, with its unit.
+    pub about_color: String,
     /// Range of the measure, if the map is coloured by one.
     pub range: Option<[f64; 2]>,
     /// One map for each combination of values on the other axes.
@@ -137,6 +139,7 @@ impl Map {
         let mut map = Map {
             axes: numbers.iter().map(|&axis| design.axes[axis].clone()).collect(),
             color: sweep.color.clone(),
+            about_color: columns.last().map_or_else(String::new, |column| column.about.to_string()),
             range: (is_measure && range[0] <= range[1]).then_some(range),
             slices: Vec::new(),
             rows: seen.len() as u64,

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 
 use super::{
     classes::{self, FAILED},
-    map::{Map, Slice, boundary, ramp, ticks},
+    map::{Map, Slice, boundary, ramp, regions, ticks},
 };
 use crate::svg::{Anchor, GREY, INK, Paint, Rgb, Svg, through};
 
@@ -61,6 +61,15 @@ fn draw(svg: &mut Svg, map: &Map, slice: &Slice, height: f64) {
         for dot in &slice.dots {
             let color = classes::color(dot.class).0;
             svg.circle(pixel(dot.at), 3.0, Paint::Fill(color));
+        }
+    }
+    if map.range.is_some() && map.is_grid {
+        // the colours say nothing about outcomes
+        for (class, at) in regions(slice) {
+            let (name, [x, y]) = (map.classes.name(class), pixel(at));
+            let width = 9.0 * name.chars().count() as f64 + 10.0;
+            svg.rectangle([x - 0.5 * width, y - 15.0], [width, 22.0], Paint::Fill([255; 3]));
+            svg.write([x, y + 1.0], 15.0, INK, Anchor::Middle, &name);
         }
     }
     for &threshold in &slice.thresholds {
@@ -139,10 +148,10 @@ fn legend(svg: &mut Svg, map: &Map, panels: &[Slice], [x, mut y]: [f64; 2]) -> f
             let at = y + 16.0 + f64::from(31 - k) * 6.0;
             svg.rectangle([x, at], [22.0, 6.4], Paint::Fill(ramp(f64::from(k) / 31.0)));
         }
-        for (value, at) in [(high, 26.0), (low, 212.0)] {
+        for (value, at) in [(high, 26.0), (0.5 * (low + high), 119.0), (low, 212.0)] {
             svg.write([x + 30.0, y + at], 14.0, INK, Anchor::Start, &format!("{value:.3}"));
         }
-        y += 240.0;
+        y = explain(svg, [x, y + 236.0], &map.about_color) + 14.0;
     } else {
         let is_shown = |class: &u8| {
             panels.iter().any(|slice| slice.classes.contains(class) || slice.dots.iter().any(|dot| dot.class == *class))

@@ -143,8 +143,11 @@ fn deepen(united: &Union, body: usize, other: &Tree, deepest: &mut f64, meter: &
     let centre = other.body.centre;
     let key = |sample: &&Sample| sample.at.distance_squared(centre);
     let nearest = samples.iter().min_by(|a, b| key(a).total_cmp(&key(b)));
+    // a surface that may cross itself is wound around each point
+    let winding = if other.body.slack() > 0.0 { 0 } else { other.body.topology.triangle_count() as u64 / 64 };
+    let cost = SAMPLE + winding;
     for &Sample { at, vertex, is_vertex } in nearest.into_iter().chain(&samples) {
-        meter.spend(SAMPLE)?;
+        meter.spend(cost)?;
         let beside = &mut ended[vertex as usize];
         if !is_vertex && *beside != u32::MAX {
             search.hint = *beside;

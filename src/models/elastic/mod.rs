@@ -256,6 +256,7 @@ fn memory_for_factors(scene: &Scene, across: u32) -> Result<u64, String> {
         let is_new = kinds.insert((
             &body.shape,
             [body.radius, body.mass, body.material.omega, body.material.damping].map(f64::to_bits),
+            body.path().is_none(),
         ));
         for_bodies = for_bodies.saturating_add(body::max_memory(scene, across, vertices, is_new));
     }

@@ -1,6 +1,7 @@
 //! Dense output: the states of an island's bodies at any time within its last step.
 //!
-//! The solver repeats the step once and keeps the states between its steps. Between these, cubic Hermite polynomials
+//! States between the solver's steps are kept during the step if some were asked for in the step before; else the solver
+//! repeats the step when it is asked. Between these states, cubic Hermite polynomials
 //! interpolate. Where they are not accurate enough, the solver advances the island to the middle of the interval, and
 //! both halves are interpolated: their error is a sixteenth of that which was found in the middle. So the cost does not
 //! grow with the number of times asked for.
@@ -11,7 +12,7 @@ use super::islands::OfScene;
 use crate::{
     model::hermite::Hermite,
     sim::{
-        free::{Body, Field, Island, Pair, Parts, Report, Scratch},
+        free::{Body, Failure, Field, Island, Pair, Parts, Report, Scratch},
         numerics::control::INTERPOLATED,
         work::Tally,
     },
@@ -40,6 +41,8 @@ pub(super) struct DenseOutput {
     most_states: usize,
     /// Work that may still be done for states within the step [units].
     left: u64,
+    /// Whether a state was asked for.
+    pub is_used: bool,
 }
 
 /// The state at an instant.
@@ -93,15 +96,17 @@ impl Interpolated<'_> {
 }
 
 impl DenseOutput {
-    /// Repeats a step from `start` to `end` [s]; `None` if that fails or exceeds `work`.
-    pub fn new(
+    /// Advances an island with these parts from `start` to `end` [s], and keeps its states. The island is then at the end, or
+    /// where the solver failed, which returns no states.
+    pub fn advance(
         parts: Parts,
         tolerance: f64,
         [start, end]: [f64; 2],
-        scratch: Scratch,
+        scratch: &mut Scratch,
         paths: &OfScene<'_>,
         work: &Tally<'_>,
-    ) -> Option<DenseOutput> {
+        report: &mut Report,
+    ) -> (Island, Result<DenseOutput, Failure>) {
         let size: usize = parts.bodies.iter().map(|body| size_of::<Body>() + 48 * body.x.len()).sum();
         let most_states = (MEMORY / size.max(1)).clamp(8, MOST_STATES);
         let field = parts.field.clone();
@@ -109,29 +114,26 @@ impl DenseOutput {
         let mut dense = DenseOutput {
             field,
             tolerance,
-            scratch: Scratch::default(),
+            scratch: Scratch::new(scratch.arch),
             states,
             spans,
             own_spans: 0,
             most_states,
             left: 0,
+            is_used: false,
         };
         let before = work.done();
         let mut island = Island::resume(parts, tolerance, start);
-        let mut scratch = scratch;
-        let mut advance = island.begin(&mut scratch, end, paths);
-        dense.keep(&island, paths);
-        while island.time() < end {
-            island.substep(&mut scratch, &mut advance, paths, work, &mut Report::default()).ok()?;
-            dense.keep(&island, paths);
+        let done = island.advance_seen(scratch, end, paths, work, report, &mut |island| {
+            dense.keep(island, paths);
             if dense.states.len() > most_states / 2 {
                 dense.thin();
             }
-        }
+        });
         dense.spans = (1..dense.states.len()).map(|i| Interval { ends: [i - 1, i], halves: None }).collect();
-        (dense.own_spans, dense.scratch) = (dense.spans.len(), scratch);
+        dense.own_spans = dense.spans.len();
         dense.left = FREE_WORK + MOST_WORK * (work.done() - before);
-        Some(dense)
+        (island, done.map(|()| dense))
     }
 
     fn keep(&mut self, island: &Island, paths: &OfScene<'_>) {
@@ -168,6 +170,7 @@ impl DenseOutput {
         work: &Tally<'_>,
         mut write: impl FnMut(usize, &Interpolated<'_>),
     ) -> Option<()> {
+        self.is_used = true;
         let own = &self.spans[..self.own_spans];
         let mut span = own.partition_point(|span| self.states[span.ends[1]].time < time).min(own.len().checked_sub(1)?);
         for _ in 0..MAX_HALVINGS {

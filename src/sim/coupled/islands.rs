@@ -1,6 +1,6 @@
 //! Islands: bodies that can act on each other within a step, and how they are advanced.
 
-use std::sync::Mutex;
+use std::sync::{Mutex, PoisonError};
 
 use glam::DVec3;
 use pulp::Arch;
@@ -73,6 +73,10 @@ pub(super) struct Job {
     pub is_fixed: bool,
     /// The states within the step, computed on first use; `Some(None)` if they cannot be found.
     dense: OnRequest<Option<DenseOutput>>,
+    /// The lengths of the first steps of its bodies [s].
+    first_lengths: Vec<f64>,
+    /// Whether it keeps these states in the step, because they were asked for in the one before.
+    keeps_states: bool,
 }
 
 /// The input for advancing islands.
@@ -123,15 +127,24 @@ impl Job {
         let paths = OfScene { scene, bodies: &self.all };
         let mut dense = lock(&self.dense.0);
         let dense = dense.get_or_insert_with(|| {
-            let parts = self.parts_before(scene, start);
-            DenseOutput::new(parts, scene.tolerance, [start, end], Scratch::new(arch), &paths, work)
+            let (parts, mut scratch) = (self.parts_before(scene, start), Scratch::new(arch));
+            let report = &mut Report::default();
+            DenseOutput::advance(parts, scene.tolerance, [start, end], &mut scratch, &paths, work, report).1.ok()
         });
         dense.as_mut()?.at(time, bodies, &paths, work, write)
     }
 
+    /// Prepares for the next step.
+    pub fn begin_step(&mut self) {
+        self.is_fixed = false;
+        let known = self.dense.0.get_mut().unwrap_or_else(PoisonError::into_inner);
+        self.keeps_states = matches!(known, Some(Some(dense)) if dense.is_used);
+    }
+
     /// The island at the start of the last step, at `start` [s].
     fn parts_before(&self, scene: &Scene, start: f64) -> Parts {
-        let mut parts = self.parts.clone(); // as before the step, except for the bodies on paths and the phases
+        // as before the step, except for the lengths of steps, the bodies on paths and the phases
+        let mut parts = Parts { step_lengths: self.first_lengths.clone(), ..self.parts.clone() };
         for (&body, copy) in self.all.iter().zip(&mut parts.bodies) {
             copy.fill_states();
             if let Some(path) = scene.source_path(body as usize) {
@@ -165,6 +178,7 @@ impl Job {
         let Parts { bodies: copies, field, pairs: between, step_lengths, .. } = &mut parts;
         step_lengths.clear();
         step_lengths.extend(bodies.iter().map(|&body| members[body as usize].step_length));
+        self.first_lengths.clone_from(step_lengths);
         field.set_common(scene);
         field.pushes.clear();
         field.forces.clear();
@@ -204,15 +218,24 @@ impl Job {
         }
         let paths = OfScene { scene, bodies: &self.all };
         let tally = Tally::limited(work, turn, if self.is_fixed { u64::MAX } else { self.budget });
-        let mut island = Island::resume(parts, scene.tolerance, span.start);
         let mut changes = std::mem::take(&mut self.report.changes);
         changes.clear();
         self.report = Report { changes, ..Report::default() };
-        self.failure = match self.is_fixed {
-            true => island.advance_in_fixed_steps(scratch, span.end, in_fixed_steps, &paths, &tally, &mut self.report),
-            false => island.advance_with(scratch, span.end, &paths, &tally, &mut self.report),
-        }
-        .err();
+        let (tolerance, report) = (scene.tolerance, &mut self.report);
+        let island = if self.keeps_states && !self.is_fixed {
+            let ends = [span.start, span.end];
+            let (island, done) = DenseOutput::advance(parts, tolerance, ends, scratch, &paths, &tally, report);
+            self.failure = done.map(|dense| self.dense = OnRequest(Mutex::new(Some(Some(dense))))).err();
+            island
+        } else {
+            let mut island = Island::resume(parts, tolerance, span.start);
+            let done = match self.is_fixed {
+                true => island.advance_in_fixed_steps(scratch, span.end, in_fixed_steps, &paths, &tally, report),
+                false => island.advance_with(scratch, span.end, &paths, &tally, report),
+            };
+            self.failure = done.err();
+            island
+        };
         self.work = tally.done();
         self.parts = island.into_parts();
         self.is_done = true;

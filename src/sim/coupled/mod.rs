@@ -182,7 +182,7 @@ impl Coupled {
         self.wake_pushed(step);
         self.wake_near_points(step);
         self.find_neighbours(step);
-        self.jobs.iter_mut().for_each(|job| job.is_fixed = false);
+        self.jobs.iter_mut().for_each(Job::begin_step);
         if let Some(scheme) = Scheme::of(step.setting.scene.integrator) {
             return self.step_explicitly(scheme, step, stopwatch);
         }

@@ -520,6 +520,32 @@ fn steps_end_at_a_rim_late_in_a_run() {
     }
 }
 
+/// A world that is asked for states within every step keeps them during the step, one that is asked once repeats that step:
+/// both give the same bits.
+#[test]
+fn states_within_a_step_are_the_same_if_the_step_is_repeated() {
+    for (name, asked) in [("collide", 50), ("drop", 45)] {
+        let scene = Scene::builtin(name).expect("built in");
+        let all: Vec<usize> = (0..scene.bodies.len()).collect();
+        let states = |from: u64| {
+            let mut world = World::new(scene.clone()).expect("it fits");
+            let schema = Simulation::schema(&world);
+            let [mut before, mut now, mut within] = std::array::from_fn(|_| Frame::default());
+            for step in 1..=asked {
+                world.observe(Want::default(), &mut before);
+                assert!(world.step().failure.is_none(), "{name}");
+                world.observe(Want::default(), &mut now);
+                if step >= from {
+                    let time = 0.7 * now.at.time + 0.3 * before.at.time;
+                    state_within(&world, &schema, [&before, &now], time, &all, &mut within);
+                }
+            }
+            within.bodies.into_iter().map(|body| (body.centre, body.displacements)).collect::<Vec<_>>()
+        };
+        assert_eq!(states(1), states(asked), "{name}");
+    }
+}
+
 /// States within a step are those of another solution, with steps an eighth as long.
 #[test]
 fn states_within_a_step_follow_the_solution() {

@@ -164,7 +164,7 @@ pub(in crate::sim) struct Scratch {
     /// The pairs that each body belongs to.
     pub(super) pairs_of: Vec<Vec<u32>>,
     pub(super) changes: Vec<u32>,
-    pub(super) arch: Arch,
+    pub(in crate::sim) arch: Arch,
     pub(super) verlet: verlet::Buffers,
     /// Left over from islands with more bodies.
     spare: Spare,
@@ -292,9 +292,27 @@ impl Island {
         work: &Tally<'_>,
         report: &mut Report,
     ) -> Result<(), Failure> {
+        self.advance_seen(scratch, end, paths, work, report, &mut |_| ())
+    }
+
+    /// Like [`Island::advance_with`]; calls `see` with the island at the start and after each step of the solver.
+    ///
+    /// # Errors
+    /// Those of [`Island::advance_with`].
+    pub(in crate::sim) fn advance_seen(
+        &mut self,
+        scratch: &mut Scratch,
+        end: f64,
+        paths: &dyn Paths,
+        work: &Tally<'_>,
+        report: &mut Report,
+        see: &mut dyn FnMut(&Island),
+    ) -> Result<(), Failure> {
         let mut advance = self.begin(scratch, end, paths);
+        see(self);
         while self.time < end {
             self.substep(scratch, &mut advance, paths, work, report)?;
+            see(self);
         }
         self.step_lengths.fill(self.step_length);
         self.finish(scratch, paths, report)

@@ -176,6 +176,9 @@ impl<'a> Recomputed<'a> {
         }
         let away = |of: &Reached| (of.time - time).abs();
         let own: Vec<usize> = (0..reached.len()).filter(|&at| reached[at].body == index).collect();
+        if own.iter().any(|&at| reached[at].time == time) {
+            return Some(states);
+        }
         if let Some(&farthest) = own.iter().max_by(|&&x, &&y| away(&reached[x]).total_cmp(&away(&reached[y])))
             && own.len() == MOST
         {

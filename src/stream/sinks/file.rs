@@ -95,7 +95,7 @@ impl Claim {
                 there = Some(Handle::from_file(file).map_err(|err| file_error("read", err))?);
             }
             // what is printed would follow it there
-            Ok(_) if Handle::from_path(path).ok().is_some_and(|there| Handle::stdout().ok() == Some(there)) => {
+            Ok(found) if is_stdout(&found) => {
                 return Err(taken("it is standard output; use `--stdout`"));
             }
             Ok(_) => {
@@ -245,6 +245,20 @@ fn is_disk(there: &Metadata) -> bool {
 /// On other systems, a disk has no file name that could be given by mistake.
 #[cfg(not(unix))]
 fn is_disk(_there: &Metadata) -> bool {
+    false
+}
+
+/// Whether it is what standard output leads to. It is not opened: a pipe without a reader would wait for one.
+#[cfg(unix)]
+fn is_stdout(there: &Metadata) -> bool {
+    use std::os::{fd::AsFd as _, unix::fs::MetadataExt as _};
+    let out = io::stdout().as_fd().try_clone_to_owned().and_then(|out| File::from(out).metadata());
+    out.is_ok_and(|out| (out.dev(), out.ino()) == (there.dev(), there.ino()))
+}
+
+/// On other systems, standard output has no file name.
+#[cfg(not(unix))]
+fn is_stdout(_there: &Metadata) -> bool {
     false
 }
 
