@@ -372,7 +372,7 @@ fn say(line: &str) {
 
 /// Prints a note to standard error, if there is one.
 fn say_note(note: Option<String>) {
-    if let Some(note) = note.filter(|_| !is_quiet()) {
+    if let Some(note) = note {
         say(&format!("note: {note}"));
     }
 }

@@ -605,8 +605,11 @@ impl Recorder {
     /// A note if the event at which the file should open did not happen.
     pub fn missed_event(&self) -> Option<String> {
         let (around, seen) = self.parts.as_ref()?.focus.missed()?;
-        let seen = if seen > 0 { format!(", only {} like it", counted(seen, "phase change")) } else { String::new() };
-        Some(format!("--around: there was no phase change {around}{seen}; a file opens at its first event"))
+        let seen = if seen > 0 { format!(", only {} of that kind", counted(seen, "event")) } else { String::new() };
+        let around = around.to_string();
+        // a number alone is that of a phase change
+        let kind = if around.bytes().all(|byte| byte.is_ascii_digit()) { "phase change " } else { "" };
+        Some(format!("--around: there was no {kind}{around}{seen}; a file opens at its first event"))
     }
 
     /// Describes the closest approaches of pairs that stayed in their first phase, closest first.

@@ -471,7 +471,11 @@ impl<'a> Value<'a> {
     fn unquoted(&self, error: SceneError) -> SceneError {
         match self.text() {
             Some(text) if text.trim().parse::<f64>().is_ok() => {
-                error.with_help("write a number without quotes, and with digits on both sides of its point: 0.5, 1.0")
+                let lacks_digit = text.trim().starts_with('.') || text.trim().ends_with('.');
+                error.with_help(match lacks_digit {
+                    true => "write the number with digits on both sides of its point, as in 0.5 or 1.0",
+                    false => "write the number without quotes",
+                })
             }
             _ => error,
         }

@@ -248,12 +248,15 @@ fn is_disk(_there: &Metadata) -> bool {
     false
 }
 
-/// Whether it is what standard output leads to. It is not opened: a pipe without a reader would wait for one.
+/// Whether it is the pipe that standard output leads to. It is not opened: a pipe without a reader would wait for one.
 #[cfg(unix)]
 fn is_stdout(there: &Metadata) -> bool {
-    use std::os::{fd::AsFd as _, unix::fs::MetadataExt as _};
+    use std::os::{
+        fd::AsFd as _,
+        unix::fs::{FileTypeExt as _, MetadataExt as _},
+    };
     let out = io::stdout().as_fd().try_clone_to_owned().and_then(|out| File::from(out).metadata());
-    out.is_ok_and(|out| (out.dev(), out.ino()) == (there.dev(), there.ino()))
+    there.file_type().is_fifo() && out.is_ok_and(|out| (out.dev(), out.ino()) == (there.dev(), there.ino()))
 }
 
 /// On other systems, standard output has no file name.
