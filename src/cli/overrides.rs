@@ -39,11 +39,6 @@ impl Overrides {
                 return Err(Failure::Input(format!("--{option} and --set {option}=… are both given: leave one out")));
             }
         }
-        let is_again = |number: usize| self.set[..number].iter().any(|set| set.key() == self.set[number].key());
-        if let Some(number) = (0..self.set.len()).find(|&number| is_again(number)) {
-            let key = self.set[number].key();
-            return Err(Failure::Input(format!("--set {key}=… is given twice: leave one out")));
-        }
         let mut scene = with(scene, &self.set, file, load::folder(file))?;
         scene.integrator = self.integrator.unwrap_or(scene.integrator);
         scene.model = self.model.unwrap_or(scene.model);
@@ -52,6 +47,10 @@ impl Overrides {
 }
 
 fn with(scene: Scene, set: &[Override], file: &str, folder: Option<&Path>) -> Result<Scene, Failure> {
+    if let Some([first, second]) = scene.set_twice(set).map(|twice| twice.map(|index| set[index].key())) {
+        let also = if first == second { String::new() } else { format!(", also as {first}=…") };
+        return Err(Failure::Input(format!("--set {second}=… is given twice{also}: leave one out")));
+    }
     scene.with_files(set, file, folder).map_err(|error| Failure::Input(format!("--set: {error}")))
 }
 

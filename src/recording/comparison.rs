@@ -159,8 +159,8 @@ impl Comparison {
         chunks.log_static(RECORDING_INFO.path, &sdk::RecordingInfo::new().with_name(name));
         let about = format!(
             "**{}**: the translucent surface is {}: grey up to a hundredth of the largest difference now (of the tolerance, if \
-             that is larger), blue at that, on a logarithmic scale. Red arrows lead to the vertices of {}, orange dots, wherever that is more than {LEAST} of it; \
-             the longest of an instant has a length of at least {LONGEST} radii. {}  \nThe plot has the largest \
+             that is larger), blue at that, on a logarithmic scale. Orange dots are the vertices of {}, wherever they differ by more than {LEAST} of it; red arrows point there, all of an instant \
+             longer by one factor, so that the longest has at least {LONGEST} radii. {}  \nThe plot has the largest \
              distance of each body, from a thousandth of the tolerance on; grey: the tolerance, {:e}.{}{}",
             schema.name,
             plan.labels[0],

@@ -393,6 +393,8 @@ fn difference(schema: &Schema, frames: [&RecordedFrame; 2], index: usize) -> Opt
     let shift = frames[1].centres[index].as_dvec3() - frames[0].centres[index].as_dvec3();
     let body = &schema.bodies[index];
     let noise = frames.map(|frame| frame.noise(index, body.radius)).into_iter().fold(0.0, f64::max);
+    let far = frames.map(|frame| frame.distance_of_centre(index)).into_iter().fold(0.0, f64::max);
+    let noise = noise + if shift == glam::DVec3::ZERO { 0.0 } else { 2.0 * f64::from(f32::EPSILON) * far };
     let positions = first.into_iter().zip(second.into_iter().map(|position| position + shift));
     Worst::of(frames[0].at(), body, noise, positions)
 }

@@ -36,18 +36,6 @@ impl Change {
         }
     }
 
-    /// How it differs, in words.
-    pub fn how(&self) -> String {
-        match self {
-            Change::Moved(was, is) => is.delay(was),
-            Change::Vanished(_) => "vanished".to_owned(),
-            Change::Appeared(_) => "appeared".to_owned(),
-            Change::Reordered(_) => "in another order".to_owned(),
-        }
-    }
-}
-
-impl Change {
     /// A remark on an event that only one run has, shortly before the last time that both reach; `common` is the first and the
     /// last such time [s].
     pub fn remark(&self, [start, end]: [f64; 2]) -> Option<String> {
@@ -57,6 +45,16 @@ impl Change {
         let (Change::Vanished(event) | Change::Appeared(event)) = self else { return None };
         let is_late = end - event.time < LATE * (end - start);
         is_late.then(|| format!("the runs are compared up to {end:.3} s: it may come later in the other"))
+    }
+
+    /// How it differs, in words.
+    pub fn how(&self) -> String {
+        match self {
+            Change::Moved(was, is) => is.delay(was),
+            Change::Vanished(_) => "vanished".to_owned(),
+            Change::Appeared(_) => "appeared".to_owned(),
+            Change::Reordered(_) => "in another order".to_owned(),
+        }
     }
 }
 

@@ -155,15 +155,19 @@ impl RecordedFrame {
         })
     }
 
-    /// Rounding error of a body's surface due to how it was recorded: in single precision [scene unit].
+    /// Rounding error of a body's surface relative to its centre due to how it was recorded: in single precision [scene unit].
     pub fn noise(&self, body: usize, radius: f64) -> f64 {
-        let is_resting = |surface: &RecordedSurface| surface.kind == SurfaceKind::Resting;
-        let far = self.centres[body].as_dvec3().abs().max_element() + 2.0 * radius;
-        let rounding = 2.0 * f64::from(f32::EPSILON) * far;
-        match self.surfaces.get(body).and_then(Option::as_ref).is_some_and(is_resting) {
-            true => rounding.max(DEFORMED * radius),
-            false => rounding,
+        let rounding = |far: f64| 2.0 * f64::from(f32::EPSILON) * far;
+        match self.surfaces.get(body).and_then(Option::as_ref).map(|surface| surface.kind) {
+            Some(SurfaceKind::World) => rounding(self.distance_of_centre(body) + 2.0 * radius),
+            Some(SurfaceKind::Resting) => DEFORMED * radius,
+            Some(SurfaceKind::Local) | None => rounding(2.0 * radius),
         }
+    }
+
+    /// The largest coordinate of a body's centre [scene unit], in whose rounding two centres may differ.
+    pub fn distance_of_centre(&self, body: usize) -> f64 {
+        f64::from(self.centres[body].abs().max_element())
     }
 }
 

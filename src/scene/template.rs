@@ -207,6 +207,13 @@ impl Scene {
         Ok(Scene { source: source.unwrap_or(self.source), set, ..scene })
     }
 
+    /// The indices of two of these settings that are of the same value; the text must be that of a scene.
+    pub fn set_twice(&self, settings: &[Override]) -> Option<[usize; 2]> {
+        let source = Source { text: &self.source, file: "" };
+        let keys: Vec<&KeyPath> = settings.iter().map(|one| &one.key).collect();
+        on_deep_stack(|| same_place(&source.document().ok()?, &keys))
+    }
+
     /// The error that the value at the path `key` cannot be used: where it stands in the text, or if it is a default, the
     /// table that it belongs to; no place if the value is not that of the text. `file` is its name.
     pub(crate) fn error_at(&self, file: &str, key: String, message: String, help: String) -> SceneError {
@@ -282,6 +289,11 @@ impl<'a> Template<'a> {
         meshes.carried_by(Scene::without_meshes(self.source.text))
     }
 
+    /// The indices of two of these keys that are those of the same value.
+    pub fn same_value(&self, keys: &[&KeyPath]) -> Option<[usize; 2]> {
+        same_place(&self.document, keys)
+    }
+
     /// The scene as its text describes it.
     pub fn base(&self) -> &Scene {
         &self.base
@@ -329,14 +341,6 @@ impl<'a> Template<'a> {
     /// The document with these values.
     fn varied<'s>(&'s self, settings: &'s [(&KeyPath, String)]) -> Result<DeTable<'s>, SceneError> {
         let mut document: DeTable<'s> = self.document.clone();
-        let places: Vec<_> = settings.iter().map(|(key, _)| numbered(&document, key)).collect();
-        for (index, ((key, _), place)) in settings.iter().zip(&places).enumerate() {
-            let first = place.as_ref().and_then(|_| places[..index].iter().position(|first| first == place));
-            if let Some(&(first, _)) = first.map(|first| &settings[first]) {
-                let also = if first == *key { String::new() } else { format!(", also as {first}") };
-                return Err(self.error(key.text.clone(), format!("this value is set twice{also}: leave one out")));
-            }
-        }
         for (key, setting) in settings {
             let value = DeValue::parse(setting).map_err(|error| self.error(key.text.clone(), error.to_string()))?;
             replace(&mut document, key, value.into_inner()).map_err(|message| self.error(key.text.clone(), message))?;
@@ -347,6 +351,15 @@ impl<'a> Template<'a> {
     fn error(&self, key: String, message: String) -> SceneError {
         SceneError { key, ..SceneError::plain(self.source.file, message) }
     }
+}
+
+/// The indices of two paths that lead to the same value of a document, such as `body.a.radius` and `body[0].radius`.
+pub(super) fn same_place(document: &DeTable<'_>, paths: &[&KeyPath]) -> Option<[usize; 2]> {
+    let places: Vec<_> = paths.iter().map(|path| numbered(document, path)).collect();
+    let known = places.iter().enumerate().filter(|(_, place)| place.is_some());
+    let pairs =
+        known.filter_map(|(index, place)| Some([places[..index].iter().position(|other| other == place)?, index]));
+    pairs.into_iter().next()
 }
 
 /// Settings with their values as text.

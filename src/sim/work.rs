@@ -78,6 +78,9 @@ pub(super) enum Stop {
     Overworked,
 }
 
+/// Work that may be done to find the states within a step again [units].
+pub const MAX_WITHIN: u64 = 100_000_000;
+
 impl Work {
     /// Before the first step of a scene of `vertices`.
     pub fn new(vertices: u64, interrupt: Option<&'static AtomicBool>) -> Work {

@@ -110,7 +110,9 @@ impl World {
             let takeover = Takeover { scene: &self.scene, kept, time, max_pairs };
             let mut solver = Solver::undeformed(&scene);
             let is_resumed = solver.resume(setting, &self.solver, &takeover, &mut self.report)?;
-            work.resume(&mut self.work);
+            if is_resumed {
+                work.resume(&mut self.work);
+            }
             is_resumed.then_some(solver)
         } else {
             Solver::new(&scene, max_pairs, &mut work)

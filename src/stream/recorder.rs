@@ -436,10 +436,10 @@ impl Recorder {
             let displacements = view.bodies().map(|(body, now)| now.max_displacement / body.radius);
             let (displaced, largest) = largest(displacements);
             let name = |body: usize| self.schema.bodies[body].name.as_str();
-            let moved = match moves.log(moved, (view, longest), &mut state.extractor, &mut self.chunks) {
+            let how = if *is_hypothetical { "would move" } else { "moved" };
+            let moved = match moves.log(moved, (view, longest, how), &mut state.extractor, &mut self.chunks) {
                 Some(Furthest { body, vertex, distance }) => {
-                    let moved = if *is_hypothetical { "would move" } else { "moved" };
-                    format!("{moved} {}:{vertex} {} R, ", name(body), significant(distance))
+                    format!("{how} {}:{vertex} {} R, ", name(body), significant(distance))
                 }
                 None => String::new(),
             };

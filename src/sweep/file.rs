@@ -538,6 +538,13 @@ fn read_jumps(value: Option<Value<'_>>, measures: Measures) -> Result<Vec<(Strin
 fn try_values(sweep: &Sweep, root: &Table<'_>, axes: &[Table<'_>], sets: &[Table<'_>]) -> Result<(), SceneError> {
     let template = if sweep.experiment.is_none() { Some(sweep.template()?) } else { None };
     let design = &sweep.design;
+    let keys: Vec<&KeyPath> =
+        sweep.set.iter().map(|(key, _)| key).chain(design.axes.iter().map(|axis| &axis.key)).collect();
+    if let Some([first, second]) = template.as_ref().and_then(|template| template.same_value(&keys)) {
+        let table = sets.iter().chain(axes).nth(second).unwrap_or(root);
+        let first = if keys[first] == keys[second] { String::new() } else { format!(", also as {}", keys[first]) };
+        return Err(table.error("key", format!("this value is set twice{first}: leave one out")));
+    }
     let first: Vec<Setting> = design.axes.iter().map(|axis| axis.sample(0)).collect();
     // whether the keys of `set` up to some, and those of a point, are valid
     let check = |count: usize, point: &[Setting]| -> Result<(), SceneError> {
@@ -545,7 +552,7 @@ fn try_values(sweep: &Sweep, root: &Table<'_>, axes: &[Table<'_>], sets: &[Table
             let fixed = sweep.set[..count].iter().map(|(key, setting)| (key, setting));
             let of_axes = design.axes.iter().map(|axis| &axis.key).zip(point);
             let scene = template.scene(fixed.chain(of_axes))?;
-            if scene.steps() == 0 {
+            if scene.steps() == 0 && count == sweep.set.len() && point.len() == design.axes.len() {
                 return Err(SceneError::plain(
                     &sweep.scene_file,
                     "there would be no step: lower dt, or raise duration".to_owned(),

@@ -131,14 +131,16 @@ impl Store {
         let store = Store { path: path.to_owned(), columns };
         let copies =
             [("sweep.toml", &sweep.text, &sweep.file), ("scene.toml", &sweep.scene_with_meshes(), &sweep.scene_file)];
-        let has_rows = path.is_dir() && !store.parts()?.is_empty();
+        // finished ones, and those of a run that was ended
+        let is_of_rows = |name: &String| name.trim_start_matches('.').starts_with("rows-");
+        let has_rows = path.is_dir() && store.names()?.iter().any(is_of_rows);
         for (file, text, own) in copies {
             let there = path.join(file);
             let Ok(known) = fs::read(&there) else { continue };
-            // a copy that is the original would never differ from it
+            // an original in place of its copy: a change of it would not be noticed
             let is_own =
                 fs::canonicalize(own).is_ok_and(|own| fs::canonicalize(&there).is_ok_and(|there| own == there));
-            if is_own || known != text.as_bytes() && !has_rows {
+            if !has_rows && (is_own || known != text.as_bytes()) {
                 return Err(StoreError::Taken { path: there.display().to_string() });
             }
         }

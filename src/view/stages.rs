@@ -13,7 +13,7 @@ use crate::{
     sim::{
         Cause, Part, States, World,
         prescribed::within::{Before, Recomputed},
-        work::Work,
+        work::{MAX_WITHIN, Work},
     },
 };
 
@@ -26,8 +26,6 @@ const WANT: Want = Want { forces: true, scalars: false };
 /// Frames of all stages of a step have no more vertices than this, but at least [`MIN_STAGES`] are always kept.
 const MAX_VERTICES: u64 = 1 << 20;
 const MIN_STAGES: u64 = 16;
-/// Work limit for recomputing a step [units].
-const MAX_WORK: u64 = 100_000_000;
 
 /// The stages of the step that led from `before` to the current state of the world, in order. If there are too many,
 /// or they take too much work, or the world was interrupted, middle ones are omitted, and the name of the last one says
@@ -38,7 +36,7 @@ pub fn inside(before: &Frame, world: &World) -> Vec<StageFrame> {
         StageFrame::new("start, with the influence forces alone", only(before.clone(), world.scene(), is_influence)),
     ];
     let max = (MAX_VERTICES / world.scene().vertex_count().max(1)).max(MIN_STAGES) as usize;
-    let work = Work::limited(MAX_WORK, world.options().interrupt);
+    let work = Work::limited(MAX_WITHIN, world.options().interrupt);
     let mut after = Frame::default();
     world.observe(WANT, &mut after);
     let recomputed = Recomputed::new(world, before_step(before), world.time(), &work);
@@ -239,7 +237,7 @@ pub fn within(
     bodies: &[usize],
     frame: &mut Frame,
 ) -> bool {
-    let work = Work::limited(MAX_WORK, world.options().interrupt);
+    let work = Work::limited(MAX_WITHIN, world.options().interrupt);
     let Some(recomputed) = Recomputed::new(world, before_step(before), end, &work) else { return false };
     let breaks = recomputed.breaks();
     if breaks.partition_point(|&at| at < time) > MAX_PARTS {
@@ -263,7 +261,7 @@ pub fn within_coupled(
     bodies: &[usize],
     frame: &mut Frame,
 ) {
-    let work = Work::limited(MAX_WORK, world.options().interrupt);
+    let work = Work::limited(MAX_WITHIN, world.options().interrupt);
     world.coupled_within([before.at.time, end], time, bodies, &work, |index, body| {
         let (now, rest) = (&mut frame.bodies[index], world.body(index).rest_shape());
         (now.centre, now.rotation) = (body.centre(), body.rotation());

@@ -570,6 +570,20 @@ fn a_scene_that_is_too_large_is_rejected_before_it_starts() {
 
 // ---- options -------------------------------------------------------------------------------------------------------
 
+/// A value may be set again when a recording is run again, however its key is spelt, but not twice at once.
+#[test]
+fn a_value_is_set_once_at_a_time() {
+    let dir = Dir::new();
+    let (by_name, by_number) = ("body.left.radius=1.1", "body[0].radius=1.2");
+    run(&dir, &["run", "collide", "--steps", "3", "--thin", "--set", by_name, "--save", "c.rrd"]).succeeded();
+    let out = run(&dir, &["replay", "c.rrd", "--set", by_number]).succeeded().out;
+    assert!(out.contains("set: body[0].radius=1.2; not verified"), "{out}");
+    for more in [by_name, by_number] {
+        let error = run(&dir, &["run", "collide", "--steps", "3", "--set", by_name, "--set", more]).failed(2);
+        assert!(error.contains("is given twice") && error.contains("leave one out"), "{error}");
+    }
+}
+
 #[test]
 fn options_have_their_documented_effect() {
     let dir = scene_dir();

@@ -67,7 +67,7 @@ pub fn parts(schema: &Schema, frame: &Frame, merged: &Merged) -> Vec<Part> {
                 Part::smooth(name, &positions, normals, colors, mesh.triangles())
             }
         };
-        // a body that is inside out encloses what it does in a group
+        // a body that is inside out is turned, as in a group
         if signed_volume_of(&local, mesh.triangles()) < 0.0 {
             part.triangles.iter_mut().for_each(|corners| corners.swap(1, 2));
             part.normals.iter_mut().for_each(|normal| *normal = normal.map(|component| -component));

@@ -198,7 +198,11 @@ impl Watched {
 
     /// Its text, or why it has none; `None` if it cannot be read now.
     fn read(&self, path: &Path) -> Result<String, Option<String>> {
-        let metadata = std::fs::metadata(path).map_err(|_| None)?;
+        let unreadable = |error: std::io::Error| match error.kind() {
+            std::io::ErrorKind::NotFound => None,
+            _ => Some(format!("cannot read {}: {error}", path.display())),
+        };
+        let metadata = std::fs::metadata(path).map_err(unreadable)?;
         // anything but a regular file may be endless or block forever
         if !metadata.is_file() {
             return Err(Some(format!("{} is no longer a file", path.display())));
@@ -208,7 +212,7 @@ impl Watched {
         }
         let mut bytes = Vec::new();
         let read = File::open(path).and_then(|file| file.take(Scene::LARGEST_TEXT).read_to_end(&mut bytes));
-        read.map_err(|_| None)?;
+        read.map_err(unreadable)?;
         Scene::text_of(&bytes, path).map(str::to_owned).map_err(|error| Some(error.to_string()))
     }
 }

@@ -183,6 +183,7 @@ fn finished(
     drop(bytes);
     watch(PARSED);
     let soup = closed::closed(soup, &|share| watch(PARSED + (1.0 - PARSED) * share))?;
+    closed::check_nesting(&soup)?;
     let text = embedded::encode(&soup);
     Ok(Loaded { mesh: finish(soup), text })
 }

@@ -267,7 +267,7 @@ fn every_flaw_is_reported() {
             true => [a, c, b],
             false => [a, b, c],
         }));
-        closed::closed(soup, &|_| ()).map(drop)
+        closed::closed(soup, &|_| ()).and_then(|soup| closed::check_nesting(&soup))
     };
     // a cavity, and a second piece beside the first
     assert_eq!([with_piece(0.5, 0.1, true), with_piece(0.5, 3.0, false)], [Ok(()); 2]);

@@ -58,8 +58,8 @@ impl Aabb {
         (self.max - self.min).length_squared()
     }
 
-    #[inline]
     /// Whether a point is in the box.
+    #[inline]
     pub fn contains(&self, point: DVec3) -> bool {
         self.min.cmple(point).all() && point.cmple(self.max).all()
     }

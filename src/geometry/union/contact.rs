@@ -68,11 +68,12 @@ pub fn contact(a: &Body, b: &Body) -> Option<Contact> {
     if let Some(crossing) = crossing {
         return Some(Contact::Crossing(crossing));
     }
-    let is_inside = |inner: &Body, outer: &Tree| {
-        let mut pieces = inner.topology.components.iter().map(|&t| inner.topology.triangles[t as usize][0]);
-        pieces.any(|vertex| outer.depth_beyond(inner.position(vertex), 0.0, &mut Search::default()).is_some())
+    let is_inside = |inner: &Body, outer: &Body, tree: &Tree| {
+        let pieces = inner.topology.components.iter().map(|&t| inner.position(inner.topology.triangles[t as usize][0]));
+        let mut near = pieces.filter(|&at| outer.bounds.contains(at));
+        near.any(|at| tree.depth_beyond(at, 0.0, &mut Search::default()).is_some())
     };
-    (is_inside(a, &trees[1]) || is_inside(b, &trees[0])).then_some(Contact::Inside)
+    (is_inside(a, b, &trees[1]) || is_inside(b, a, &trees[0])).then_some(Contact::Inside)
 }
 
 /// Whether an edge passes through a triangle, or touches it.

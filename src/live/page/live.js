@@ -109,12 +109,12 @@ const handlers = {
     if (run && message.number < run.number) return;
     if (message.number !== run?.number) {
       before = message.is_repeated ? before : (pinned ?? base ?? run);
-      if (!isDragging) base = null;
+      if (!isDragging && !isSending && message.number >= asked) base = null;
     }
     else if (pinned?.number === run.number) pinned = before = message; // the same run again, with what its surfaces do
     run = message;
     say(`run ${message.number}: ${message.outcome}; simulated in ${message.simulated_ms.toFixed(1)} ms${warned()}`);
-    showProblem(message.problem ?? mistyped, Boolean(message.problem));
+    showProblem(message.problem ?? mistyped);
     showEvents();
     showPlot();
   },
@@ -141,11 +141,11 @@ function say(text) {
 
 let mistyped = null; // what is wrong with the text of a field
 
-// A problem that is not that of the run on screen means that this run is of another scene.
-function showProblem(problem, isOfRun = false) {
+// The run on screen is not that of a value that is wrong.
+function showProblem(problem) {
   for (const wrong of document.querySelectorAll(".parameter.wrong")) wrong.classList.remove("wrong");
   $("message").textContent = problem ? problem.text : "";
-  document.body.classList.toggle("stale", Boolean(problem) && !isOfRun);
+  document.body.classList.toggle("stale", Boolean(problem?.key));
   if (problem?.key) parameterOf(problem.key)?.row.classList.add("wrong");
 }
 
@@ -254,8 +254,8 @@ function drags(track) {
     if (!isDragging) base = run;
     isDragging = true;
   });
-  track.addEventListener("change", () => (isDragging = false));
 }
+for (const end of ["pointerup", "pointercancel", "keyup", "blur"]) window.addEventListener(end, () => (isDragging = false));
 
 function slider(parameter) {
   const track = element("input", { type: "range", min: parameter.min, max: parameter.max, step: "any", id: `value of ${parameter.key}` });
@@ -506,9 +506,9 @@ function showPlot() {
       if (q === null) return;
       const end = x(lines[index + 1]?.[0] ?? scene.steps);
       parts.push(draw("line", { class: "threshold", x1: x(step), x2: end, y1: y(q), y2: y(q), stroke: color }));
-      const isTaken = labelled.some(([x, at]) => x === end && Math.abs(at - y(q)) < 11);
+      const beside = labelled.filter(([x, at]) => x === end && Math.abs(at - y(q)) < 11).length;
       labelled.push([end, y(q)]);
-      parts.push(draw("text", { x: end - 2 - (isTaken ? 90 : 0), y: y(q) - 3, "text-anchor": "end", fill: color }, `${label} ${shown(q)}`));
+      parts.push(draw("text", { x: end - 2 - 90 * beside, y: y(q) - 3, "text-anchor": "end", fill: color }, `${label} ${shown(q)}`));
     });
   }
   for (const { time } of branches) parts.push(draw("line", { class: "plotted-branch", x1: x(time / scene.dt), x2: x(time / scene.dt), y1: top, y2: height - bottom }));

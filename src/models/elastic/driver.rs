@@ -24,6 +24,7 @@
 
 use std::{
     borrow::Cow,
+    collections::BTreeMap,
     sync::{Arc, atomic::AtomicBool},
     time::{Duration, Instant as Clock},
 };
@@ -63,6 +64,8 @@ const MAX_SPRINGS: f64 = 2e8;
 /// Upper limit on phase changes of a pair in a step, if there are free bodies: each divides it, and more would take too
 /// long.
 const MAX_CHANGES: usize = 1000;
+/// The same of all pairs together.
+const MAX_ALL_CHANGES: usize = 20_000;
 /// Work for finding the phase changes of a step [units of a step's work]: a second or two.
 const MAX_SEARCH: u64 = 1_000_000_000;
 /// With fewer nodes than this, a second thread does not pay off for a step …
@@ -367,6 +370,8 @@ impl Elastic {
         let mut found: Vec<PairEvent> = Vec::new();
         let work = Work::limited(MAX_SEARCH, self.options.interrupt);
         let tally = Tally::new(&work, None);
+        let mut counts: BTreeMap<[usize; 2], usize> = BTreeMap::new();
+        self.events.iter().for_each(|event| *counts.entry([event.a, event.b]).or_default() += 1);
         for pair in self.near_each_other() {
             let [a, b] = pair.map(|body| body as usize);
             let (one, other) = (&self.bodies[a], &self.bodies[b]);
@@ -389,8 +394,7 @@ impl Elastic {
             let thresholds = self.scene.law(a, b).thresholds;
             let search = Search { paths: between, thresholds: &thresholds, work: &tally };
             let mut phase = self.phases.get(&pair).copied().unwrap_or(Phase::Apart);
-            let known = self.events.iter().filter(|event| [event.a, event.b] == pair.map(|body| body as usize));
-            let (mut from, mut count) = (start, known.count());
+            let (mut from, mut count) = (start, counts.get(&[a, b]).copied().unwrap_or(0));
             let too_much = |what: &str| {
                 let [a, b] = pair.map(|body| &self.scene.bodies[body as usize].name);
                 StepFailure::NotTaken(format!(
@@ -401,7 +405,7 @@ impl Elastic {
                 let ([a, b], q, rate) = (pair, between.q(time), between.rate(time));
                 found.push(PairEvent::from(&Event { time, step, a, b, q, rate, from: phase, to, energy: 0.0 }));
                 (from, phase, count) = (time, to, count + 1);
-                if self.has_free && count > MAX_CHANGES {
+                if self.has_free && (count > MAX_CHANGES || self.events.len() > MAX_ALL_CHANGES) {
                     return Err(too_much(
                         "change their phase again and again; set core_width, or move merge_at, split_at and core_at apart",
                     ));

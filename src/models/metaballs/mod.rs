@@ -124,10 +124,10 @@ impl Metaballs {
     fn find_contacts(&mut self, start: f64) {
         self.contacts.clear();
         let (end, step) = (self.world.time(), self.world.steps_taken());
-        let centres = self.centres_at(end);
         if self.scene.bodies.iter().all(|body| path(body).is_still(start, end)) {
             return;
         }
+        let centres = self.centres_at(end);
         let before = replace(&mut self.centres, centres);
         let mut ones: BTreeMap<[usize; 2], bool> = BTreeMap::new();
         let known = self.ones.iter().filter(|(_, is_one)| **is_one).map(|(pair, _)| *pair);

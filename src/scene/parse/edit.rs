@@ -9,7 +9,7 @@ use super::{
 use crate::scene::{
     Edit, Scene,
     keys::{self, EDIT_FORM, Kind, Section},
-    template::{KeyPath, numbered, owned, replace},
+    template::{KeyPath, owned, replace, same_place},
 };
 use crate::text::did_you_mean;
 
@@ -48,13 +48,9 @@ pub(super) fn read(
         }
         let mut lines = Vec::with_capacity(entries.len());
         let paths = entries.iter().map(|(name, value)| editable(name, value)).collect::<Result<Vec<_>, _>>()?;
-        // `body.a.omega` and `body[0].omega` may be the same
-        let places: Vec<_> = paths.iter().map(|path| numbered(&edited, path)).collect();
-        for (number, place) in places.iter().enumerate().filter(|(_, place)| place.is_some()) {
-            if let Some(first) = places[..number].iter().position(|other| other == place) {
-                let [(earlier, _), (name, value)] = [&entries[first], &entries[number]];
-                return Err(value.error(format!("{name} is {earlier}, which this edit sets already")));
-            }
+        if let Some(same) = same_place(&edited, &paths.iter().collect::<Vec<_>>()) {
+            let [(earlier, _), (name, value)] = same.map(|index| &entries[index]);
+            return Err(value.error(format!("{name} is {earlier}, which this edit sets already")));
         }
         for ((name, value), path) in entries.iter().zip(&paths) {
             replace(&mut edited, path, value.raw().clone()).map_err(|message| value.error(message))?;

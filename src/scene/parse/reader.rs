@@ -471,9 +471,11 @@ impl<'a> Value<'a> {
     fn unquoted(&self, error: SceneError) -> SceneError {
         match self.text() {
             Some(text) if text.trim().parse::<f64>().is_ok() => {
-                let lacks_digit = text.trim().starts_with('.') || text.trim().ends_with('.');
-                error.with_help(match lacks_digit {
-                    true => "write the number with digits on both sides of its point, as in 0.5 or 1.0",
+                let has_digits = |(before, after): (&str, &str)| {
+                    before.ends_with(|c: char| c.is_ascii_digit()) && after.starts_with(|c: char| c.is_ascii_digit())
+                };
+                error.with_help(match text.split_once('.').is_some_and(|parts| !has_digits(parts)) {
+                    true => "write it without quotes, and with digits on both sides of its point, as in 0.5 or 1.0",
                     false => "write the number without quotes",
                 })
             }

@@ -20,7 +20,7 @@ use crate::{
         neighbours::PairId,
         on_request::OnRequest,
         span::Span,
-        work::{Tally, Work},
+        work::{MAX_WITHIN, Tally, Work},
     },
 };
 
@@ -225,7 +225,9 @@ impl Job {
         let island = if self.keeps_states && !self.is_fixed {
             let ends = [span.start, span.end];
             let (island, done) = DenseOutput::advance(parts, tolerance, ends, scratch, &paths, &tally, report);
-            self.failure = done.map(|dense| self.dense = OnRequest(Mutex::new(Some(Some(dense))))).err();
+            // as if the step were repeated for them
+            let is_little = tally.done() <= MAX_WITHIN;
+            self.failure = done.map(|dense| self.dense = OnRequest(Mutex::new(is_little.then_some(Some(dense))))).err();
             island
         } else {
             let mut island = Island::resume(parts, tolerance, span.start);

@@ -23,7 +23,7 @@ use crate::{
     },
 };
 
-/// Largest number of attempts of one advance of an island that end in an error, or without progress.
+/// Largest number of attempts in one advance of an island that are too inaccurate or take no time.
 const MAX_STEPS: u64 = 20_000;
 /// Largest number of phase changes of one pair in one advance of an island.
 pub(super) const MAX_CHANGES: u32 = 200;
@@ -340,12 +340,15 @@ impl Island {
         }
         let on_paths = (0..self.bodies.len()).filter(|&body| !self.bodies[body].is_free());
         let fastest = on_paths.map(|body| paths.turning_rate(body)).fold(0.0, f64::max);
-        // the ledger integrates what damping takes over samples of a step
-        let damped = self.bodies[..count].iter().filter(|body| body.is_free() && body.is_losing_energy());
-        let rates = damped.map(|body| body.oscillator.omega + 2.0 * body.oscillator.damping);
-        let longest = f64::min(MAX_ANGLE / fastest, RESOLVED / rates.fold(0.0, f64::max));
         let shortest = (end - self.time) * STANDING;
-        Advance { end, shortest, longest: longest.max(shortest), tried: 0 }
+        Advance { end, shortest, longest: f64::max(MAX_ANGLE / fastest, shortest), tried: 0 }
+    }
+
+    /// The longest step whose samples resolve what damping takes [s], for the ledger.
+    fn longest_damped(&self) -> f64 {
+        let damped = self.bodies[..self.stepped()].iter().filter(|body| body.is_free() && body.is_losing_energy());
+        let rates = damped.map(|body| body.oscillator.omega + 2.0 * body.oscillator.damping);
+        RESOLVED / rates.fold(0.0, f64::max)
     }
 
     /// Takes one step of the solver, of the length that the tolerance allows.
@@ -359,20 +362,22 @@ impl Island {
     ) -> Result<(), Failure> {
         let stop = self.enter(scratch, advance.end, paths, report)?;
         let left = stop - self.time;
-        let parts = (left / self.step_length.min(advance.longest)).ceil().max(1.0);
+        let longest = advance.longest.min(self.longest_damped()).max(advance.shortest);
+        let parts = (left / self.step_length.min(longest)).ceil().max(1.0);
         let mut next = if parts > 1.0 { self.time + left / parts } else { stop };
         let attempt = loop {
             let attempt = self.attempt(scratch, next, paths, work, report);
             if work.is_over() {
                 return Err(self.stopped());
             }
+            let is_accurate = |attempt: &Attempt| attempt.outcome.error <= 1.0;
+            if let Some(attempt) = attempt.filter(|attempt| is_accurate(attempt) && attempt.end > self.time) {
+                break attempt;
+            }
             advance.tried += 1;
             let (h, factor) = match attempt {
-                Some(attempt)
-                    if attempt.outcome.error <= 1.0 && (attempt.end > self.time || advance.tried < MAX_STEPS) =>
-                {
-                    break attempt;
-                }
+                // a change that takes no time
+                Some(attempt) if is_accurate(&attempt) && advance.tried < MAX_STEPS => break attempt,
                 Some(Attempt { end, outcome, .. }) => {
                     (end - self.time, growth(outcome.error).clamp(1.0 / MAX_GROWTH, SAFETY))
                 }

@@ -123,7 +123,6 @@ impl Prescribed {
         report: &mut StepReport,
     ) -> bool {
         let Setting { scene, step, arch, .. } = setting;
-        *self = Prescribed::undeformed(scene);
         for (index, kept) in takeover.kept.iter().enumerate() {
             if let Some(active) = kept.and_then(|old| before.active(old)) {
                 let mut active = active.clone();

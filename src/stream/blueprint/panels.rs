@@ -72,8 +72,8 @@ pub fn arrows(schema: &Schema) -> String {
 pub fn stages() -> String {
     format!(
         "**How does a step come about?** The timeline `stage` counts the rows below: each is a state inside a step, with the vertex that \
-         moved most since the stage before, and the body displaced most.\n\n\
-         - **{} arrows**, on this timeline alone: how vertices moved since the stage before, of bodies on paths relative to their centres; the longest of a step is half of the largest radius long\n\
+         moved most since the stage before (“if no sphere acted”: since the start), and the body displaced most.\n\n\
+         - **{} arrows**, on this timeline alone: how vertices moved since then, of bodies on paths relative to their centres; the longest of a step is half of the largest radius long\n\
          - **Other arrows**: the forces in that state, as in Scene\n",
         capitalized(colors::name(moves::MOVED)),
     )

@@ -106,9 +106,8 @@ impl Changes {
                 }
                 None => match *rate {
                     0.0 => "does not move".to_owned(),
-                    ..0.0 if phase.is_joined => format!("deeper by {}/s", significant(-rate)),
-                    ..0.0 => format!("closer by {}/s", significant(-rate)),
-                    _ => format!("apart by {}/s", significant(*rate)),
+                    ..0.0 => format!("-{}/s", significant(-rate)),
+                    _ => format!("+{}/s", significant(*rate)),
                 },
             };
             let label = format!("{} {:.3}: {what}", schema.pair_name(pair.a, pair.b), pair.q);

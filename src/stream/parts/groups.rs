@@ -267,7 +267,8 @@ impl GroupPlots {
         // what all of it encloses, and how that has changed
         let count = groups.len() + ranked_alone;
         let all = self.sums.zip(self.first).filter(|_| !groups.is_empty()).map(|([of_surfaces, _], first)| {
-            let label = format!("all {count}: {}, {} % since start", short(of_surfaces), percent(of_surfaces / first));
+            let all = if count > 1 { format!("all {count}") } else { "all".to_owned() };
+            let label = format!("{all}: {}, {} % since start", short(of_surfaces), percent(of_surfaces / first));
             Row { label, color: SILVER, marks: Vec::new() }
         });
         let rows = all.into_iter().chain(rows);

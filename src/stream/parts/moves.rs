@@ -1,4 +1,4 @@
-//! How far each vertex moved since the stage before, as arrows.
+//! How far each vertex moved since the state before, as arrows.
 
 use glam::{DVec3, Vec3};
 
@@ -51,12 +51,12 @@ impl Moves {
         Moves { arrows: chunks.track(MOVES.path, components), mark: Callout::new(FURTHEST.path, MOVED, chunks) }
     }
 
-    /// Logs how [vertices moved](between) since the stage before; `longest` is the length of the longest move between two
+    /// Logs how [vertices moved](between) since the state before, or `would move`; `longest` is the length of the longest move between two
     /// stages of the step [scene unit]. Returns the vertex that moved furthest, unless none moved.
     pub fn log(
         &self,
         moved: Vec<Vectors>,
-        (view, longest): (FrameView<'_>, f64),
+        (view, longest, how): (FrameView<'_>, f64, &str),
         extractor: &mut Extractor,
         chunks: &mut Chunks,
     ) -> Option<Furthest> {
@@ -77,7 +77,7 @@ impl Moves {
                 }
                 arrows.append(&ends, None, &moved, scale);
                 if index == body {
-                    let text = format!("{}:{vertex} moved {} R", schema.name, significant(distance));
+                    let text = format!("{}:{vertex} {how} {} R", schema.name, significant(distance));
                     let ends = ends.get(vertex).map(|&[x, y, z]| {
                         let place = Vec3::new(x, y, z).as_dvec3();
                         [place, view.schema.raised(place, recent::label_height(view))]
