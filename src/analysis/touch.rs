@@ -43,7 +43,7 @@ const STIRRED: f64 = 0.3;
 /// Least number of comparisons in a step in which something scheduled makes forces jump: no cubic follows that.
 const AT_JUMPS: u32 = 4;
 /// Largest number of comparisons in a step.
-const MAX_SAMPLES: f64 = 32.0;
+const MAX_SAMPLES: f64 = 256.0;
 /// Surfaces are compared at an extremum of the centre distance that differs from it at the ends of the step by more than
 /// this [radii of the smaller body].
 const TREMBLE: f64 = 1e-6;

@@ -27,6 +27,7 @@ use crate::{
         existing::{Existing, Kind, REASONS, replace},
         golden::{self, BlessError, Blessed, GoldenDifference, GoldenOutcome, Moved},
     },
+    scene::Scene,
     stream::{settings::application, sinks::Complete},
     text::{self, bytes, counted, thousands, vector},
 };
@@ -377,10 +378,24 @@ fn scripts(program: Program<'_>, paths: &[PathBuf]) -> Result<Vec<Script>, Failu
         let unreadable = |error: std::io::Error| Failure::Input(format!("cannot read {}: {error}", path.display()));
         if path.is_dir() {
             let mut found = Vec::new();
+            let is_of_program = matches!(program, Program::Scenes);
             for entry in fs::read_dir(path).map_err(unreadable)? {
                 let file = entry.map_err(unreadable)?.path();
+                let is_text = || fs::metadata(&file).is_ok_and(|of| of.is_file() && of.len() <= Scene::LARGEST_TEXT);
+                let says_so = || fs::read_to_string(&file).is_ok_and(|text| Scene::is_sweep(&text));
+                let is_sweep = || is_of_program && is_text() && says_so();
+                let is_golden = || Existing::at(&file).is_some_and(|there| there.kind == Some(Kind::Golden));
                 if file.extension().is_some_and(|found| found == extension) && !is_of_check(&file) {
-                    found.push(file);
+                    match is_sweep() {
+                        true => say(&format!("note: {} is a sweep, which check does not run", file.display())),
+                        false => found.push(file),
+                    }
+                } else if is_of_program
+                    && file.extension().is_some_and(|found| found == "rrd")
+                    && !file.with_extension(extension).exists()
+                    && is_golden()
+                {
+                    say(&format!("warning: the scene of the golden recording {} is not there", file.display()));
                 }
             }
             if found.is_empty() {

@@ -63,6 +63,11 @@ impl Scene {
     /// Maximum size of a scene's text [bytes].
     pub const LARGEST_TEXT: u64 = LARGEST_FILE;
 
+    /// Whether a text is that of a sweep, not of a scene.
+    pub fn is_sweep(text: &str) -> bool {
+        on_deep_stack(|| DeTable::parse(text).is_ok_and(|document| is_of_sweep(document.get_ref())))
+    }
+
     /// Loads the scene in the file at `path`.
     ///
     /// # Errors
@@ -179,13 +184,17 @@ fn parse(text: &str, file: &str, files: Files<'_>) -> Result<Scene, SceneError> 
     })
 }
 
+fn is_of_sweep(document: &DeTable<'_>) -> bool {
+    document.get("axis").is_some() && document.get("body").is_none() && document.get("grid").is_none()
+}
+
 /// The scene of a document, which may differ from the text; [`Scene::source`] is left empty.
 pub(super) fn read_document(
     source: &Source<'_>,
     document: &DeTable<'_>,
     meshes: &mut Meshes<'_>,
 ) -> Result<Scene, SceneError> {
-    if document.get("axis").is_some() && document.get("body").is_none() && document.get("grid").is_none() {
+    if is_of_sweep(document) {
         let file = source.file;
         let help = format!("`{} sweep {file}` runs it", crate::text::program());
         return Err(SceneError::plain(file, format!("{file} is a sweep, not a scene")).with_help(&help));

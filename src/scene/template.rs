@@ -353,13 +353,17 @@ impl<'a> Template<'a> {
     }
 }
 
-/// The indices of two paths that lead to the same value of a document, such as `body.a.radius` and `body[0].radius`.
+/// The indices of two paths of which the second leads to the same value of a document, such as `body.a.radius` and
+/// `body[0].radius`, or to one around it.
 pub(super) fn same_place(document: &DeTable<'_>, paths: &[&KeyPath]) -> Option<[usize; 2]> {
     let places: Vec<_> = paths.iter().map(|path| numbered(document, path)).collect();
     let known = places.iter().enumerate().filter(|(_, place)| place.is_some());
-    let pairs =
-        known.filter_map(|(index, place)| Some([places[..index].iter().position(|other| other == place)?, index]));
-    pairs.into_iter().next()
+    let is_in = |earlier: &Option<Vec<Part>>, place: &[Part]| earlier.as_ref().is_some_and(|of| of.starts_with(place));
+    let mut pairs = known.filter_map(|(index, place)| {
+        let place = place.as_ref()?;
+        Some([places[..index].iter().position(|earlier| is_in(earlier, place))?, index])
+    });
+    pairs.next()
 }
 
 /// Settings with their values as text.
@@ -470,9 +474,10 @@ fn set<'a>(at: &mut DeValue<'a>, parts: &[Part], value: DeValue<'a>) -> Result<(
         }
         (DeValue::Array(items), Part::Index(index)) => {
             let count = items.len();
-            let item = items.get_mut(*index);
-            let item =
-                item.ok_or_else(|| format!("there is no [{index}], the last of {count} is [{}]", count.max(1) - 1))?;
+            let item = items.get_mut(*index).ok_or_else(|| match count.checked_sub(1) {
+                Some(last) => format!("there is no [{index}], the last of {count} is [{last}]"),
+                None => format!("there is no [{index}] in an empty array"),
+            })?;
             set(item.get_mut(), rest, value)
         }
         (_, Part::Name(name)) => Err(format!("there is no \"{name}\" in a value that is not a table")),

@@ -144,7 +144,7 @@ pub enum Toil {
     /// A pair whose phase changes without end.
     #[error(
         "bodies \"{a}\" and \"{b}\" chatter: they change their phase without end where attraction turns into repulsion at \
-         once; set core_width, or move merge_at, split_at and core_at apart"
+         once; lower dt if they are not that fast, set core_width, or move merge_at, split_at and core_at apart"
     )]
     Chatter {
         /// Name of one body of the pair.

@@ -380,6 +380,13 @@ fn parse(text: &str, file: &str, home: Home<'_>) -> Result<Sweep, SceneError> {
         if axes[..index].iter().any(|other| other.key == axis.key) {
             return Err(axis_tables[index].error("key", "expected a key that no other axis has".to_owned()));
         }
+        let is_taken = |name: &str| {
+            let others = axes.iter().enumerate().filter(|(other, _)| *other != index);
+            others.into_iter().any(|(_, other)| other.name.as_deref() == Some(name) || other.key.to_string() == name)
+        };
+        if axis.name.as_deref().is_some_and(is_taken) {
+            return Err(axis_tables[index].error("name", "expected a name that no other axis has".to_owned()));
+        }
     }
     let set = set_tables.iter().map(read_set).collect::<Result<Vec<_>, _>>()?;
     for (table, (key, _)) in set_tables.iter().zip(&set) {
