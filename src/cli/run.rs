@@ -185,9 +185,7 @@ pub fn run(program: Program<'_>, mut arguments: Arguments) -> Result<(), Failure
     let (outcome, finished) = simulated.conclude(&console)?;
     summarize(&console, &outcome, &finished);
     if let Some(serving) = &finished.serving {
-        if !STOP.load(Ordering::Relaxed) {
-            console.say("Serving until Ctrl-C.");
-        }
+        console.say("Serving until Ctrl-C.");
         let failure = loop {
             match serving.failure() {
                 None if !STOP.load(Ordering::Relaxed) => std::thread::sleep(Duration::from_millis(100)),

@@ -160,13 +160,12 @@ pub fn sweep(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> 
     let runner = Runner::new(&sweep, template.as_ref(), Some(&STOP));
     let running = RunningSweep { runner, sweep: &sweep, store: &store, start: Instant::now() };
     if let (Some(shard), Some(level)) = (arguments.shard, arguments.level) {
-        if level > arguments.refine {
-            return Err(Failure::Input(format!("--level {level} needs --refine {level} or more")));
-        }
         let mut known = Known::new(&sweep, arguments.refine);
         let plan = level::plan(&store, &sweep, &mut known, level)?;
         if plan.is_empty() {
-            print(&format!("level {level}: complete, nothing is left to refine"));
+            let refine = arguments.refine;
+            let by = if level > refine { format!(" with --refine {refine}") } else { String::new() };
+            print(&format!("level {level}: complete, nothing is left to refine{by}"));
             return Ok(());
         }
         print(&format!(

@@ -577,7 +577,7 @@ fn a_value_is_set_once_at_a_time() {
     let (by_name, by_number) = ("body.left.radius=1.1", "body[0].radius=1.2");
     run(&dir, &["run", "collide", "--steps", "3", "--thin", "--set", by_name, "--save", "c.rrd"]).succeeded();
     let out = run(&dir, &["replay", "c.rrd", "--set", by_number]).succeeded().out;
-    assert!(out.contains("set: body[0].radius=1.2; not verified"), "{out}");
+    assert!(out.contains("set: body[0].radius = 1.2; not verified"), "{out}");
     for more in [by_name, by_number] {
         let error = run(&dir, &["run", "collide", "--steps", "3", "--set", by_name, "--set", more]).failed(2);
         assert!(error.contains("is given twice") && error.contains("leave one out"), "{error}");
