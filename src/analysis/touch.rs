@@ -44,6 +44,10 @@ const STIRRED: f64 = 0.3;
 const AT_JUMPS: u32 = 4;
 /// Largest number of comparisons in a step.
 const MAX_SAMPLES: f64 = 256.0;
+/// Largest number of comparisons in a step of all pairs together, unless each has no more than …
+const MOST_COMPARED: usize = 2048;
+/// … so many.
+const LEAST_SAMPLES: usize = 32;
 /// Surfaces are compared at an extremum of the centre distance that differs from it at the ends of the step by more than
 /// this [radii of the smaller body].
 const TREMBLE: f64 = 1e-6;
@@ -290,7 +294,9 @@ impl Touches {
     ) -> Option<()> {
         // all pairs are compared at the same instants, because the simulation recomputes the step for each of them
         let ends = [self.before.at.time, now.at.time];
-        let count = pairs.iter().map(|pair| pair.samples.count).max().unwrap_or(0);
+        let sampled = pairs.iter().filter(|pair| pair.samples.count > 0).count();
+        let most = (MOST_COMPARED / sampled.max(1)).max(LEAST_SAMPLES) as u32;
+        let count = pairs.iter().map(|pair| pair.samples.count).max().unwrap_or(0).min(most);
         let mut bodies: Vec<usize> =
             pairs.iter().filter(|pair| pair.samples.count > 0).flat_map(|pair| pair.bodies).collect();
         bodies.sort_unstable();
@@ -298,6 +304,9 @@ impl Touches {
         let mut state = Frame::default();
         for k in 1..=count {
             let time = ends[0] + f64::from(k) / f64::from(count + 1) * (ends[1] - ends[0]);
+            if is_raised(self.interrupt) {
+                return None;
+            }
             state_within(simulation, &self.schema, [&self.before, now], time, &bodies, &mut state);
             for pair in pairs.iter_mut().filter(|pair| pair.samples.count > 0) {
                 self.compare_at_extremum(simulation, pair, time, now, found)?;

@@ -377,7 +377,7 @@ fn scripts(program: Program<'_>, paths: &[PathBuf]) -> Result<Vec<Script>, Failu
     for path in paths {
         let unreadable = |error: std::io::Error| Failure::Input(format!("cannot read {}: {error}", path.display()));
         if path.is_dir() {
-            let mut found = Vec::new();
+            let (mut found, mut notes) = (Vec::new(), Vec::new());
             let is_of_program = matches!(program, Program::Scenes);
             for entry in fs::read_dir(path).map_err(unreadable)? {
                 let file = entry.map_err(unreadable)?.path();
@@ -387,7 +387,7 @@ fn scripts(program: Program<'_>, paths: &[PathBuf]) -> Result<Vec<Script>, Failu
                 let is_golden = || Existing::at(&file).is_some_and(|there| there.kind == Some(Kind::Golden));
                 if file.extension().is_some_and(|found| found == extension) && !is_of_check(&file) {
                     match is_sweep() {
-                        true => say(&format!("note: {} is a sweep, which check does not run", file.display())),
+                        true => notes.push(format!("note: {} is a sweep, which check does not run", file.display())),
                         false => found.push(file),
                     }
                 } else if is_of_program
@@ -395,9 +395,16 @@ fn scripts(program: Program<'_>, paths: &[PathBuf]) -> Result<Vec<Script>, Failu
                     && !file.with_extension(extension).exists()
                     && is_golden()
                 {
-                    say(&format!("warning: the scene of the golden recording {} is not there", file.display()));
+                    let scene = file.with_extension(extension);
+                    notes.push(format!(
+                        "warning: {} is a golden recording without {}",
+                        file.display(),
+                        scene.display()
+                    ));
                 }
             }
+            notes.sort();
+            notes.iter().for_each(|note| say(note));
             if found.is_empty() {
                 return Err(Failure::Input(format!("there are no {what} in {}", path.display())));
             }

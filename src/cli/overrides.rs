@@ -48,8 +48,8 @@ impl Overrides {
 
 fn with(scene: Scene, set: &[Override], file: &str, folder: Option<&Path>) -> Result<Scene, Failure> {
     if let Some([first, second]) = scene.set_twice(set).map(|twice| twice.map(|index| set[index].key())) {
-        let also = if first == second { String::new() } else { format!(", also as {first}=…") };
-        return Err(Failure::Input(format!("--set {second}=… is given twice{also}: leave one out")));
+        let what = if first == second { "is given twice".to_owned() } else { format!("sets {first} again") };
+        return Err(Failure::Input(format!("--set {second}=… {what}: leave one out")));
     }
     scene.with_files(set, file, folder).map_err(|error| Failure::Input(format!("--set: {error}")))
 }

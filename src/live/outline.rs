@@ -155,6 +155,8 @@ impl Outline {
             "levels": levels,
             "plots": pairs.into_iter().map(plot).collect::<Vec<Value>>(),
             "problem": self.failure.clone().map(Problem::new).or_else(|| self.problem.clone()).or(of_file),
+            // whether the problem is that of the run itself
+            "failed": self.failure.is_some(),
             "is_repeated": self.problem.is_some(),
             "warnings": schema.warnings,
         })

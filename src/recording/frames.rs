@@ -165,7 +165,7 @@ impl RecordedFrame {
         }
     }
 
-    /// The largest coordinate of a body's centre [scene unit], in whose rounding two centres may differ.
+    /// The largest coordinate of a body's centre [scene unit], whose rounding error is that of the centre.
     pub fn distance_of_centre(&self, body: usize) -> f64 {
         f64::from(self.centres[body].abs().max_element())
     }

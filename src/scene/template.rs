@@ -209,7 +209,10 @@ impl Scene {
 
     /// The indices of two of these settings that are of the same value; the text must be that of a scene.
     pub fn set_twice(&self, settings: &[Override]) -> Option<[usize; 2]> {
-        let source = Source { text: &self.source, file: "" };
+        if settings.len() < 2 {
+            return None;
+        }
+        let source = Source { text: Scene::without_meshes(&self.source), file: "" };
         let keys: Vec<&KeyPath> = settings.iter().map(|one| &one.key).collect();
         on_deep_stack(|| same_place(&source.document().ok()?, &keys))
     }

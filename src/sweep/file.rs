@@ -541,6 +541,9 @@ fn read_jumps(value: Option<Value<'_>>, measures: Measures) -> Result<Vec<(Strin
     Ok(jumps)
 }
 
+/// Why a run without steps is rejected.
+const NO_STEP: &str = "there would be no step: lower dt, or raise duration";
+
 /// Rejects values that make the scene invalid, and sweeps with too many runs, before anything runs.
 fn try_values(sweep: &Sweep, root: &Table<'_>, axes: &[Table<'_>], sets: &[Table<'_>]) -> Result<(), SceneError> {
     let template = if sweep.experiment.is_none() { Some(sweep.template()?) } else { None };
@@ -560,10 +563,7 @@ fn try_values(sweep: &Sweep, root: &Table<'_>, axes: &[Table<'_>], sets: &[Table
             let of_axes = design.axes.iter().map(|axis| &axis.key).zip(point);
             let scene = template.scene(fixed.chain(of_axes))?;
             if scene.steps() == 0 && count == sweep.set.len() && point.len() == design.axes.len() {
-                return Err(SceneError::plain(
-                    &sweep.scene_file,
-                    "there would be no step: lower dt, or raise duration".to_owned(),
-                ));
+                return Err(SceneError::plain(&sweep.scene_file, NO_STEP.to_owned()));
             }
             if template.base().model != Model::Oscillators {
                 return Ok(()); // whatever the values are: the sweep says so when it runs
@@ -583,7 +583,17 @@ fn try_values(sweep: &Sweep, root: &Table<'_>, axes: &[Table<'_>], sets: &[Table
             return Err(sets[index].error(if is_unknown(&error) { "key" } else { "value" }, in_words(&error)));
         }
     }
+    let is_of_time = |key: &KeyPath| ["dt", "duration"].contains(&key.to_string().as_str());
     let of_axis = |index: usize, value: &Setting, error: &SceneError| {
+        let (mut index, mut value) = (index, value);
+        if error.message == NO_STEP && !is_of_time(&design.axes[index].key) {
+            if let Some(set) = sweep.set.iter().position(|(key, _)| is_of_time(key)) {
+                return sets[set].error("value", NO_STEP.to_owned());
+            }
+            if let Some(axis) = design.axes.iter().position(|axis| is_of_time(&axis.key)) {
+                (index, value) = (axis, &first[axis]);
+            }
+        }
         let table = &axes[index];
         if is_unknown(error) {
             return table.error("key", in_words(error));

@@ -140,7 +140,7 @@ impl Store {
             // an original in place of its copy: a change of it would not be noticed
             let is_own =
                 fs::canonicalize(own).is_ok_and(|own| fs::canonicalize(&there).is_ok_and(|there| own == there));
-            if !has_rows && (is_own || known != text.as_bytes()) {
+            if is_own || known != text.as_bytes() && !has_rows {
                 return Err(StoreError::Taken { path: there.display().to_string() });
             }
         }

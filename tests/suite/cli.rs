@@ -578,9 +578,14 @@ fn a_value_is_set_once_at_a_time() {
     run(&dir, &["run", "collide", "--steps", "3", "--thin", "--set", by_name, "--save", "c.rrd"]).succeeded();
     let out = run(&dir, &["replay", "c.rrd", "--set", by_number]).succeeded().out;
     assert!(out.contains("set: body[0].radius = 1.2; not verified"), "{out}");
-    for more in [by_name, by_number] {
+    let whole = "body.left={radius=1.0}";
+    for (more, expected) in [
+        (by_name, "body.left.radius=… is given twice: leave one out"),
+        (by_number, "body[0].radius=… sets body.left.radius again: leave one out"),
+        (whole, "body.left=… sets body.left.radius again: leave one out"),
+    ] {
         let error = run(&dir, &["run", "collide", "--steps", "3", "--set", by_name, "--set", more]).failed(2);
-        assert!(error.contains("is given twice") && error.contains("leave one out"), "{error}");
+        assert!(error.contains(expected), "{error}");
     }
 }
 

@@ -200,6 +200,8 @@ impl Watched {
     fn read(&self, path: &Path) -> Result<String, Option<String>> {
         let unreadable = |error: std::io::Error| match error.kind() {
             std::io::ErrorKind::NotFound => None,
+            // a program may be replacing it
+            std::io::ErrorKind::PermissionDenied if cfg!(windows) => None,
             _ => Some(format!("cannot read {}: {error}", path.display())),
         };
         let metadata = std::fs::metadata(path).map_err(unreadable)?;

@@ -170,7 +170,7 @@ pub fn closed(soup: Soup, watch: &dyn Fn(f64)) -> Result<Soup, Flaw> {
     }
 }
 
-/// Checks that no part of space is enclosed twice: a piece inside another is a cavity, one inside that is solid again. Of a
+/// Checks, apart from [`closed`], that no part of space is enclosed twice: a piece inside another is a cavity, one inside that is solid again. Of a
 /// surface with very many pieces, this is not known, and no flaw.
 pub fn check_nesting(soup: &Soup) -> Result<(), Flaw> {
     /// Upper limit on the work [comparisons with a box]: less than a second.

@@ -69,6 +69,7 @@ async function send(moved) {
     asked = (await post("change", { page, values: Object.fromEntries(values), branches: later, poke, cursor }))?.number ?? asked;
   }
   isSending = false;
+  settle();
 }
 
 function listen() {
@@ -109,12 +110,12 @@ const handlers = {
     if (run && message.number < run.number) return;
     if (message.number !== run?.number) {
       before = message.is_repeated ? before : (pinned ?? base ?? run);
-      if (!isDragging && !isSending && message.number >= asked) base = null;
     }
     else if (pinned?.number === run.number) pinned = before = message; // the same run again, with what its surfaces do
     run = message;
+    settle();
     say(`run ${message.number}: ${message.outcome}; simulated in ${message.simulated_ms.toFixed(1)} ms${warned()}`);
-    showProblem(message.problem ?? mistyped);
+    showProblem(message.problem ?? mistyped, message.failed);
     showEvents();
     showPlot();
   },
@@ -141,11 +142,11 @@ function say(text) {
 
 let mistyped = null; // what is wrong with the text of a field
 
-// The run on screen is not that of a value that is wrong.
-function showProblem(problem) {
+// Unless the problem is that of the run on screen, this is not the run of the values that are shown.
+function showProblem(problem, isOfRun = false) {
   for (const wrong of document.querySelectorAll(".parameter.wrong")) wrong.classList.remove("wrong");
   $("message").textContent = problem ? problem.text : "";
-  document.body.classList.toggle("stale", Boolean(problem?.key));
+  document.body.classList.toggle("stale", Boolean(problem) && !isOfRun);
   if (problem?.key) parameterOf(problem.key)?.row.classList.add("wrong");
 }
 
@@ -255,7 +256,12 @@ function drags(track) {
     isDragging = true;
   });
 }
-for (const end of ["pointerup", "pointercancel", "keyup", "blur"]) window.addEventListener(end, () => (isDragging = false));
+for (const end of ["change", "pointerup", "pointercancel", "blur"]) window.addEventListener(end, () => ((isDragging = false), settle()));
+
+// Once the last run of a drag is here, the next is compared with it.
+function settle() {
+  if (!isDragging && !isSending && (run?.number ?? 0) >= asked) base = null;
+}
 
 function slider(parameter) {
   const track = element("input", { type: "range", min: parameter.min, max: parameter.max, step: "any", id: `value of ${parameter.key}` });

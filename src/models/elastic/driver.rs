@@ -405,7 +405,13 @@ impl Elastic {
                 let ([a, b], q, rate) = (pair, between.q(time), between.rate(time));
                 found.push(PairEvent::from(&Event { time, step, a, b, q, rate, from: phase, to, energy: 0.0 }));
                 (from, phase, count) = (time, to, count + 1);
-                if self.has_free && (count > MAX_CHANGES || self.events.len() > MAX_ALL_CHANGES) {
+                if self.has_free && self.events.len() + found.len() > MAX_ALL_CHANGES {
+                    return Err(StepFailure::NotTaken(format!(
+                        "too much to do in step {step} (from t = {start:.6} s on): bodies change their phases more than {MAX_ALL_CHANGES} \
+                         times; lower dt"
+                    )));
+                }
+                if self.has_free && count > MAX_CHANGES {
                     return Err(too_much(
                         "change their phase again and again; set core_width, or move merge_at, split_at and core_at apart",
                     ));

@@ -50,7 +50,7 @@ pub(super) fn read(
         let paths = entries.iter().map(|(name, value)| editable(name, value)).collect::<Result<Vec<_>, _>>()?;
         if let Some(same) = same_place(&edited, &paths.iter().collect::<Vec<_>>()) {
             let [(earlier, _), (name, value)] = same.map(|index| &entries[index]);
-            return Err(value.error(format!("{name} is {earlier}, which this edit sets already")));
+            return Err(value.error(format!("{name} sets {earlier} again")));
         }
         for ((name, value), path) in entries.iter().zip(&paths) {
             replace(&mut edited, path, value.raw().clone()).map_err(|message| value.error(message))?;

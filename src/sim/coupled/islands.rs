@@ -225,7 +225,7 @@ impl Job {
         let island = if self.keeps_states && !self.is_fixed {
             let ends = [span.start, span.end];
             let (island, done) = DenseOutput::advance(parts, tolerance, ends, scratch, &paths, &tally, report);
-            // as if the step were repeated for them
+            // it would not be repeated for more
             let is_little = tally.done() <= MAX_WITHIN;
             self.failure = done.map(|dense| self.dense = OnRequest(Mutex::new(is_little.then_some(Some(dense))))).err();
             island

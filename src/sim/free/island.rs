@@ -23,7 +23,7 @@ use crate::{
     },
 };
 
-/// Largest number of attempts in one advance of an island that are too inaccurate or take no time.
+/// Largest number of attempts in one advance of an island that fail, are too inaccurate, or take no time.
 const MAX_STEPS: u64 = 20_000;
 /// Largest number of phase changes of one pair in one advance of an island.
 pub(super) const MAX_CHANGES: u32 = 200;
@@ -340,15 +340,12 @@ impl Island {
         }
         let on_paths = (0..self.bodies.len()).filter(|&body| !self.bodies[body].is_free());
         let fastest = on_paths.map(|body| paths.turning_rate(body)).fold(0.0, f64::max);
-        let shortest = (end - self.time) * STANDING;
-        Advance { end, shortest, longest: f64::max(MAX_ANGLE / fastest, shortest), tried: 0 }
-    }
-
-    /// The longest step whose samples resolve what damping takes [s], for the ledger.
-    fn longest_damped(&self) -> f64 {
-        let damped = self.bodies[..self.stepped()].iter().filter(|body| body.is_free() && body.is_losing_energy());
+        // the ledger integrates what damping takes over the samples of a step
+        let damped = self.bodies[..count].iter().filter(|body| body.is_free() && body.oscillator.damping > 0.0);
         let rates = damped.map(|body| body.oscillator.omega + 2.0 * body.oscillator.damping);
-        RESOLVED / rates.fold(0.0, f64::max)
+        let longest = f64::min(MAX_ANGLE / fastest, RESOLVED / rates.fold(0.0, f64::max));
+        let shortest = (end - self.time) * STANDING;
+        Advance { end, shortest, longest: longest.max(shortest), tried: 0 }
     }
 
     /// Takes one step of the solver, of the length that the tolerance allows.
@@ -362,8 +359,7 @@ impl Island {
     ) -> Result<(), Failure> {
         let stop = self.enter(scratch, advance.end, paths, report)?;
         let left = stop - self.time;
-        let longest = advance.longest.min(self.longest_damped()).max(advance.shortest);
-        let parts = (left / self.step_length.min(longest)).ceil().max(1.0);
+        let parts = (left / self.step_length.min(advance.longest)).ceil().max(1.0);
         let mut next = if parts > 1.0 { self.time + left / parts } else { stop };
         let attempt = loop {
             let attempt = self.attempt(scratch, next, paths, work, report);
