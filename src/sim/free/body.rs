@@ -15,7 +15,7 @@ use crate::{
         shape_matching::{Inner, Rotation, best_rotation, cross_matrix, moment, outer, resistance, solve},
     },
     scene::path::Kinematics,
-    sim::numerics::larger,
+    sim::numerics::{control::STANDING, larger},
 };
 
 /// A body counts as inside out once det G is below this share of its value at rest. It is 0 where the best-fitting
@@ -124,6 +124,13 @@ pub struct Body {
 }
 
 impl Body {
+    /// Whether damping takes energy from vertices that can be told from rounding.
+    pub(super) fn is_losing_energy(&self) -> bool {
+        let Oscillator { omega, damping } = self.oscillator;
+        let least = STANDING * (omega.max(damping) * self.radius).powi(2);
+        damping > 0.0 && self.u.iter().any(|u| u.length_squared() > least)
+    }
+
     /// A free body at rest at the origin, with an influence sphere of √2 R.
     pub fn free(shape: Arc<Shape>, radius: f64, oscillator: Oscillator, rotation: Rotation) -> Body {
         let none = vec![DVec3::ZERO; shape.rest.len()];

@@ -340,12 +340,15 @@ impl Island {
         }
         let on_paths = (0..self.bodies.len()).filter(|&body| !self.bodies[body].is_free());
         let fastest = on_paths.map(|body| paths.turning_rate(body)).fold(0.0, f64::max);
-        // the ledger integrates what damping takes over the samples of a step
-        let damped = self.bodies[..count].iter().filter(|body| body.is_free() && body.oscillator.damping > 0.0);
-        let rates = damped.map(|body| body.oscillator.omega + 2.0 * body.oscillator.damping);
-        let longest = f64::min(MAX_ANGLE / fastest, RESOLVED / rates.fold(0.0, f64::max));
         let shortest = (end - self.time) * STANDING;
-        Advance { end, shortest, longest: longest.max(shortest), tried: 0 }
+        Advance { end, shortest, longest: f64::max(MAX_ANGLE / fastest, shortest), tried: 0 }
+    }
+
+    /// The longest step whose samples resolve what damping takes from vertices that move now [s], for the ledger.
+    fn longest_damped(&self) -> f64 {
+        let damped = self.bodies[..self.stepped()].iter().filter(|body| body.is_free() && body.is_losing_energy());
+        let rates = damped.map(|body| body.oscillator.omega + 2.0 * body.oscillator.damping);
+        RESOLVED / rates.fold(0.0, f64::max)
     }
 
     /// Takes one step of the solver, of the length that the tolerance allows.
@@ -359,7 +362,8 @@ impl Island {
     ) -> Result<(), Failure> {
         let stop = self.enter(scratch, advance.end, paths, report)?;
         let left = stop - self.time;
-        let parts = (left / self.step_length.min(advance.longest)).ceil().max(1.0);
+        let longest = advance.longest.min(self.longest_damped()).max(advance.shortest);
+        let parts = (left / self.step_length.min(longest)).ceil().max(1.0);
         let mut next = if parts > 1.0 { self.time + left / parts } else { stop };
         let attempt = loop {
             let attempt = self.attempt(scratch, next, paths, work, report);
