@@ -102,10 +102,10 @@ impl Layout {
                 parts[1] = self.ranking(NEXT, RANKED_PAIRS.path);
             }
             let shares = match schema.bodies.len() {
-                2 => [1.5, 0.5, 0.9, 1.0],
-                _ if recent::is_drawn_alone(schema) => [0.9, 1.3, 1.1, 1.2],
-                _ if is_ranked(schema) => [1.2, 1.1, 0.9, 0.7],
-                _ => [1.4, 1.1, 0.8, 0.9],
+                2 => [1.4, 0.5, 1.2, 0.8],
+                _ if recent::is_drawn_alone(schema) => [0.9, 1.2, 1.25, 1.15],
+                _ if is_ranked(schema) => [1.1, 1.0, 1.15, 0.65],
+                _ => [1.25, 1.05, 1.1, 0.8],
             };
             parts.push(match recent::is_drawn_alone(schema) {
                 true => self.recent_pair(),
