@@ -444,7 +444,7 @@ mod tests {
         let free = "[[body]]\nname = 'b4'\nradius = 0.03\nmotion = { free = { from = [9, 9, 9] } }\n";
         for text in [text.to_owned(), format!("{text}{free}")] {
             let (found, _) = closest(&text);
-            assert!((found[0].q - 1.64753).abs() < 1e-4 && (found[0].time - 1.9880).abs() < 1e-3, "{found:?}");
+            assert!((found[0].q - 1.647535).abs() < 1e-6 && (found[0].time - 1.98795).abs() < 1e-5, "{found:?}");
         }
     }
 

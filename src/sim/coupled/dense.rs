@@ -1,8 +1,7 @@
 //! Dense output: the states of an island's bodies at any time within its last step.
 //!
 //! States between the solver's steps are kept during the step if some were asked for in the step before; else the solver
-//! repeats the step when it is asked. Between these states, cubic Hermite polynomials
-//! interpolate. Where they are not accurate enough, the solver advances the island to the middle of the interval, and
+//! repeats the step when it is asked. Between these states, cubic Hermite polynomials interpolate. Where they are not accurate enough, the solver advances the island to the middle of the interval, and
 //! both halves are interpolated: their error is a sixteenth of that which was found in the middle. So the cost does not
 //! grow with the number of times asked for.
 
@@ -124,7 +123,7 @@ impl DenseOutput {
         };
         let before = work.done();
         let mut island = Island::resume(parts, tolerance, start);
-        let done = island.advance_seen(scratch, end, paths, work, report, &mut |island| {
+        let done = island.advance_with(scratch, end, paths, work, report, &mut |island| {
             dense.keep(island, paths);
             if dense.states.len() > most_states / 2 {
                 dense.thin();
@@ -233,7 +232,7 @@ impl DenseOutput {
         };
         let mut island = Island::resume(parts, self.tolerance, from.time);
         let before = work.done();
-        let done = island.advance_with(&mut self.scratch, time, paths, work, &mut Report::default());
+        let done = island.advance_with(&mut self.scratch, time, paths, work, &mut Report::default(), &mut |_| ());
         self.left = self.left.saturating_sub(work.done() - before);
         done.ok()?;
         let parts = island.into_parts();

@@ -233,7 +233,7 @@ impl Job {
             let mut island = Island::resume(parts, tolerance, span.start);
             let done = match self.is_fixed {
                 true => island.advance_in_fixed_steps(scratch, span.end, in_fixed_steps, &paths, &tally, report),
-                false => island.advance_with(scratch, span.end, &paths, &tally, report),
+                false => island.advance_with(scratch, span.end, &paths, &tally, report, &mut |_| ()),
             };
             self.failure = done.err();
             island

@@ -5,7 +5,7 @@ use glam::DVec3;
 use crate::{
     Scene, World,
     model::phase::Phase,
-    observe::{BodyFrame, Frame, Simulation, Want, state_within},
+    observe::{BodyFrame, Frame, Simulation, Want, between, state_within},
     scene::{
         Force, Integrator, Motion, Path,
         path::{Bounds, Given, Kinematics},
@@ -541,7 +541,15 @@ fn states_within_a_step_are_the_same_if_the_step_is_repeated() {
                     state_within(&world, &schema, [&before, &now], time, &all, &mut within);
                 }
             }
-            within.bodies.into_iter().map(|body| (body.centre, body.displacements)).collect::<Vec<_>>()
+            // more than what interpolates the ends
+            let (mut plain, time) = (Frame::default(), 0.7 * now.at.time + 0.3 * before.at.time);
+            between(&schema, [&before, &now], time, &all, &mut plain);
+            let states = |frame: Frame| {
+                frame.bodies.into_iter().map(|body| (body.centre, body.displacements)).collect::<Vec<_>>()
+            };
+            let within = states(within);
+            assert_ne!(within, states(plain), "{name}");
+            within
         };
         assert_eq!(states(1), states(asked), "{name}");
     }

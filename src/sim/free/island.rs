@@ -279,27 +279,13 @@ impl Island {
         self.time
     }
 
-    /// Advances the island to `end` [s], with buffers of the caller and within the limit of `work`.
+    /// Advances the island to `end` [s], with buffers of the caller and within the limit of `work`. Calls `see` with the island
+    /// at the start and after each step of the solver.
     ///
     /// # Errors
     /// If a pair chatters, or the tolerance would require steps that are too short. The state is then that at the last
     /// instant reached.
     pub(in crate::sim) fn advance_with(
-        &mut self,
-        scratch: &mut Scratch,
-        end: f64,
-        paths: &dyn Paths,
-        work: &Tally<'_>,
-        report: &mut Report,
-    ) -> Result<(), Failure> {
-        self.advance_seen(scratch, end, paths, work, report, &mut |_| ())
-    }
-
-    /// Like [`Island::advance_with`]; calls `see` with the island at the start and after each step of the solver.
-    ///
-    /// # Errors
-    /// Those of [`Island::advance_with`].
-    pub(in crate::sim) fn advance_seen(
         &mut self,
         scratch: &mut Scratch,
         end: f64,

@@ -24,7 +24,7 @@ impl Island {
     }
 
     fn advance(&mut self, end: f64, paths: &dyn Paths, report: &mut Report) -> Result<(), Failure> {
-        self.advance_with(&mut Scratch::default(), end, paths, &Tally::unlimited(), report)
+        self.advance_with(&mut Scratch::default(), end, paths, &Tally::unlimited(), report, &mut |_| ())
     }
 
     fn snapshot(&self) -> Snapshot<'_> {
@@ -444,7 +444,7 @@ fn results_do_not_depend_on_the_instruction_set() {
         for step in 1..=40 {
             let end = f64::from(step) / 60.0;
             island
-                .advance_with(&mut scratch, end, &NoPaths, &Tally::unlimited(), &mut report)
+                .advance_with(&mut scratch, end, &NoPaths, &Tally::unlimited(), &mut report, &mut |_| ())
                 .expect("can be followed");
         }
         assert!(!report.changes.is_empty());
