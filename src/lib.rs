@@ -181,7 +181,6 @@ pub mod cli;
 pub mod colors;
 mod disjoint_sets;
 pub mod geometry;
-#[doc(hidden)]
 pub mod hash;
 mod interrupt;
 #[cfg(feature = "cli")]

@@ -141,13 +141,7 @@ impl Reference {
     /// # Errors
     /// [`NoReference`] if the scene is too stiff, too large or too long, or if its solution is ambiguous.
     pub fn solve(scene: &Scene, times: &[f64], accuracy: Accuracy) -> Result<Reference, NoReference> {
-        if !scene.edits.is_empty() {
-            return Err(NoReference::Edits);
-        }
-        let evaluations = Reference::evaluations(scene, times, accuracy);
-        if evaluations > MAX_EVALUATIONS {
-            return Err(NoReference::TooLong { evaluations });
-        }
+        Reference::check(scene, times, accuracy)?;
         let histories = histories(scene, times.last().copied().unwrap_or(0.0))?;
         let rate = fastest_rate(scene);
         let problem = Problem { scene, histories: &histories, times, accuracy, rate };
@@ -162,6 +156,18 @@ impl Reference {
         };
         events.sort_by(|x, y| x.time.total_cmp(&y.time));
         Ok(Reference { times: times.to_vec(), tracks, events })
+    }
+
+    /// Whether a solution is affordable.
+    ///
+    /// # Errors
+    /// The scene is too large or too long, or has edits.
+    pub fn check(scene: &Scene, times: &[f64], accuracy: Accuracy) -> Result<(), NoReference> {
+        if !scene.edits.is_empty() {
+            return Err(NoReference::Edits);
+        }
+        let evaluations = Reference::evaluations(scene, times, accuracy);
+        if evaluations > MAX_EVALUATIONS { Err(NoReference::TooLong { evaluations }) } else { Ok(()) }
     }
 
     /// An estimate of the evaluations of a vertex's equation of motion that a solution takes.

@@ -137,7 +137,7 @@ fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
         (Some(error), _) => Err(Failure::Input(error)),
         (None, 0) => Ok(()),
         (None, count) => Err(Failure::Run(format!(
-            "{count} of {} scenes differ from their golden recordings: {}",
+            "{count} of {} scenes differ from their golden recordings, or have none: {}",
             scripts.len(),
             failed.join(", ")
         ))),
@@ -163,6 +163,9 @@ fn report(name: &str, difference: &GoldenDifference, is_accepted: bool) {
     }
     if let Some([then, now]) = &difference.counts {
         print(&format!("  {now}, {then} in the golden recording"));
+    }
+    if let Some([then, now]) = &difference.methods {
+        print(&format!("  run{now}, the golden recording{then}"));
     }
     if let Some(first) = &difference.first {
         print(&format!(

@@ -91,7 +91,10 @@ pub fn diff(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> {
     let has_surfaces = difference.surfaces.iter().flatten().next().is_some();
     let has_events = !(difference.events.is_empty() && difference.starts.is_empty());
     match (&difference.first_beyond, has_events, has_surfaces) {
-        (None, false, false) => Ok(()),
+        (None, false, false) => {
+            print(&format!("no difference exceeds {tolerance:e} radii"));
+            Ok(())
+        }
         _ => Err(Failure::Run(format!("{first} and {second} differ"))),
     }
 }

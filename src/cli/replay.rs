@@ -236,17 +236,16 @@ fn vary(program: Program<'_>, arguments: &Arguments, recorded: &Recorded) -> Res
     }
     saver.end(&run);
     drop(progress);
+    let method = |of: &Schema| format!("{} s{}, tolerance {:e}", of.dt, of.method(), of.tolerance);
+    let instead = match method(was) {
+        same if same == method(&schema) => String::new(),
+        other => format!(", instead of {} of {other}", thousands(recorded.last())),
+    };
     print(&format!(
-        "{}: {} of {} s{}, tolerance {:e}, instead of {} of {} s{}, tolerance {:e}; set: {}; not verified",
+        "{}: {} of {}{instead}; set: {}; not verified",
         recorded.path.display(),
         counted(run.simulation.steps_taken(), "step"),
-        schema.dt,
-        schema.method(),
-        schema.tolerance,
-        thousands(recorded.last()),
-        was.dt,
-        was.method(),
-        was.tolerance,
+        method(&schema),
         arguments.set.iter().map(ToString::to_string).collect::<Vec<_>>().join(", "),
     ));
     match largest {
@@ -256,7 +255,8 @@ fn vary(program: Program<'_>, arguments: &Arguments, recorded: &Recorded) -> Res
         }
     }
     let changes = counted(events.len() as u64, "phase change");
-    print(&format!("  {changes}, {} recorded:", thousands(recorded.events.len() as u64)));
+    let listed = if events.is_empty() { "" } else { ":" };
+    print(&format!("  {changes}, {} recorded{listed}", thousands(recorded.events.len() as u64)));
     for event in events.iter().take(MOST_LISTED) {
         print(&format!("    {event}"));
     }

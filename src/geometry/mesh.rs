@@ -228,12 +228,14 @@ fn normals(positions: &Vectors, triangles: &[[u32; 3]], sums: &mut Vec<DVec3>) -
     sums.iter().zip(positions.iter()).map(unit)
 }
 
-/// Whether triangles of a mesh hide one of its vertices from an eye.
-pub fn hides(positions: &Vectors, triangles: &[[u32; 3]], vertex: usize, eye: DVec3) -> bool {
-    let from = positions.get(vertex);
-    within(triangles, positions.len())
-        .filter(|corners| !corners.contains(&(vertex as u32)))
-        .any(|corners| place_of_crossing(positions, *corners, from, eye - from).is_some_and(|place| place < 1.0))
+/// Whether triangles of a mesh hide a point, which may be one of its vertices, from an eye.
+pub fn hides(positions: &Vectors, triangles: &[[u32; 3]], point: DVec3, eye: DVec3) -> bool {
+    /// Triangles that have the point as a corner are this close, but for rounding [distance of the eye].
+    const AT_POINT: f64 = 1e-9;
+
+    within(triangles, positions.len()).any(|&corners| {
+        place_of_crossing(positions, corners, point, eye - point).is_some_and(|place| (AT_POINT..1.0).contains(&place))
+    })
 }
 
 /// Whether a point is inside a closed mesh: a ray from it crosses an odd number of triangles.

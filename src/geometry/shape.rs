@@ -104,6 +104,18 @@ macro_rules! shapes {
                 }
             }
 
+            /// The first parameter that is out of its range, with its value.
+            pub(crate) fn out_of_range(&self) -> Option<(&'static $crate::geometry::shape::Parameter, u32)> {
+                use $crate::geometry::shape::Solid;
+                match self {
+                    $(Shape::$Kind(solid) => {
+                        let mut all = <$Kind as Solid>::PARAMETERS.iter().zip(solid.parameters());
+                        all.find(|(parameter, value)| !(parameter.least..=parameter.most).contains(value))
+                    })*
+                    Shape::Mesh(_) => None,
+                }
+            }
+
             /// A label unique to this shape: letters, digits and `_`.
             pub fn label(&self) -> String {
                 match self {

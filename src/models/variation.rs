@@ -100,6 +100,8 @@ fn with_values(scene: &Scene, values: &BTreeMap<String, f64>) -> Result<String, 
         settings.push((path, Setting::Number(value)));
     }
     template.text(settings.iter().map(|(path, setting)| (path, setting))).map_err(|error| {
+        // of a text that nobody has written, the place means nothing
+        let error = crate::scene::SceneError { place: None, ..error };
         // the error names the key as the parser knows it, which for an item of an array is not its path
         let last = |key: &str| key.rsplit('.').next().unwrap_or_default().split('[').next().map(str::to_owned);
         let is_it = |key: &&String| error.key == **key || last(&error.key).is_some_and(|name| last(key) == Some(name));

@@ -148,6 +148,9 @@ pub fn put_on_paths(simulation: &dyn Simulation, time: f64, bodies: &[usize], fr
 /// polynomials, and so are centres and rotations where their velocities are known; otherwise centres are interpolated
 /// linearly, rotations spherically. The error of the cubics is of fourth order in the step, unless a force jumps within
 /// it.
+///
+/// # Panics
+/// A frame or the schema has no such body.
 pub fn between(schema: &Schema, ends: [&Frame; 2], time: f64, bodies: &[usize], frame: &mut Frame) {
     let instants = ends.map(|end| end.at.time);
     frame.at = Instant { step: ends[1].at.step, time };

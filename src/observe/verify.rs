@@ -48,7 +48,8 @@ pub fn verify(experiment: &dyn Experiment, steps: u64) -> Result<(), Vec<String>
         summary.clear();
         one.step(&mut summary);
         other.step(&mut StepSummary::default());
-        if summary.failure.as_ref().is_some_and(|failure| !failure.is_whole_step()) {
+        if let Some(failure) = summary.failure.as_ref().filter(|failure| !failure.is_whole_step()) {
+            mistakes.add(format!("the step after {before:?} fails: {failure}"));
             break;
         }
         let now = Instant { step: one.steps_taken(), time: one.time() };

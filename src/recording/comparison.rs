@@ -41,6 +41,8 @@ use crate::{
     text::{counted, short, significant},
 };
 
+/// How the ids of comparisons end.
+pub const SUFFIX: &str = "-difference";
 /// Upper limit on the number of bodies shown.
 const MAX_BODIES: usize = 64;
 const COLORS: [Rgb; 2] = [[90, 150, 235], [240, 150, 50]];
@@ -129,7 +131,7 @@ impl Comparison {
         let destinations = Destinations::file(path);
         let mut sinks = Sinks::open(&destinations)?;
         let application = ApplicationId::new_or_unknown(Existing::comparison().application);
-        let store = StoreId::new(StoreKind::Recording, application, format!("{}-difference", file_stem(&schema.name)));
+        let store = StoreId::new(StoreKind::Recording, application, format!("{}{SUFFIX}", file_stem(&schema.name)));
         let bodies = plan.bodies.iter().take(MAX_BODIES);
         let shown: Vec<_> = bodies
             .filter_map(|&index| {
@@ -158,10 +160,13 @@ impl Comparison {
         let name = format!("{}: {} and {}", schema.name, plan.labels[0], plan.labels[1]);
         chunks.log_static(RECORDING_INFO.path, &sdk::RecordingInfo::new().with_name(name));
         let about = format!(
-            "**{}**: the translucent surface is {}: grey up to a hundredth of the largest difference now (of the tolerance, if \
-             that is larger), blue at that, on a logarithmic scale. Orange dots are the vertices of {}, wherever they differ by more than {LEAST} of it; red arrows point there, all of an instant \
-             longer by one factor, so that the longest has at least {LONGEST} radii. {}  \nThe plot has the largest \
-             distance of each body, from a thousandth of the tolerance on; grey: the tolerance, {:e}.{}{}",
+            "**{}**: {} and {}\n\n\
+             - **Surface**: the first run; grey up to a hundredth of the largest difference now (of the tolerance, if that is \
+             larger), blue at that, on a logarithmic scale. {}\n\
+             - **Orange dots**: vertices of the second run that differ by more than {LEAST} of it; red arrows point there, all of an \
+             instant longer by one factor, so that the longest has at least {LONGEST} radii\n\
+             - **Plot**: the largest distance of each body, from a thousandth of the tolerance on; grey: the tolerance, {:e}\n\
+             {}{}",
             schema.name,
             plan.labels[0],
             plan.labels[1],
@@ -174,9 +179,8 @@ impl Comparison {
             if pairs.is_empty() {
                 ""
             } else {
-                " Below it, q of the first pairs whose events differ: \
-                 the first run thick and blue, the second thin and orange; diamonds are events that differ, level lines \
-                 thresholds that do."
+                "- **q** of the first pairs whose events differ: the first run thick and blue, the second thin and orange; \
+                 diamonds are events that differ, level lines thresholds that do\n"
             },
             differ_most(plan.changes),
         );

@@ -242,6 +242,8 @@ pub struct GoldenDifference {
     pub counts: Option<[String; 2]>,
     /// Whether the text of the scene differs from that of the golden recording.
     pub is_rewritten: bool,
+    /// The model and the integrator of the golden recording and now, if they differ.
+    pub methods: Option<[String; 2]>,
     /// Whether it is a golden recording: any other has no states, to tell where and by how much they differ.
     pub is_golden: bool,
     /// The first step whose checksums differ.
@@ -349,7 +351,7 @@ pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -
     // the end of a file that is cut short may lack events
     let cut_short = recorded.cut_short();
     let changes = if cut_short.is_some() { Vec::new() } else { events::compare(&recorded.events, &events) };
-    let is_same = first.is_none() && steps[0] == steps[1] && other_counts.is_none();
+    let is_same = first.is_none() && steps[0] == steps[1] && other_counts.is_none() && cut_short.is_none();
     let is_same = is_same && changes.is_empty() && surfaces.is_empty();
     let moved = if is_same && is_rewritten { first_moved(scene, &recorded)? } else { None };
     if is_same && moved.is_none() {
@@ -362,6 +364,7 @@ pub fn check(scene: &dyn Experiment, golden: &Path, comparison: Option<&Path>) -
         steps: (steps[0] != steps[1]).then_some(steps),
         counts: other_counts.map(|then| [then, counts_now]),
         is_rewritten,
+        methods: Some([recorded.schema.method(), schema.method()]).filter(|[then, now]| then != now),
         is_golden,
         first: None,
         moved,

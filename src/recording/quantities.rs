@@ -49,6 +49,8 @@ pub fn of_frame(schema: &Schema, merged: &Merged, pairs: &[[usize; 2]]) -> Value
 pub struct Deviation {
     /// The quantity, such as `gap of a~b`.
     pub what: String,
+    /// The unit of its values, behind a space; empty for counts.
+    pub unit: &'static str,
     /// The first step, of the first run, at which it deviates.
     pub step: u64,
     /// Simulated time of that step [s].
@@ -70,7 +72,7 @@ impl fmt::Display for Deviation {
 impl Deviation {
     /// Describes it; `at` tells when it begins.
     pub fn line(&self, at: &str) -> String {
-        let Deviation { what, step, values: [first, second], largest: (largest, last), .. } = self;
+        let Deviation { what, unit, step, values: [first, second], largest: (largest, last), .. } = self;
         // as many digits as show the difference
         let is_whole = [first, second].iter().all(|value| !(value.fract().abs() > 0.0));
         let digits = if is_whole { 0.0 } else { 1.0 - (first - second).abs().log10().floor() };
@@ -83,7 +85,7 @@ impl Deviation {
                 format!(", up to {largest} apart, at step {last}")
             }
         };
-        format!("{what}: {} and {}{at}{later}", value(first), value(second))
+        format!("{what}: {} and {}{unit}{at}{later}", value(first), value(second))
     }
 }
 
@@ -127,6 +129,13 @@ impl Deviations {
         let (part, name) = (parts.next().unwrap_or_default(), parts.next().unwrap_or_default());
         let known = self.found.entry(entity.to_owned()).or_insert_with(|| Deviation {
             what: format!("{part} of {name}{group}"),
+            unit: match part {
+                "gap" | "neck" => " R",
+                "overlap" => " R³",
+                "volume" => " unit³",
+                "area" => " unit²",
+                _ => "",
+            },
             step,
             time,
             values,

@@ -6,7 +6,7 @@ use std::{
     sync::Arc,
 };
 
-use super::{ReadError, contents::Contents, read::End};
+use super::{ReadError, comparison, contents::Contents, read::End};
 use crate::{
     hash, models,
     observe::{Experiment, Parameter, Refusal, Schema, Simulation, simulation::ReadExperiment},
@@ -267,6 +267,9 @@ impl Found {
                         .to_owned(),
                 ),
                 (None, End::Cut) => foreign("it ends before its header is complete"),
+                (None, End::Whole) if id.ends_with(comparison::SUFFIX) => foreign(
+                    "it is a comparison, as `diff --save` and `check` make them; use the recordings that it compares",
+                ),
                 (None, End::Whole) => foreign("it lacks the properties of one"),
             });
         };

@@ -129,7 +129,9 @@ pub(crate) fn verify_events(recorded: &Recorded, replayed: &[RecordedEvent], las
     if recorded.end == End::Cut || first == was.len().max(is.len()) {
         return Ok(());
     }
-    let [was, is] = [was, is].map(|events| events.get(first).map_or("no more".to_owned(), ToString::to_string));
+    // with all digits: a single bit may differ
+    let text = |event: &&RecordedEvent| format!("{event}, in full t = {:?} s, q = {:?}", event.time, event.q);
+    let [was, is] = [was, is].map(|events| events.get(first).map_or("no more".to_owned(), text));
     let what = format!("all checksums are right, but event {} is not: {was}; the replay has {is}", first + 1);
     Err(ReadError::Damaged { path: recorded.path.clone(), at: None, what })
 }

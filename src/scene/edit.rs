@@ -18,7 +18,9 @@ pub struct Edit {
     pub time: f64,
     /// What it sets, as lines of TOML without quotes around the keys: `influence.merge_at = 1.1`.
     pub set: Vec<String>,
-    /// The numbers of the scene that an edit can change, from then on.
+    /// The numbers of the scene that an edit can change, until then …
+    before: Arc<Numbers>,
+    /// … and from then on.
     numbers: Arc<Numbers>,
 }
 
@@ -40,6 +42,31 @@ pub(crate) struct Numbers {
 }
 
 impl Numbers {
+    fn of(scene: &Scene) -> Numbers {
+        let Scene { influence, thresholds, core_width, for_free, gravity, .. } = *scene;
+        let (pairs, planes, points) = (scene.pairs.clone(), scene.planes.clone(), scene.points.clone());
+        let materials = scene.bodies.iter().map(|body| body.material).collect();
+        let reaches = scene.bodies.iter().map(|body| body.reach).collect();
+        Numbers { influence, thresholds, core_width, for_free, pairs, gravity, planes, points, materials, reaches }
+    }
+
+    /// Appends a body, in the group of body `like` if there is one.
+    fn add_body(&mut self, body: &super::Body, like: Option<usize>) {
+        self.pairs.add_body(like);
+        self.materials.push(body.material);
+        self.reaches.push(body.reach);
+    }
+
+    /// Removes a body; the indices of later bodies decrease by one.
+    fn remove_body(&mut self, index: usize) {
+        self.pairs.remove_body(index);
+        if index < self.materials.len() {
+            self.materials.remove(index);
+            self.reaches.remove(index);
+        }
+        self.points.iter_mut().for_each(|point| point.remove_body(index));
+    }
+
     /// Like [`Scene::common_law`].
     pub fn common_law(&self) -> PairLaw {
         common_law(&self.influence, self.thresholds, self.core_width, self.for_free)
@@ -58,14 +85,15 @@ pub(super) fn common_law(influence: &Influence, thresholds: Thresholds, core_wid
 }
 
 impl Edit {
-    /// The edit at `time` [s] that leads to `after`, a scene with the same bodies.
-    pub(super) fn new(time: f64, set: Vec<String>, after: Scene) -> Edit {
-        let Scene { influence, thresholds, core_width, for_free, pairs, gravity, planes, points, bodies, .. } = after;
-        let materials = bodies.iter().map(|body| body.material).collect();
-        let reaches = bodies.iter().map(|body| body.reach).collect();
-        let numbers =
-            Numbers { influence, thresholds, core_width, for_free, pairs, gravity, planes, points, materials, reaches };
-        Edit { time, set, numbers: Arc::new(numbers) }
+    /// The edit at `time` [s] of `scene`, or of what `earlier` made of it, that leads to `after`, a scene with the same bodies.
+    pub(super) fn new(time: f64, set: Vec<String>, scene: &Scene, earlier: Option<&Edit>, after: &Scene) -> Edit {
+        let before = earlier.map_or_else(|| Arc::new(Numbers::of(scene)), |edit| Arc::clone(&edit.numbers));
+        Edit { time, set, before, numbers: Arc::new(Numbers::of(after)) }
+    }
+
+    /// Whether it was made from this scene, or from what the `earlier` edit makes of it.
+    pub(super) fn follows(&self, scene: &Scene, earlier: Option<&Edit>) -> bool {
+        earlier.map_or_else(|| *self.before == Numbers::of(scene), |edit| self.before == edit.numbers)
     }
 
     /// The numbers that hold from then on.
@@ -83,23 +111,9 @@ impl Edit {
         self.time < time - ROUNDING * dt
     }
 
-    /// Appends a body, in the group of body `like` if there is one.
-    fn add_body(&mut self, body: &super::Body, like: Option<usize>) {
-        let numbers = Arc::make_mut(&mut self.numbers);
-        numbers.pairs.add_body(like);
-        numbers.materials.push(body.material);
-        numbers.reaches.push(body.reach);
-    }
-
-    /// Removes a body; the indices of later bodies decrease by one.
-    fn remove_body(&mut self, index: usize) {
-        let numbers = Arc::make_mut(&mut self.numbers);
-        numbers.pairs.remove_body(index);
-        if index < numbers.materials.len() {
-            numbers.materials.remove(index);
-            numbers.reaches.remove(index);
-        }
-        numbers.points.iter_mut().for_each(|point| point.remove_body(index));
+    /// Changes the numbers before and after it.
+    fn change(&mut self, change: impl Fn(&mut Numbers)) {
+        [&mut self.before, &mut self.numbers].into_iter().for_each(|numbers| change(Arc::make_mut(numbers)));
     }
 }
 
@@ -108,7 +122,7 @@ impl Scene {
     pub(crate) fn add_body(&mut self, body: super::Body) {
         let known = self.bodies.iter().position(|other| body.group.is_some() && other.group == body.group);
         self.pairs.add_body(known);
-        self.edits.iter_mut().for_each(|edit| edit.add_body(&body, known));
+        self.edits.iter_mut().for_each(|edit| edit.change(|numbers| numbers.add_body(&body, known)));
         self.bodies.push(body);
     }
 
@@ -120,7 +134,7 @@ impl Scene {
         self.pushes.retain(|push| push.body != index);
         self.pushes.iter_mut().filter(|push| push.body > index).for_each(|push| push.body -= 1);
         self.points.iter_mut().for_each(|point| point.remove_body(index));
-        self.edits.iter_mut().for_each(|edit| edit.remove_body(index));
+        self.edits.iter_mut().for_each(|edit| edit.change(|numbers| numbers.remove_body(index)));
     }
 
     /// The scene from edit `index` on; it keeps the list of edits.

@@ -32,7 +32,7 @@ use glam::DVec3;
 /// let stiffness = std::f64::consts::TAU.powi(2);
 /// world.set_force(0, Some(Force::new(2.0 * stiffness, move |_t, centre, _velocity| -stiffness * centre)))?;
 /// for _ in 0..60 {
-///     world.step();
+///     let _ = world.step();
 /// }
 /// assert!(world.body(0).centre().distance(DVec3::X) < 1e-6);
 /// # Ok::<(), Box<dyn std::error::Error>>(())

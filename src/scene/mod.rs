@@ -2,7 +2,9 @@
 //!
 //! A scene comes from [`Scene::load`] (a file), [`Scene::parse`] (its text) or [`Scene::builtin`] (compiled in), which
 //! validate it. A program may change it or build bodies of its own: [`Scene::validate`] checks the same, and a
-//! [`World`](crate::World) does so before it starts. Nothing downstream checks again.
+//! [`World`](crate::World) does so before it starts. Nothing downstream checks again. Two things happen only to scenes from
+//! text: bodies inside planes are moved out of them, and `[[edit]]`s are read, which a program cannot make and which hold only
+//! for the scene as it was read.
 //!
 //! # The file
 //! TOML. Units are scene units, seconds and radians; defaults are in brackets; unknown keys are errors.
@@ -500,6 +502,9 @@ impl Scene {
     }
 
     /// The law of the pair of bodies `a` and `b`, in either order.
+    ///
+    /// # Panics
+    /// It may if there are no such bodies.
     pub fn law(&self, a: usize, b: usize) -> PairLaw {
         self.law_at(self.law_index(a, b))
     }

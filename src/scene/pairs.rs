@@ -37,7 +37,7 @@ pub struct Overlap {
 
 impl PairLaws {
     /// Builds the lookup from rules, each for all pairs of a body of one side with a body of the other. `group_of` is
-    /// the group of each body, `[body_count]`.
+    /// the group of each body, `[body_count]`; bodies with the same [`group`](super::Body::group) have the same number.
     ///
     /// # Errors
     /// Two rules apply to the same pair.
@@ -91,7 +91,7 @@ impl PairLaws {
     /// The group of a body, as a side of a rule.
     fn wider(&self, side: Members) -> Option<Members> {
         match side {
-            Members::Body(body) => self.group_of[body as usize].map(Members::Group),
+            Members::Body(body) => self.group_of(body as usize).map(Members::Group),
             Members::Group(_) => None,
         }
     }
@@ -104,6 +104,11 @@ impl PairLaws {
     /// The group of a body, if it is in one; `None` for all bodies if there are no rules.
     pub fn group_of(&self, body: usize) -> Option<u32> {
         self.group_of.get(body).copied().flatten()
+    }
+
+    /// The groups of the first bodies; of others there is none.
+    pub(super) fn groups(&self) -> &[Option<u32>] {
+        &self.group_of
     }
 
     /// Whether every pair has the scene's law.

@@ -47,6 +47,8 @@ pub(super) const ARRAYS: [&str; 7] = ["body", "grid", "pair", "plane", "point", 
 
 /// Limit on the planes of a scene.
 pub(super) const MAX_PLANES: usize = 1000;
+/// Limit on the number of pushes of one body.
+const MAX_PUSHES: usize = 1000;
 
 /// A key of the [table](keys), found when the program is built.
 macro_rules! key {
@@ -266,7 +268,15 @@ pub(super) fn read_document(
     }
     let planes = plane_tables.iter().map(read_plane).collect::<Result<_, _>>()?;
     let points = point::read(&point_tables, &bodies, &names, &influence)?;
-    let pushes = push_tables.iter().map(|push| read_push(push, &bodies, &names)).collect::<Result<_, _>>()?;
+    let pushes = push_tables.iter().map(|push| read_push(push, &bodies, &names)).collect::<Result<Vec<_>, _>>()?;
+    let mut pushes_of = vec![0; bodies.len()];
+    for (table, push) in push_tables.iter().zip(&pushes) {
+        pushes_of[push.body] += 1;
+        if pushes_of[push.body] > MAX_PUSHES {
+            let message = format!("expected at most {MAX_PUSHES} [[push]]es of one body, found more");
+            return Err(table.error("body", message).with_help("every step tests all pushes of a body"));
+        }
+    }
     let mut scene = Scene {
         name,
         dt,

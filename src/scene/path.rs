@@ -56,6 +56,11 @@ impl Given {
     pub fn new(bounds: Bounds, at: impl Fn(f64) -> Kinematics + Send + Sync + 'static) -> Given {
         Given { at: Arc::new(at), bounds }
     }
+
+    /// The bounds of its velocity and acceleration.
+    pub fn bounds(&self) -> Bounds {
+        self.bounds
+    }
 }
 
 // a deterministic function has no state that a panic could leave half changed
@@ -364,8 +369,11 @@ struct Segment {
 }
 
 impl Spline {
-    /// The C² cubic spline through `keys` (time [s], position [scene unit]), two or more, times strictly increasing, with
+    /// The C² cubic spline through `keys` (time [s], position [scene unit]), one or more, times strictly increasing, with
     /// zero velocity at the first and the last.
+    ///
+    /// # Panics
+    /// There is no key; so do [`Spline::linear`] and [`Spline::hold`].
     ///
     /// The accelerations M_k at the keys solve the tridiagonal system of the clamped spline, `h₋ M₋ + 2 (h₋ + h₊) M +
     /// h₊ M₊ = 6 (Δ₊ − Δ₋)`, with Δ the slope of a segment, 0 beyond the ends (de Boor, A Practical Guide to Splines,

@@ -1,7 +1,7 @@
 //! What holds for every scene from a file, checked for scenes and parts that a program has built.
 
 use std::{
-    collections::HashSet,
+    collections::{HashMap, HashSet},
     fmt::{Debug, Display},
 };
 
@@ -12,6 +12,7 @@ use super::{
     keys::{self, ANY, Key, Kind, LARGEST, NON_NEGATIVE, Range, SMALLEST},
     pairs::Members,
     parse::{MAX_PLANES, MAX_STEPS, key},
+    path::{Bounds, Kinematics},
 };
 use crate::model::PairLaw;
 
@@ -88,6 +89,13 @@ impl Scene {
         for (index, body) in self.bodies.iter().enumerate() {
             body.validate().map_err(element("bodies", index))?;
         }
+        let mut numbers: HashMap<&str, Option<u32>> = HashMap::new();
+        let groups = self.pairs.groups().iter().copied().chain(std::iter::repeat(None));
+        for (index, (body, number)) in self.bodies.iter().zip(groups).enumerate().filter(|_| !self.pairs.is_empty()) {
+            let of_name = body.group.as_deref().and_then(|group| *numbers.entry(group).or_insert(number));
+            let expected = || format!("that of its number in `pairs`, {number:?}: one number for each name");
+            ensure(of_name == number, "group", expected, &body.group).map_err(element("bodies", index))?;
+        }
         let names = unique("bodies", self.bodies.iter().map(|body| &*body.name))?;
         for (index, body) in self.bodies.iter().enumerate() {
             let is_own = body.group.as_ref().is_none_or(|group| !names.contains(group.as_str()));
@@ -112,6 +120,12 @@ impl Scene {
             let is_of_these = edit.body_count() == self.bodies.len();
             let expected = || format!("an edit of a scene of {} bodies", self.bodies.len());
             ensure(is_of_these, "", expected, &edit.body_count()).map_err(element("edits", index))?;
+            let expected = || {
+                "edits made from this scene: they replace all that an edit can set, and some of it has changed since"
+                    .to_owned()
+            };
+            let before = if index == 0 { None } else { Some(&self.edits[index - 1]) };
+            ensure(edit.follows(self, before), "", expected, &edit.set).map_err(element("edits", index))?;
             earlier = edit.time;
         }
         Ok(())
@@ -156,6 +170,10 @@ impl Body {
         number(key!(OSCILLATOR.omega), "material.omega", self.material.omega)?;
         number(key!(OSCILLATOR.damping), "material.damping", self.material.damping)?;
         self.group.as_ref().map_or(Ok(()), |group| text(key!(BODIES.group), "group", group))?;
+        if let Some((parameter, value)) = self.shape.out_of_range() {
+            let expected = || Kind::Integer([parameter.least, parameter.most]).expected();
+            ensure(false, parameter.name, expected, &value).map_err(|invalid| invalid.at("shape"))?;
+        }
         self.check_motion(&self.motion)?;
         self.force.as_ref().map_or(Ok(()), |force| self.check_force(force))
     }
@@ -240,7 +258,20 @@ fn path(path: &Path) -> Checked {
             ensure(is_ascending, "motion.keys", || "ascending times".to_owned(), &knots)?;
             knots.iter().try_for_each(|&t| vector(ANY, "motion.keys", path.position(t)))
         }
-        Path::Given(_) => vector(ANY, "motion", path.position(0.0)),
+        Path::Given(given) => {
+            let Kinematics { position, velocity, acceleration } = path.at(0.0);
+            let Bounds { speed, acceleration: most } = given.bounds();
+            vector(ANY, "motion", position)?;
+            within(NON_NEGATIVE, "motion.bounds.speed", speed)?;
+            within(NON_NEGATIVE, "motion.bounds.acceleration", most)?;
+            // rates follow from their ratio
+            let is_path = speed >= SMALLEST || speed == 0.0 && most == 0.0;
+            let expected = || format!("a speed of at least {SMALLEST:e}, or a path without acceleration");
+            ensure(is_path, "motion.bounds", expected, &given.bounds())?;
+            let is_within = velocity.length() <= speed * (1.0 + UNIT) && acceleration.length() <= most * (1.0 + UNIT);
+            let expected = || format!("velocity and acceleration within {:?} at t = 0", given.bounds());
+            ensure(is_within, "motion", expected, &[velocity, acceleration])
+        }
     }
 }
 

@@ -161,17 +161,20 @@ impl<'a> BodyView<'a> {
         }
     }
 
-    /// Displacement x of vertex `i` from rest, in the axes of the world [scene unit].
+    /// Displacement x of vertex `i` from rest, in the axes of the world [scene unit]; 0 beyond the last vertex.
     pub fn displacement(&self, i: usize) -> DVec3 {
         self.state_of(i).x
     }
 
-    /// Velocity x′ of the displacement of vertex `i` [scene unit/s].
+    /// Velocity x′ of the displacement of vertex `i` [scene unit/s]; 0 beyond the last vertex.
     pub fn velocity(&self, i: usize) -> DVec3 {
         self.state_of(i).u
     }
 
     /// Position of vertex `i` relative to the centre, Q l + x, in the axes of the world [scene unit].
+    ///
+    /// # Panics
+    /// There is no such vertex; so does [`Body::position`].
     pub fn local_position(&self, i: usize) -> DVec3 {
         self.turned(self.rest(i)) + self.displacement(i)
     }

@@ -141,7 +141,7 @@ impl World {
     }
 
     /// Sets the motion of a body from now on: a path, which may be a function ([`Given`](crate::scene::path::Given)),
-    /// or free motion. The body becomes undeformed; the bodies near it wake, and all
+    /// or free motion. The body becomes undeformed, and loses its [`Force`] on a path; the bodies near it wake, and all
     /// where the world is built anew.
     ///
     /// # Errors

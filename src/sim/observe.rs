@@ -40,6 +40,9 @@ impl BodyForces {
 
 impl World {
     /// Computes the forces by cause on every vertex of body `index` in the current state, into `forces` (reused).
+    ///
+    /// # Panics
+    /// There is no such body.
     pub fn forces(&self, index: usize, forces: &mut BodyForces) {
         if let Some(snapshot) = self.current() {
             snapshot.forces(index, terms::uniform_on(self.scene(), index, self.time()), &mut forces.0);
@@ -64,7 +67,7 @@ impl World {
     }
 
     /// Energy brought to the free bodies since t = 0, by cause: their energy minus [`Ledger::total`] is constant up to
-    /// the integrator's error. Only [`Integrator::Exponential`](crate::scene::Integrator::Exponential) keeps this
+    /// the integrator's error. Bodies that a program adds, removes or moves count as edits. Only [`Integrator::Exponential`](crate::scene::Integrator::Exponential) keeps this
     /// account.
     pub fn ledger(&self) -> Ledger {
         self.solver.coupled().map(|coupled| coupled.ledger).unwrap_or_default()

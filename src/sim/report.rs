@@ -152,6 +152,12 @@ pub enum Toil {
         /// Name of the other body of the pair.
         b: String,
     },
+    /// A force that breaks its promise.
+    #[error("the program's force on body \"{body}\" is not a number, or exceeds its bound; see `Force::new`")]
+    Force {
+        /// Name of the body.
+        body: String,
+    },
     /// A body that cannot be followed within the tolerance.
     #[error(
         "body \"{body}\" cannot be followed within the tolerance by steps of {length:e} s; raise tolerance, or make what acts on \

@@ -10,6 +10,15 @@ pub(crate) struct Span {
 }
 
 impl Span {
+    /// The instant of a step at which its explicit forces at `t` [s] see what begins and ends: what does so at an end of the
+    /// step, but for rounding, does not jump within it.
+    pub fn inside(self, t: f64) -> f64 {
+        const ROUNDING: f64 = 1e-9;
+
+        let margin = ROUNDING * self.length();
+        t.max(self.start + margin).min(self.end - margin)
+    }
+
     pub fn length(&self) -> f64 {
         self.end - self.start
     }

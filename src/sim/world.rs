@@ -406,6 +406,9 @@ impl World {
     }
 
     /// What acts on body `index` in the current state, except its own oscillators.
+    ///
+    /// # Panics
+    /// There is no such body.
     pub fn surroundings(&self, index: usize) -> Surroundings {
         let mut surroundings = Surroundings::default();
         self.surroundings_into(index, &mut surroundings);

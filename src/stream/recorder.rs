@@ -314,6 +314,7 @@ impl Recorder {
             stages: self.opening_stages,
             focus: parts.focus.focus(),
             kept: self.kept.first().zip(self.kept.last()).map(|(first, last)| [first.first.time, last.last.time]),
+            missed: parts.pairs.missed(),
             have_acted: parts.body_forces.as_ref().map_or(&[], BodyForces::have_acted),
         };
         blueprint::measured(&self.subject(simulation), tab, self.chunks.store(), &measured)

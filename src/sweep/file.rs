@@ -471,6 +471,11 @@ fn read_axis(table: &Table<'_>, sampling: Sampling) -> Result<Axis, SceneError> 
         if values.iter().any(|value| is_number(value) != is_number(&values[0])) {
             return Err(table.error("values", "expected numbers only, or strings only".to_owned()));
         }
+        if let Some((later, same)) = values.iter().enumerate().find(|(index, value)| values[..*index].contains(value)) {
+            let earlier = values.iter().position(|value| value == same).unwrap_or_default();
+            let message = format!("{same} is listed twice, at places {} and {}", earlier + 1, later + 1);
+            return Err(table.error("values", message));
+        }
         return Ok(Axis { key, name, values: Values::List(values) });
     }
     let (from, to) = (table.number(key!(AXES.from))?, table.number(key!(AXES.to))?);
@@ -601,7 +606,7 @@ fn try_values(sweep: &Sweep, root: &Table<'_>, axes: &[Table<'_>], sets: &[Table
         let last = design.axes[index].sample(design.axes[index].sample_count() - 1);
         let is_last = *value == last && *value != first[index];
         let at = ["values", if is_last { "to" } else { "from" }].into_iter().find(|at| table.get(at).is_some());
-        let at = at.unwrap_or("from");
+        let at = if at == Some("from") && *value != first[index] { "count" } else { at.unwrap_or("from") };
         let key = &design.axes[index].key;
         table.error(at, format!("{key} = {value} makes the scene invalid: {}", in_words(error)))
     };

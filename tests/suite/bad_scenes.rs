@@ -520,7 +520,7 @@ limit = 0
 Cells: an incompressible material
 [fem]
 poisson = 0.5
-> bad.toml:3:11: fem.poisson: expected a number between -9e-1 and 4.9e-1, found 0.5
+> bad.toml:3:11: fem.poisson: expected a number between -0.9 and 0.49, found 0.5
 
 Cells: no stiffness
 [fem]

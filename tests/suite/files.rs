@@ -203,6 +203,16 @@ fn only_bless_replaces_golden_recordings() {
     succeeds(&dir, &["check", "s.toml", "--bless", "it was damaged"]);
     succeeds(&dir, &["check", "s.toml"]);
 
+    // nor does one that has lost its end pass, which may hold events and states
+    let whole = fs::read(dir.file("s.rrd")).expect("a file");
+    for share in [0.5, 0.9, 0.999] {
+        fs::write(dir.file("s.rrd"), &whole[..(share * whole.len() as f64) as usize]).expect("disk space");
+        let (status, out, err) = meldscope(&dir, &["check", "s.toml"]);
+        assert!(status != 0 && (out + &err).contains("cut short"), "{share}");
+    }
+    succeeds(&dir, &["check", "s.toml", "--bless", "it was cut short"]);
+    succeeds(&dir, &["check", "s.toml"]);
+
     // the comparison that `check` writes does not replace one either
     fs::write(dir.file("s.check.toml"), SCENE).expect("disk space");
     succeeds(&dir, &["check", "s.check.toml", "--bless", "a trap"]);

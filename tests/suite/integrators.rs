@@ -33,6 +33,39 @@ fn bits(world: &World) -> Vec<u64> {
     state(world).iter().flatten().flatten().map(|x| x.to_bits()).collect()
 }
 
+/// A push, and a force point's time, that begin and end at ends of steps cost no scheme its order.
+#[test]
+fn windows_at_ends_of_steps_keep_the_order() {
+    const PUSH: &str = "[[push]]\nbody = 'a'\ndirection = [0, 1, 0]\nstrength = 40\nstart = 0.25\nduration = 0.5\n";
+    const POINT: &str = "[[point]]\nname = 'p'\nradius = 1.2\nact = 'attract'\nalpha = 60\nstart = 0.25\nduration = 0.25\n\
+                         motion = { fixed = [0.4, 0.3, 0] }\n";
+    for motion in
+        ["sine = { center = [0, 0, 0], amplitude = [0.1, 0, 0], frequency = 0.6 }", "free = { from = [0, 0, 0] }"]
+    {
+        for window in [PUSH, POINT] {
+            let after = |integrator: Integrator, steps: u64, tolerance: f64| {
+                let text = format!(
+                    "dt = {:?}\nduration = 1\n[[body]]\nname = 'a'\nradius = 1\nshape = {{ sphere = {{ stacks = 4, slices = 6 }} }}\n\
+                     motion = {{ {motion} }}\n{window}",
+                    1.0 / steps as f64
+                );
+                let mut world = World::new(Scene { integrator, tolerance, ..scene(&text) }).expect("enough memory");
+                world.run(steps).expect("it runs");
+                world.body(0).positions().collect::<Vec<_>>()
+            };
+            let exact = after(Integrator::Exponential, 40, 1e-12);
+            for (integrator, least) in [(Integrator::Verlet, 1.9), (Integrator::Rk4, 3.7)] {
+                let error = |steps| {
+                    let found = after(integrator, steps, 1e-6);
+                    found.iter().zip(&exact).map(|(found, exact)| found.distance(*exact)).fold(0.0, f64::max)
+                };
+                let order = (error(40) / error(80)).log2();
+                assert!(order >= least, "{integrator}, {motion}: order {order}");
+            }
+        }
+    }
+}
+
 // ---------------------------------------------------------------------------------------------------------------------
 // The schemes, written out per coordinate
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::DVec3;
 use meldscope::{
     Scene, World,
-    geometry::Vectors,
+    geometry::{Shape, Sphere, Vectors},
     model::phase::Phase,
     observe::{
         self, Experiment, Frame, PointForce, Refusal, Schema, Simulation, StepFailure, StepSummary, Want,
@@ -16,7 +16,10 @@ use meldscope::{
         frames::FrameReader,
         replay::{self, Verdict},
     },
-    scene::{Body, Force, FreeMotion, Motion, Path, Push, Response},
+    scene::{
+        Body, Force, FreeMotion, Motion, PairLaws, Path, Push, Response,
+        path::{Bounds, Given, Kinematics},
+    },
     sdk,
     sim::{EditError, WorldError},
     stream::{self, Settings, settings::Entities, sinks::Destinations},
@@ -73,7 +76,7 @@ fn push(body: usize) -> Push {
 #[test]
 fn a_scene_that_no_file_could_describe_names_the_field() {
     assert_eq!(balls().validate(), Ok(()));
-    let mistakes: [Mistake<Scene>; 24] = [
+    let mistakes: [Mistake<Scene>; 28] = [
         ("dt", |scene| scene.dt = -1.0),
         ("dt", |scene| scene.dt = f64::NAN),
         ("duration", |scene| scene.duration = 0.0),
@@ -98,6 +101,10 @@ fn a_scene_that_no_file_could_describe_names_the_field() {
         }),
         ("bodies[2].force", |scene| scene.bodies[2].force = Some(Force::new(1.0, |_, _, _| DVec3::X))),
         ("planes[0].normal", |scene| scene.planes[0].normal = DVec3::new(0.0, 0.0, 10.0)),
+        ("bodies[1].shape.slices", |scene| scene.bodies[1].shape = Shape::Sphere(Sphere { stacks: 2, slices: 2 })),
+        ("bodies[2].motion.bounds.speed", |scene| scene.bodies[2].motion = given(f64::NAN, 1.0)),
+        ("bodies[2].motion.bounds", |scene| scene.bodies[2].motion = given(1e-300, 1.0)),
+        ("bodies[2].motion", |scene| scene.bodies[2].motion = given(0.5, 0.0)),
         ("pushes[0].body", |scene| scene.pushes = vec![push(7)]),
         ("pushes[0].direction", |scene| scene.pushes = vec![Push { direction: 10.0 * DVec3::X, ..push(0) }]),
         ("pushes[0].duration", |scene| scene.pushes = vec![Push { duration: -0.1, ..push(0) }]),
@@ -110,6 +117,54 @@ fn a_scene_that_no_file_could_describe_names_the_field() {
         assert!(matches!(World::new(scene.clone()), Err(WorldError::Invalid(found)) if found == invalid));
         assert!(scene.start().is_err_and(|error| error == invalid.to_string()));
     }
+}
+
+/// A path at 1 scene unit/s with these bounds.
+fn given(speed: f64, acceleration: f64) -> Motion {
+    let at = |t| Kinematics { position: DVec3::new(t, 9.0, 0.0), velocity: DVec3::X, acceleration: DVec3::ZERO };
+    Path::Given(Given::new(Bounds { speed, acceleration }, at)).into()
+}
+
+/// An edit replaces all that edits can set, so it would undo such a change.
+#[test]
+fn a_scene_with_edits_is_changed_in_its_text_only() {
+    let edits =
+        "[[edit]]\ntime = 0.1\nset = { 'body.a.omega' = 9 }\n[[edit]]\ntime = 0.2\nset = { 'body.a.omega' = 8 }\n";
+    let edited = || Scene::parse(&format!("{BALLS}{edits}"), "balls.toml").expect("a scene");
+    assert_eq!(edited().validate(), Ok(()));
+    let mistakes: [Mistake<Scene>; 3] = [
+        ("edits[0]", |scene| scene.gravity = DVec3::ZERO),
+        ("edits[0]", |scene| scene.planes.clear()),
+        ("edits[0]", |scene| drop(scene.edits.remove(0))),
+    ];
+    for (field, mistake) in mistakes {
+        let mut scene = edited();
+        mistake(&mut scene);
+        assert_eq!(scene.validate().expect_err(field).field, field);
+    }
+    let mut world = World::new(edited()).expect("enough memory");
+    world.add(ball("d", [-9.0, 0.0, 5.0])).expect("a new name");
+    world.remove(0).expect("a body");
+    world.run(50).expect("it runs");
+    // without edits, it may be changed
+    let mut scene = edited();
+    (scene.edits, scene.gravity) = (Vec::new(), DVec3::ZERO);
+    assert_eq!(scene.validate(), Ok(()));
+}
+
+/// Groups have numbers in the laws of pairs.
+#[test]
+fn a_body_that_joins_a_group_needs_its_number() {
+    let text = BALLS.replacen("name = \"a\"", "name = \"a\"\ngroup = \"g\"", 1);
+    let text = format!("{text}[[pair]]\nbodies = ['g', 'b']\nalpha = 7.0\n");
+    let mut scene = Scene::parse(&text, "balls.toml").expect("a scene");
+    scene.bodies.push(ball("d", [-9.0, 0.0, 5.0]));
+    assert_eq!(scene.validate(), Ok(()));
+    scene.bodies[3].group = Some("g".to_owned());
+    assert_eq!(scene.validate().expect_err("no number").field, "bodies[3].group");
+    let rules: Vec<_> = scene.pairs.rules().collect();
+    scene.pairs = PairLaws::new(vec![Some(0), None, None, Some(0)], &rules).expect("no overlap");
+    assert_eq!((scene.validate(), scene.law(1, 3).alpha), (Ok(()), 7.0));
 }
 
 #[test]
@@ -242,6 +297,16 @@ fn a_body_at_rest_wakes_for_a_force() {
     world.run(50).expect("it runs");
     let moved = world.body(1).centre() - start;
     assert!((moved - DVec3::Y).length() < 1e-6, "{moved}"); // ½ · 2 · 1²
+}
+
+/// Not the body that is nearest to it.
+#[test]
+fn a_force_that_is_no_number_is_named() {
+    let mut world = world();
+    let force = |t, _, _| if t < 0.3 { DVec3::ZERO } else { DVec3::NAN };
+    world.set_force(1, Some(Force::new(1.0, force))).expect("it is free");
+    let failure = world.run(100).expect_err("no step is long enough").to_string();
+    assert!(failure.contains("force on body \"b\" is not a number"), "{failure}");
 }
 
 #[test]

@@ -557,7 +557,7 @@ impl Run {
     fn verify_arrows(&self) {
         let text = self.recording.fixed("/about/arrows").text("TextDocument:text").to_owned();
         let radius = self.scene.bodies.iter().map(|body| body.radius).fold(0.0, f64::max);
-        assert!(text.contains(&format!("**1 R = {radius} unit**")), "{text}");
+        assert!(text.contains(&format!("**{radius} unit**")), "{text}");
         for cause in Cause::of(&self.scene) {
             let term = term(&self.scene, cause);
             let list = text.split([';', ':', '\n']).find(|list| list.contains(&format!(" {}", cause.name())));
@@ -1166,20 +1166,23 @@ impl Run {
                 let in_view = outside.strip_suffix(", not in view");
                 // whether a vertex faces the eye, and nothing is in front of it, by more than `margin`
                 let is_clear = |index: usize, vertex: usize, margin: f64| {
-                    let body = world.body(index);
-                    let (of_body, place) = (&positions[index], positions[index][vertex]);
-                    let triangles = body.mesh().triangles();
+                    let place = positions[index][vertex];
                     let to_eye = (look.eye - place).normalize();
-                    let is_facing = area_normals(of_body, triangles)[vertex].dot(to_eye) > margin;
+                    let triangles_of = |body: usize| world.body(body).mesh().triangles().to_vec();
+                    let is_facing = area_normals(&positions[index], &triangles_of(index))[vertex].dot(to_eye) > margin;
                     let side = |a: DVec3, b: DVec3, c: DVec3, d: DVec3| (b - a).cross(c - a).dot(d - a) > 0.0;
-                    let is_behind = |corners: &[u32; 3]| {
-                        let [a, b, c] = corners.map(|corner| of_body[corner as usize]);
+                    let is_behind = |body: usize, corners: &[u32; 3]| {
+                        let [a, b, c] = corners.map(|corner| positions[body][corner as usize]);
                         let around = [(a, b), (b, c), (c, a)].map(|(from, to)| side(place, look.eye, from, to));
-                        !corners.contains(&(vertex as u32))
+                        !(body == index && corners.contains(&(vertex as u32)))
                             && side(a, b, c, place) != side(a, b, c, look.eye)
                             && around.iter().all(|one| *one == around[0])
                     };
-                    is_facing && !look.is_hidden(index, place, -margin) && !triangles.iter().any(is_behind)
+                    // of many bodies, none hides a place
+                    let all = if positions.len() > 64 { index..index + 1 } else { 0..positions.len() };
+                    let hides = |body: usize| triangles_of(body).iter().any(|corners| is_behind(body, corners));
+                    // a body with dents as deep as that is taken for whole
+                    is_facing && !look.is_hidden(index, place, 0.5) && !all.into_iter().any(hides)
                 };
                 let named = |text: &str| {
                     let (name, vertex) = text.split_once(':').expect("a vertex");
@@ -1227,11 +1230,12 @@ impl Run {
                     return;
                 }
                 let [.., end] = &scale.held[frame].texts("Points2D:labels")[..] else { panic!("no numbers") };
-                // the colours end where a tenth of the surface has more, but not below 0.3 of the largest, at a round number
+                // the colours end at the largest, but for spikes, at a round number
                 on_surface.sort_by(f64::total_cmp);
-                let usual = on_surface[(0.9 * on_surface.len() as f64) as usize];
-                let least = usual.max(0.3 * displacement).max(0.01);
-                let round = (0..9).flat_map(|power| [0.01, 0.02, 0.05].map(|end| end * 10f64.powi(power)));
+                let usual = on_surface[(0.98 * on_surface.len() as f64) as usize];
+                let least = displacement.min(1.5 * usual).max(0.5 * displacement).max(0.01);
+                let ends = [0.01, 0.015, 0.02, 0.03, 0.04, 0.06, 0.08];
+                let round = (0..9).flat_map(|power| ends.map(|end| end * 10f64.powi(power)));
                 let expected = round.into_iter().find(|end| *end >= 0.999_999 * least).expect("a displacement");
                 let (end, beyond) =
                     end.split_once("; up to ").map_or((end.as_str(), None), |(end, at)| (end, Some(at)));
@@ -1939,11 +1943,11 @@ impl Look<'_> {
             let along = to.dot(way);
             along > 0.0
                 && along < self.eye.distance(place) - 0.5 * radius
-                && (to - along * way).length() < 1.15 * radius
+                && (to - along * way).length() < 1.05 * radius
         })
     }
 
-    /// Whether another body is in front of a place on a body, by more than `depth` [its radii].
+    /// Whether the sphere of another body is in front of a place on a body, by more than `depth` [its radii].
     fn is_hidden(&self, index: usize, place: DVec3, depth: f64) -> bool {
         if self.world.bodies().len() > 64 {
             return false; // nothing hides a place

@@ -15,7 +15,7 @@ use super::{
 /// Work steps to find the depth of a point.
 const SAMPLE: u64 = 64;
 /// Triangles larger than this, from the centre to a corner, are sampled more densely than once [radii of the smaller body].
-const COARSE: f64 = 0.5;
+const COARSE: f64 = 0.25;
 /// Parts of them are divided no further if they are smaller than this, or cannot be deeper than the deepest sample by more
 /// than this [radii of the smaller body].
 const FINE: f64 = 0.05;

@@ -127,8 +127,10 @@ impl Elastic {
     /// The scene at rest.
     ///
     /// # Errors
-    /// A message: the model does not support the scene, it needs too much memory, or building was interrupted.
+    /// A message: a program has given the scene a value that no scene file could have, the model does not support it, it needs
+    /// too much memory, or building was interrupted.
     pub fn new(scene: Scene, options: Options) -> Result<Elastic, String> {
+        scene.validate().map_err(|error| error.to_string())?;
         check(&scene).map_err(|error| error.to_string())?;
         let across = match scene.model {
             Model::Fem => scene.fem.cells,

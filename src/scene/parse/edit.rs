@@ -62,7 +62,7 @@ pub(super) fn read(
             let SceneError { place: _, key, message, help, .. } = &error;
             SceneError { help: help.clone(), ..at.error(format!("{message} ({key} after this edit)")) }
         })?;
-        edits.push(Edit::new(*time, lines, after));
+        edits.push(Edit::new(*time, lines, scene, edits.last(), &after));
     }
     Ok(edits)
 }

@@ -318,8 +318,11 @@ impl<'a> Value<'a> {
             DeValue::String(text) => format!("the string \"{}\"", clip(text)),
             DeValue::Float(number) => as_number(number.as_str()),
             DeValue::Integer(number) if number.radix() == 10 => as_number(number.as_str()),
-            DeValue::Integer(_) | DeValue::Boolean(_) => as_written(),
-            DeValue::Datetime(_) => format!("the date-time {}", as_written()),
+            // values of `--set` are not in the text
+            DeValue::Integer(number) if written().is_empty() => clip(number.as_str()),
+            DeValue::Integer(_) => as_written(),
+            DeValue::Boolean(value) => value.to_string(),
+            DeValue::Datetime(value) => format!("the date-time {value}"),
             DeValue::Array(items) => match items.len() {
                 0 => "an empty array".to_owned(),
                 1 => "an array of 1 value".to_owned(),
@@ -507,7 +510,8 @@ impl Kind {
             Kind::Number(Limits { max: f64::MAX, .. }) => "a finite number".to_owned(),
             // in scientific notation: 1e15, not 1000000000000000
             Kind::Number(Limits { min, max }) => {
-                let short = |x: f64| if x == 0.0 { "0".to_owned() } else { format!("{x:e}") };
+                let is_plain = |x: f64| x == 0.0 || (0.1..10.0).contains(&x.abs());
+                let short = |x: f64| if is_plain(x) { x.to_string() } else { format!("{x:e}") };
                 format!("a number between {} and {}", short(*min), short(*max))
             }
             Kind::Integer([min, max]) => format!("an integer from {min} to {max}"),

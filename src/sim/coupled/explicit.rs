@@ -125,7 +125,7 @@ impl ExplicitStep<'_> {
     }
 
     fn forces_on(&self, index: usize, particles: &Particles, frames: &[Frame], t: f64, is_damped: bool) -> Forces {
-        let ExplicitStep { scene, members, near, .. } = *self;
+        let ExplicitStep { scene, members, near, span } = *self;
         let (member, frame) = (&members[index], &frames[index]);
         let (body, is_free) = (&member.body, member.body.is_free());
         let axes = DMat3::from_quat(frame.rotation);
@@ -143,7 +143,8 @@ impl ExplicitStep<'_> {
             })
             .collect();
         let bodies = sources.len();
-        let points = scene.points_on(index).filter(|(_, point)| point.acts_at(t)).map(|(source, point)| {
+        let windows_at = span.inside(t);
+        let points = scene.points_on(index).filter(|(_, point)| point.acts_at(windows_at)).map(|(source, point)| {
             let (radius, apart) = (scene.influence.sphere_radius(point.radius), point.path.position(t) - frame.centre);
             (source, scene.point_strength(point, index), radius, apart)
         });
@@ -166,7 +167,7 @@ impl ExplicitStep<'_> {
                     force += plane.acceleration(depth, frame.velocity + rate);
                 }
             }
-            for push in push::acting(&member.pushes, t) {
+            for push in push::acting(&member.pushes, windows_at) {
                 force += push.acceleration(a.normalize_or_zero());
             }
             outer.push(force);

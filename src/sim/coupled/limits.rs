@@ -99,6 +99,14 @@ impl Coupled {
         let (time, toil) = match *failure {
             free::Failure::Chatter { a, b, time } => (time, Toil::Chatter { a: name(a as usize), b: name(b as usize) }),
             free::Failure::Unresolved { body, time, step } | free::Failure::Stopped { body, time, step } => {
+                let is_wrong = |(index, now): &(&u32, &free::Body)| {
+                    let force = scene.bodies[**index as usize].force.as_ref();
+                    force.is_some_and(|force| force.validate(time, now.centre, now.velocity).is_err())
+                };
+                if let Some((&index, _)) = job.group.bodies.iter().zip(&job.parts.bodies).find(is_wrong) {
+                    let toil = Toil::Force { body: scene.bodies[index as usize].name.clone() };
+                    return Overworked { step: report.step, time, toil }.into();
+                }
                 let is_inside_out = job.parts.bodies.get(body).is_some_and(free::Body::is_inside_out);
                 let (body, length) = (name(body), step);
                 (time, if is_inside_out { Toil::InsideOut { body } } else { Toil::Unresolved { body, length } })

@@ -240,7 +240,7 @@ impl<'a> Context<'a> {
         let at_rest = active.is_at_rest();
         let farthest = if at_rest { self.body(active.body).radius } else { f64::INFINITY };
         let collect = |time, surroundings: &mut Surroundings| {
-            let moment = Moment { time, phases_at: span.start };
+            let moment = Moment { time, phases_at: span.start, windows_at: span.inside(time) };
             self.on(active.body).surroundings_into(moment, farthest, surroundings);
         };
         interval.h = span.length();

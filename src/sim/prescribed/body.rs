@@ -203,7 +203,8 @@ impl Active {
     /// The motion that all its vertices share, at the end of the last step.
     pub fn carried_at(&self, now: Now) -> State {
         let State { x, .. } = self.state.carried;
-        let steps = now.step - self.state.carried_as_of;
+        // a step that was not completed may have carried it already
+        let steps = now.step.saturating_sub(self.state.carried_as_of);
         if steps == 0 || self.state.carried.is_zero() {
             return self.state.carried;
         }

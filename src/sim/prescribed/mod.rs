@@ -563,7 +563,7 @@ impl Prescribed {
     pub fn surroundings_into(&self, setting: Setting<'_>, index: usize, surroundings: &mut Surroundings) {
         let time = setting.time();
         let on = self.bodies[index].on(setting.scene, index as u32, &self.tracks, &self.pairs);
-        on.surroundings_into(Moment { time, phases_at: time }, self.extent(index), surroundings);
+        on.surroundings_into(Moment { time, phases_at: time, windows_at: time }, self.extent(index), surroundings);
     }
 
     /// The influence energy as if every pair were apart and out of reach [scene unit²/s²].

@@ -115,7 +115,7 @@ impl<'a> Recomputed<'a> {
         let radius = self.world.scene().bodies[index].radius;
         let farthest = states.displacement.iter().map(DVec3::length).fold(0.0, f64::max) + radius;
         let mut surroundings = Surroundings::default();
-        self.on(index).surroundings_into(Moment { time: t, phases_at }, farthest, &mut surroundings);
+        self.on(index).surroundings_into(Moment { time: t, phases_at, windows_at: t }, farthest, &mut surroundings);
         surroundings
     }
 

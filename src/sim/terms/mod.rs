@@ -246,6 +246,8 @@ pub(super) struct Moment {
     pub time: f64,
     /// Pairs have the phases that hold from this time on [s].
     pub phases_at: f64,
+    /// Pushes and force points act that do so at this time [s].
+    pub windows_at: f64,
 }
 
 /// What acts on the vertices of one body at one instant, except their own oscillators: the right-hand side of the

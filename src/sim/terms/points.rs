@@ -20,7 +20,7 @@ impl Term for Points {
             let (index, point) = on.point(neighbour);
             let centre = point.path.position(moment.time) - motion.position;
             let sphere_radius = on.tracks.motion_bounds(neighbour.other).sphere;
-            if point.acts_at(moment.time) && centre.length() <= sphere_radius + farthest {
+            if point.acts_at(moment.windows_at) && centre.length() <= sphere_radius + farthest {
                 let (origin, strength) = (Origin::Point { index }, on.scene.point_strength(point, on.index as usize));
                 surroundings.sources.push(Source { origin, centre, sphere_radius, strength });
             }

@@ -98,7 +98,7 @@ impl From<&Push> for Weighted {
 
 impl Term for Pushes {
     fn at<P: Phases>(on: &On<'_, P>, moment: Moment, _: &Kinematics, _: f64, surroundings: &mut Surroundings) {
-        surroundings.weighted.extend(acting(on.pushes, moment.time));
+        surroundings.weighted.extend(acting(on.pushes, moment.windows_at));
     }
 
     fn own_bound<P>(on: &On<'_, P>, span: Span) -> f64 {

@@ -74,7 +74,8 @@ pub fn camera_past(
     let middle = 0.5 * (low + high);
     let first = arrangement.usual_direction(spheres);
     // all views look in the same direction
-    let (mut best, mut least) = (first, hidden(eye(spheres, first, WIDE), wanted, others));
+    let loss = |back| hidden(eye(spheres, back, WIDE), wanted, others) + foreshortening(wanted, back);
+    let (mut best, mut least) = (first, loss(first));
     // a smaller gain does not justify turning away from the default direction
     const WORTH: f64 = 0.02;
     for height in [0.4, 0.9, 1.6, -0.3] {
@@ -84,9 +85,9 @@ pub fn camera_past(
             }
             let angle = std::f64::consts::TAU * f64::from(twelfth) / 12.0 - 0.2;
             let back = DVec3::new(angle.sin(), -angle.cos(), height).normalize();
-            let hidden = hidden(eye(spheres, back, WIDE), wanted, others);
-            if hidden + WORTH < least {
-                (best, least) = (back, hidden);
+            let loss = loss(back);
+            if loss + WORTH < least {
+                (best, least) = (back, loss);
             }
         }
     }
@@ -121,6 +122,16 @@ fn eye(spheres: &[(DVec3, f64)], back: DVec3, aspect: f64) -> DVec3 {
     let (x, of_width) = fit(right, (aspect - MARGIN) * HALF_HEIGHT);
     let (y, of_height) = fit(up, (1.0 - MARGIN) * HALF_HEIGHT);
     x * right + y * up + f64::max(of_width, of_height) * back
+}
+
+/// How much of the cosine between the axis of a pair of spheres and the direction towards the eye is too much: the seam
+/// of a pair is seen from the side.
+fn foreshortening(pair: &[(DVec3, f64)], back: DVec3) -> f64 {
+    /// The largest cosine at which the axis is seen well.
+    const MOST: f64 = 0.5;
+
+    let [(one, _), (other, _)] = pair else { return 0.0 };
+    ((*other - *one).normalize_or_zero().dot(back).abs() - MOST).max(0.0)
 }
 
 /// How much `others` hide the spheres `wanted` from an eye; 0 if not at all. Each other sphere counts by its overlap as

@@ -77,6 +77,8 @@ pub struct Layout {
     next_id: u64,
     /// The plots of timings.
     pub timings: Vec<TimingsPlot>,
+    /// The view of everything, with its title.
+    pub scene: Option<(String, &'static str)>,
     /// The plot of speed.
     pub speeds: Option<String>,
     /// The plot of volumes.
@@ -134,6 +136,7 @@ impl Layout {
             chunks: Chunks::new(store),
             next_id: 0,
             timings: Vec::new(),
+            scene: None,
             speeds: None,
             volumes: None,
             plots: Vec::new(),

@@ -51,6 +51,8 @@ pub struct Measured<'a> {
     pub focus: Option<Focus>,
     /// The times between which a flight recorder has frames [s], if there is one and it has some.
     pub kept: Option<[f64; 2]>,
+    /// Number of steps whose error exceeds the tolerance.
+    pub missed: u64,
     /// Whether each force term has acted on any body; empty if forces were not recorded.
     pub have_acted: &'a [bool],
 }
@@ -96,6 +98,10 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
             }
             layout.set_range(&plot, [low, high]);
         }
+    }
+    if let Some((scene, title)) = layout.scene.take().filter(|_| measured.missed > 0) {
+        let title = format!("{title}; tolerance missed in {}: see Energy", counted(measured.missed, "step"));
+        layout.log(&scene, &ViewBlueprint::update_fields().with_display_name(title));
     }
     if let Some((volumes, changed)) = layout.volumes.take().zip(measured.changed_volume.as_ref()) {
         layout.log(&volumes, &ViewBlueprint::update_fields().with_display_name(format!("{VOLUMES}; {changed}")));

@@ -6,7 +6,7 @@ use crate::{
     observe::{Frame, Schema, schema::TermSchema},
     stream::{
         palette,
-        parts::{body_forces::longest, forces, moves, ranking::is_ranked, recent, trails},
+        parts::{body_forces::longest, forces, moves, numbers, ranking::is_ranked, recent, trails},
         settings::{Detail, Entities, Frames, Settings},
     },
     text::{self, counted, significant, trimmed},
@@ -43,9 +43,10 @@ fn at_centres(schema: &Schema) -> String {
     let radius = schema.largest_radius();
     let of = forces::NET_KINDS.map(|(name, rgb, _)| format!("{} {}", colors::name(rgb), name.replace('_', " ")));
     format!(
-        "- **At the centres** of free bodies, cut off at {} R: {} (over M, and over M R), 1 R long: {} unit/s²\n",
-        forces::LONGEST_NET,
+        "- **At the centres** of free bodies, cut off at {} unit: {} (over M, and over M R), {} unit long: {} unit/s²\n",
+        rounded(forces::LONGEST_NET * radius),
         of.join(", "),
+        rounded(radius),
         rounded(radius / schema.net_force_scale),
     )
 }
@@ -58,9 +59,9 @@ pub fn arrows(schema: &Schema) -> String {
         return "No force can act in this scene.\n".to_owned();
     }
     format!(
-        "**By body**, plots and rows: means over a body; arrows are scaled per step, the longest {} R long, less for small bodies, specks left out; {}: the net force and its \
-         strongest cause in unit/s². **Others**: at vertices{}; an arrow of **1 R = {} unit** means: {}.\n",
-        longest(schema),
+        "**By body**, plots and rows: means over a body; arrows are scaled per step, the longest {} unit long, less for small bodies, specks left out; {}: the net force and its \
+         strongest cause in unit/s². **Others**: at vertices{}; an arrow of **{} unit** means: {}.\n",
+        rounded(longest(schema) * radius),
         if is_ranked(schema) { "rows" } else { "labels" },
         if is_uniform { "; uniform forces at the centre" } else { "" },
         rounded(radius),
@@ -104,7 +105,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame, ne
     };
     let integrator = if schema.integrator.is_empty() { String::new() } else { format!("`{}`, ", schema.integrator) };
     let head = format!(
-        "**{}**: {} {}, {} vertices{}. {integrator}Δt = {:.6} s, {steps}, {frames}.\n\n{}\n\n",
+        "**{}**: {} {}, {} vertices{}. {integrator}Δt = {:.6} s, {steps}, {frames}.\n\n{} R is the radius of a body, for a pair that of the smaller one.\n\n",
         schema.name,
         schema.bodies.len(),
         if schema.bodies.len() == 1 { "body" } else { "bodies" },
@@ -153,8 +154,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame, ne
             let hidden = schema.terms.iter().filter(|term| term.can_act && !term.is_shown);
             let hidden: Vec<String> = hidden.map(called).collect();
             let hidden = (!hidden.is_empty()).then(|| format!("hidden at first: {}", hidden.join(", ")));
-            let shown =
-                (!shown.is_empty()).then(|| format!("1 R = {} unit long: {shown}", rounded(schema.largest_radius())));
+            let shown = (!shown.is_empty()).then(|| format!("{} unit long: {shown}", rounded(schema.largest_radius())));
             let parts: Vec<String> = shown.into_iter().chain(hidden).collect();
             if parts.is_empty() { String::new() } else { format!("- **Arrows**, {}\n", parts.join("; ")) }
         }
@@ -201,7 +201,12 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame, ne
         false => String::new(),
     };
     let credit = if schema.credit.is_empty() { String::new() } else { format!("\nAfter {}.\n", schema.credit) };
+    let stages = numbers::colors(schema).map(|(stage, rgb)| format!("{} {stage}", colors::name(rgb)));
+    let timings = match schema.bodies.len() > 1 && is_crowd {
+        true => String::new(), // the plot has no room
+        false => format!("- **Timings**: {}\n", stages.collect::<Vec<_>>().join(", ")),
+    };
     // what is first is visible in a small panel
-    let colors = spheres + changes + &springs + &arrows + &net_forces + &merged + &trails + &bound;
+    let colors = spheres + changes + &springs + &arrows + &net_forces + &merged + &trails + &timings + &bound;
     format!("{}{colors}\n{head}{nearest}{credit}", warnings.trim_start())
 }

@@ -44,7 +44,7 @@ pub const PAIR_DISTANCES: &str = "Pair distances q and their thresholds";
 pub const VOLUMES: &str = "Volume [unit³]";
 
 /// The title of plots of the stages of a step.
-const TIMINGS: &str = "Timings, ms per step: stages stacked";
+const TIMINGS: &str = "Timings [ms per step]";
 
 /// Upper limit on the number of bodies that are drawn transparent in views of forces.
 const MAX_SHEER: usize = 64;
@@ -91,6 +91,7 @@ impl Layout {
     /// An overview of everything.
     fn scene_tab(&mut self, framing: &[(DVec3, f64)], schema: &Schema, settings: &Settings) -> Part {
         let scene_view = self.scene_view((framing, WIDE), schema, scene_title(schema), settings);
+        self.scene = Some((scene_view.path.clone(), scene_title(schema)));
         let about = self.view("TextDocument", "Legend", ABOUT.path, &[including(ABOUT.path)], &[]);
         let left = self.container(ContainerKind::Vertical, "Space", vec![scene_view, about], &[2.6, 1.0]);
         let right = if schema.bodies.len() > 1 {
@@ -217,7 +218,7 @@ impl Layout {
             let measures = [
                 ("Gap [R of the smaller]", &PAIR_GAP),
                 ("Neck [R of the smaller]", &PAIR_NECK),
-                ("Overlap [R³ of the smaller]", &PAIR_OVERLAP),
+                ("Overlap [R³ of the smaller]; a ball: 4.19", &PAIR_OVERLAP),
             ];
             plots.extend(measures.map(|(title, measure)| {
                 let contents: Vec<String> = pairs::named(schema, measure).map(|line| including(&line)).collect();

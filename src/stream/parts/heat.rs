@@ -1,8 +1,7 @@
 //! The colours of displacements: a texture that the displacement view maps onto surfaces, and its colour scale.
 //!
-//! The place of a vertex in the texture is its displacement as a share of one that few vertices on the surface exceed in the
-//! frame: a single spike, perhaps on the far side, would leave the same colour to all others. It is rounded up to 1, 2 or
-//! 5 times a power of ten, so that consecutive frames mostly have the same colours for the same displacements.
+//! The place of a vertex in the texture is its displacement as a share of about the largest on the surface in the frame. A
+//! single spike, perhaps on the far side, would leave the same colour to all others, and is beyond the end of the scale.
 
 use std::sync::Arc;
 
@@ -36,7 +35,7 @@ use crate::stream::{
     palette::{self, color},
     series::{Interpolation, LineId, Series},
 };
-use crate::text::{round_numbers, significant};
+use crate::text::significant;
 use crate::{
     colors,
     geometry::{Vectors, mesh},
@@ -54,14 +53,18 @@ pub const MAPPINGS: [Mapping; 4] = [
 const WIDTH: usize = 256;
 /// The smallest end of the colour range [radii]: numbers below would look like displacements.
 const LEAST: f64 = 0.01;
-/// The end of the colour range: the displacement that this share of the vertices on the surface does not exceed …
-const SHARE: f64 = 0.9;
-/// … but at least this share of the largest one, so that a small dent has more than one colour.
-const OF_LARGEST: f64 = 0.3;
+/// The end of the colour range is the largest displacement on the surface, but for spikes: at most this ratio to the
+/// displacement that all but a share of the vertices do not exceed …
+const OF_USUAL: f64 = 1.5;
+const SHARE: f64 = 0.98;
+/// … and at least this share of the largest, so that a small dent has more than one colour.
+const OF_LARGEST: f64 = 0.5;
+/// The numbers at which it can end, by powers of ten, so that consecutive frames mostly have the same colours.
+const ENDS: [f64; 7] = [1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0];
 /// A point this close to the centre of a round body is inside it, whatever its triangles cut off [radii].
 const INSIDE: f64 = 0.95;
 /// Number of vertices in front, the most displaced ones, of which one is marked that no body hides.
-const CANDIDATES: usize = 32;
+const CANDIDATES: usize = 64;
 /// Number of vertices, the most displaced ones, for which the mesh of a body tells whether they are inside.
 const MOST_TESTED: usize = 32;
 /// How far above all bodies the label of the largest displacement is at most [largest radius].
@@ -76,9 +79,11 @@ pub fn place(displacement: f32, end: f64) -> [f32; 2] {
     [0.5 * (displacement / end as f32).min(1.0), 0.5]
 }
 
-/// The least of 1, 2 and 5 times powers of ten that is, but for rounding, not less than a positive number.
+/// The least of [`ENDS`] times powers of ten that is, but for rounding, not less than a positive number.
 fn rounded_up(x: f64) -> f64 {
-    round_numbers(x).into_iter().find(|&end| end >= x * (1.0 - 1e-9)).unwrap_or(x)
+    let power = 10f64.powf(x.log10().floor());
+    let ends = [power, 10.0 * power].into_iter().flat_map(|power| ENDS.map(|end| end * power));
+    ends.into_iter().find(|&end| end >= x * (1.0 - 1e-9)).unwrap_or(x)
 }
 
 /// The colour of a body's line and row: its own if the scene gives it one that no other body has.
@@ -300,20 +305,24 @@ struct Near {
 impl Near {
     /// Whether a point in the world is inside.
     fn contains(&self, view: FrameView<'_>, point: DVec3) -> bool {
-        let (body, now) = (&view.schema.bodies[self.body], &view.frame.bodies[self.body]);
         let distance = self.centre.distance(point);
-        let encloses =
-            |positions: &Vectors| mesh::encloses(positions, now.mesh_of(body).triangles(), point - self.centre);
-        distance < self.surely
-            || distance < self.reach
-                && if now.is_at_rest {
-                    let mut positions = Vectors::default();
-                    now.local_positions(now.rest_of(body), &mut positions);
-                    encloses(&positions)
-                } else {
-                    encloses(&now.positions)
-                }
+        let encloses = |positions: &Vectors, triangles: &[[u32; 3]]| {
+            mesh::encloses(positions, triangles, point - self.centre) //
+        };
+        distance < self.surely || distance < self.reach && with_mesh(view, self.body, encloses)
     }
+}
+
+/// Asks something about the surface of a body, whose positions are relative to its centre.
+fn with_mesh(view: FrameView<'_>, body: usize, ask: impl Fn(&Vectors, &[[u32; 3]]) -> bool) -> bool {
+    let (of, now) = (&view.schema.bodies[body], &view.frame.bodies[body]);
+    let triangles = now.mesh_of(of).triangles();
+    if !now.is_at_rest {
+        return ask(&now.positions, triangles);
+    }
+    let mut positions = Vectors::default();
+    now.local_positions(now.rest_of(of), &mut positions);
+    ask(&positions, triangles)
 }
 
 /// A body's part of a merged surface.
@@ -426,7 +435,7 @@ impl Displacements {
                         if self.normals.is_empty() {
                             outward_normals(now.mesh_of(body).triangles(), &now.positions, &mut self.normals);
                         }
-                        if labels.is_in_front(index, position, self.normals[vertex]) {
+                        if labels.may_be_in_front(index, position, self.normals[vertex]) {
                             let place =
                                 self.candidates.partition_point(|other| other.displacement >= found.displacement);
                             self.candidates.insert(place, found);
@@ -452,9 +461,13 @@ impl Displacements {
         outside = larger.copied().find(&mut is_outside).or(outside);
         // its own body may hide it, too
         let is_clear = |of: &&Largest| {
-            let (body, now) = (&view.schema.bodies[of.body], &view.frame.bodies[of.body]);
-            let triangles = now.mesh_of(body).triangles();
-            !mesh::hides(&now.positions, triangles, of.vertex, view.eye - now.centre) && is_outside(of)
+            let hides = |body: usize| {
+                let centre = view.frame.bodies[body].centre;
+                with_mesh(view, body, |positions, triangles| {
+                    mesh::hides(positions, triangles, of.position - centre, view.eye - centre)
+                })
+            };
+            !hides(of.body) && !labels.before(of.body, of.position).any(hides) && is_outside(of)
         };
         self.seen = self.candidates.iter().find(is_clear).copied();
         (self.outside, self.of_all) = (outside.or(of_all), of_all);
@@ -464,7 +477,7 @@ impl Displacements {
             Some(_) => f64::from(*self.lengths.select_nth_unstable_by(rank, f32::total_cmp).1),
             None => largest,
         };
-        self.end = rounded_up(usual.max(OF_LARGEST * largest).max(LEAST));
+        self.end = rounded_up(largest.min(OF_USUAL * usual).max(OF_LARGEST * largest).max(LEAST));
     }
 
     /// The displacement at the end of the colours [radii].

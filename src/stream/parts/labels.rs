@@ -193,16 +193,36 @@ impl<'a> Labels<'a> {
         now.centre + furthest.unwrap_or_default()
     }
 
-    /// Whether a place on a body's surface, with this outward normal, faces the eye, and no other body is in front of it.
-    pub fn is_in_front(&self, body: usize, place: DVec3, out: DVec3) -> bool {
-        out.dot(self.view.eye - place) > 0.0 && self.is_seen(body, place, 0.0) && !self.is_at_rim(body, place)
+    /// Whether a place on a body's surface, with this outward normal, faces the eye, and is not behind another body, as far as
+    /// their spheres tell: bodies may be dented by half of their radii.
+    pub fn may_be_in_front(&self, body: usize, place: DVec3, out: DVec3) -> bool {
+        const DENT: f64 = 0.5;
+
+        out.dot(self.view.eye - place) > 0.0 && self.is_seen(body, place, DENT) && !self.is_at_rim(body, place)
+    }
+
+    /// The other bodies through whose spheres, or close past them, a place is seen.
+    pub fn before(&self, body: usize, place: DVec3) -> impl Iterator<Item = usize> {
+        /// How far surfaces reach [radii].
+        const BULGE: f64 = 1.5;
+
+        let distance = self.view.eye.distance(place);
+        let ray = (place - self.view.eye) / distance;
+        let is_before = move |of: &&Hiding| {
+            let to = of.centre - self.view.eye;
+            let along = to.dot(ray);
+            of.body != body
+                && along - BULGE * of.radius < distance
+                && (to - along * ray).length_squared() < (BULGE * of.radius).powi(2)
+        };
+        self.hiding.iter().filter(is_before).map(|of| of.body)
     }
 
     /// Whether a place is behind the rim of another body, or so close to it that the viewer's camera, which is not quite where
     /// the eye is, may not see it.
     fn is_at_rim(&self, body: usize, place: DVec3) -> bool {
         /// How far the rim may be off, and how far in front the middle of the body is at least [its radii].
-        const MARGIN: f64 = 0.15;
+        const MARGIN: f64 = 0.05;
         const IN_FRONT: f64 = 0.5;
 
         let distance = self.view.eye.distance(place);

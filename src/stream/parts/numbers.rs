@@ -37,6 +37,12 @@ pub fn timings(schema: &Schema) -> impl Iterator<Item = &'static str> {
     schema.stages.iter().copied().chain(OBSERVING).chain(RECORDING)
 }
 
+/// The stages of a step that are stacked, with the colours of their lines.
+pub fn colors(schema: &Schema) -> impl Iterator<Item = (&'static str, Rgb)> {
+    let all = timings(schema).enumerate().map(|(number, stage)| (stage, palette::line(number)));
+    all.filter(|(stage, _)| is_work(stage) && !RECORDING.contains(stage))
+}
+
 /// How the names of plots of energies begin.
 const ENERGY: &str = "Energy";
 

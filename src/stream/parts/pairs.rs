@@ -77,6 +77,8 @@ pub struct PairPlots {
     shown: Vec<[usize; 2]>,
     /// The error over the tolerance that was logged last, while the error exceeds the tolerance.
     shortfall: Option<f64>,
+    /// Number of steps whose error exceeds the tolerance.
+    missed: u64,
 }
 
 /// The axis of plots of q.
@@ -188,6 +190,7 @@ impl PairPlots {
             new: Vec::new(),
             shown: Vec::new(),
             shortfall: None,
+            missed: 0,
         }
     }
 
@@ -455,10 +458,16 @@ impl PairPlots {
         self.marks.log(schema, event, is_plotted, chunks);
     }
 
+    /// Number of steps whose error exceeds the tolerance, so far.
+    pub fn missed(&self) -> u64 {
+        self.missed
+    }
+
     /// Logs that the error of a step exceeds the tolerance, unless it does so for long and is less than twice what was
     /// logged last: a line for each step would hide the events.
     pub fn log_shortfall(&mut self, schema: &Schema, of: Option<&Shortfall>, at: Instant, chunks: &mut Chunks) {
         let Some(shortfall) = of else { return self.shortfall = None };
+        self.missed += 1;
         if self.shortfall.is_none_or(|before| shortfall.ratio() >= 2.0 * before) {
             let line = TextLog::new(shortfall.describe(schema, at)).with_level("warning").with_color(color(SHORTFALL));
             chunks.log(ACCURACY.path, at, &line);

@@ -189,19 +189,20 @@ fn no_vertex_or_centre_of_a_triangle_is_deeper_than_the_gap() {
     assert!(inside > 200, "{inside} points inside");
 }
 
-/// The deepest point of few large triangles may be anywhere on them: compared with a dense grid of points.
+/// The deepest point of large triangles may be anywhere on them: compared with a dense grid of points.
 #[test]
-fn the_depth_of_boxes_is_that_of_any_of_their_points() {
+fn the_depth_of_coarse_bodies_is_that_of_any_of_their_points() {
     const ACROSS: u32 = 60;
     let mut random = shapes::Random::new(29);
     let mut inside = 0;
-    for round in 0..20 {
+    for round in 0..30 {
         let size = if round % 2 == 0 { 1.0f64 } else { 0.4 };
+        let (solid, radius) = if round < 20 { (shapes::cube(), 3f64.sqrt()) } else { (shapes::sphere(5, 7), 1.0) };
         let place =
             (1.1 + 0.3 * random.next()) * size.max(0.8) * DVec3::new(1.0, 0.6 * random.next(), 0.6 * random.next());
         let turned = glam::DMat3::from_quat(glam::DQuat::from_rotation_x(3.0 * random.next()))
             * glam::DMat3::from_rotation_z(3.0 * random.next());
-        let shapes = [shapes::cube(), shapes::cube().scaled(size).turned(turned).at(place)];
+        let shapes = [solid.clone(), solid.scaled(size).turned(turned).at(place)];
         let topologies = [0, 1].map(|k| Topology::new(shapes[k].positions.len(), &shapes[k].triangles).unwrap());
         let bodies = [0, 1].map(|k| Body::new(&topologies[k], &shapes[k].positions).unwrap());
         let depth = -pair_measures(&bodies[0], &bodies[1]).gap;
@@ -221,11 +222,11 @@ fn the_depth_of_boxes_is_that_of_any_of_their_points() {
         }
         if depth > 0.0 {
             // found: from 0.0042 of the smaller radius below to 0.001 above, which this grid leaves
-            let radius = 3f64.sqrt() * size;
+            let radius = radius * size;
             let [least, most] = [deepest - 0.006 * radius, deepest + 0.002 * radius];
             assert!((least..most).contains(&depth), "round {round}: {depth} of {deepest}");
             inside += 1;
         }
     }
-    assert!(inside >= 15, "{inside} overlap");
+    assert!(inside >= 20, "{inside} overlap");
 }

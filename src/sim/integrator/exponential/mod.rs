@@ -4,7 +4,7 @@
 //! | --- | --- |
 //! | forces on a body over an interval, and the motion that all its vertices share | [`course`] |
 //! | the weights of a step, from the oscillator's φ-functions | [`weights`] |
-//! | one step of several vertices side by side, and its error | [`step`], [`lanes`](crate::sim::numerics::lanes) |
+//! | one step of several vertices side by side, and its error | [`step`], `sim::numerics::lanes` |
 //! | a step of all vertices near a sphere | [`together`] |
 //! | a vertex that needs shorter steps, or crosses a rim | [`single`], [`rim`] |
 //!
