@@ -71,6 +71,12 @@ pub fn end() -> Result<(), Failure> {
     })
 }
 
+/// Lets a write beyond the limit on the size of files (`ulimit -f`) fail, as on a full disk, instead of ending the program.
+pub fn survive_limit_on_files() {
+    #[cfg(unix)]
+    signal_hook::flag::register(signal_hook::consts::SIGXFSZ, std::sync::Arc::default()).ok();
+}
+
 /// Ends the program with the exit status of an interrupt.
 pub fn exit() -> ! {
     std::process::exit(STATUS.into())

@@ -214,6 +214,7 @@ fn start<C: Subcommand>(
     args: impl IntoIterator<Item = impl Into<OsString> + Clone>,
     run: impl FnOnce(C) -> Result<(), Failure>,
 ) -> u8 {
+    interrupt::survive_limit_on_files();
     // The decoder may panic on a damaged recording, which is reported as an ordinary error on one line.
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {

@@ -38,7 +38,7 @@
 //! By the thresholds on q, all four merge at 1.397 s and split at 3.315 s. They take 303,000, 654,000, 12,200 and
 //! 10,300 steps per second, compared with 6,400 for Jolt's soft bodies: the oscillators are 25 and 30 times as fast as
 //! lattice and finite elements. On `collide`, with free bodies, lattice and finite elements merge within 2e-5 s of each
-//! other, and enter and leave the core within 3e-3 s: they are two discretisations of nearly the same solid. They use
+//! other, and first enter and leave the core within 3e-3 s: they are two discretisations of nearly the same solid. They use
 //! 0.9 and 1.1 MiB on `two` (`bench models`).
 //!
 //! 1,000 of the cases of `bench stability`, run with these models, each limited to 60 steps or 0.3 s; every failure

@@ -160,16 +160,17 @@ impl Comparison {
         let name = format!("{}: {} and {}", schema.name, plan.labels[0], plan.labels[1]);
         chunks.log_static(RECORDING_INFO.path, &sdk::RecordingInfo::new().with_name(name));
         let about = format!(
-            "**{}**: {} and {}\n\n\
+            "**{}**: {} and {}\n\n{}\
              - **Surface**: the first run; grey up to a hundredth of the largest difference now (of the tolerance, if that is \
              larger), blue at that, on a logarithmic scale. {}\n\
              - **Orange dots**: vertices of the second run that differ by more than {LEAST} of it; red arrows point there, all of an \
              instant longer by one factor, so that the longest has at least {LONGEST} radii\n\
              - **Plot**: the largest distance of each body, from a thousandth of the tolerance on; grey: the tolerance, {:e}\n\
-             {}{}",
+             {}",
             schema.name,
             plan.labels[0],
             plan.labels[1],
+            differ_most(plan.changes),
             match plan.bodies.len() {
                 0 => "No body differs.".to_owned(),
                 n if n > MAX_BODIES => format!("The {MAX_BODIES} bodies that differ most are shown, of {n}."),
@@ -182,7 +183,6 @@ impl Comparison {
                 "- **q** of the first pairs whose events differ: the first run thick and blue, the second thin and orange; \
                  diamonds are events that differ, level lines thresholds that do\n"
             },
-            differ_most(plan.changes),
         );
         chunks.log_static(ABOUT.path, &TextDocument::new(about).with_media_type(MediaType::MARKDOWN));
         for (_, name, mesh) in &shown {
@@ -204,8 +204,8 @@ impl Comparison {
         let dots =
             Points3D::update_fields().with_colors([color(COLORS[1])]).with_radii([sdk::Radius::new_ui_points(2.0)]);
         chunks.log_static(COMPARED_ERROR.path, &dots);
-        for (number, (_, name, _)) in shown.iter().enumerate() {
-            let rgb = palette::distance(number); // blue and orange are the two runs
+        for (body, name, _) in &shown {
+            let rgb = palette::distance(*body); // blue and orange are the two runs
             for line in [&DIFFERENCE, &LOG_DIFFERENCE] {
                 Series::style(&mut chunks, &line.of(&[name]), name, rgb, 1.5, Interpolation::Linear);
             }
@@ -439,7 +439,7 @@ fn differ_most(changes: &[Change]) -> String {
         format!("{} at {:.3} s: {}", event.what(), event.time, change.how())
     });
     let most: Vec<String> = most.collect();
-    format!("\n\n**{} events differ**, most of all: {}.", changes.len(), most.join("; "))
+    format!("**{} events differ**, most of all: {}.\n\n", changes.len(), most.join("; "))
 }
 
 fn log_difference(chunks: &mut Chunks, name: &str, difference: f64, tolerance: f64, at: Instant) {

@@ -339,7 +339,8 @@ pub fn save(
         bodies = (0..schema.bodies.len()).collect();
     }
     let mut pairs: Vec<[usize; 2]> = Vec::new();
-    for change in events::listed(&difference.events, LISTED) {
+    let earliest = difference.events.iter().min_by(|x, y| x.event().time.total_cmp(&y.event().time));
+    for change in earliest.into_iter().chain(events::listed(&difference.events, LISTED)) {
         let pair = change.event().pair.split_once('~').and_then(|(a, b)| Some([schema.body(a)?, schema.body(b)?]));
         pairs.extend(pair.filter(|pair| pairs.len() < MAX_PAIRS && !pairs.contains(pair)));
     }

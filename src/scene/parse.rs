@@ -103,16 +103,18 @@ impl Scene {
     /// The text of a scene file.
     ///
     /// # Errors
-    /// It is not UTF-8.
+    /// It is not UTF-8, or has a NUL, as UTF-16 does.
     pub fn text_of<'a>(bytes: &'a [u8], path: &std::path::Path) -> Result<&'a str, SceneError> {
-        std::str::from_utf8(bytes).map_err(|error| {
-            let offset = error.valid_up_to();
-            let valid = String::from_utf8_lossy(&bytes[..offset]);
-            let message = format!("not UTF-8: found the byte 0x{:02x} at offset {offset}", bytes[offset]);
-            let place = Some(Place::of(&valid, offset));
-            SceneError { place, ..SceneError::plain(&path.display().to_string(), message) }
-                .with_help("save the file as UTF-8")
-        })
+        let offset = match std::str::from_utf8(bytes).map(|text| (text, text.find('\0'))) {
+            Ok((text, None)) => return Ok(text),
+            Ok((_, Some(nul))) => nul,
+            Err(error) => error.valid_up_to(),
+        };
+        let valid = String::from_utf8_lossy(&bytes[..offset]);
+        let message = format!("not UTF-8: found the byte 0x{:02x} at offset {offset}", bytes[offset]);
+        let place = Some(Place::of(&valid, offset));
+        Err(SceneError { place, ..SceneError::plain(&path.display().to_string(), message) }
+            .with_help("save the file as UTF-8"))
     }
 
     /// Parses `text` as [`Scene::load`] would from the file at `path`: meshes are read from files, relative to its

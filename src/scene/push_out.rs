@@ -3,6 +3,7 @@
 use glam::DVec3;
 
 use super::{Body, Motion, Plane, Scene, keys::LARGEST};
+use crate::geometry::Shape;
 
 /// Speed at which a plane may throw a body out: its springs, which stop it within 1/ω, then deform it by a quarter of
 /// its radius [ω R].
@@ -33,11 +34,17 @@ struct Throw {
 }
 
 impl Throw {
-    /// The energy of the springs, (k/2) ⟨d²⟩ per mass over a sphere's surface, becomes that of the motion; for a cap of
-    /// depth D, ⟨d²⟩ = D³/(6 R).
-    fn of(plane: &Plane, radius: f64, centre: DVec3) -> Throw {
-        let depth = (plane.depth(centre) + radius).max(0.0);
-        let mean_square = if depth < 2.0 * radius {
+    /// The energy of the springs, (k/2) ⟨d²⟩ per mass over the surface, becomes that of the motion; for a cap of depth D of a
+    /// sphere, ⟨d²⟩ = D³/(6 R).
+    fn of(plane: &Plane, body: &Body, centre: DVec3) -> Throw {
+        let radius = body.radius;
+        let mut depth = (plane.depth(centre) + radius).max(0.0);
+        let mean_square = if let (Shape::Mesh(file), true) = (&body.shape, depth > 0.0) {
+            let rest = file.mesh().at(radius);
+            let depths = || (0..rest.len()).map(|vertex| plane.depth(centre + rest.position(vertex)).max(0.0));
+            depth = depths().fold(0.0, f64::max);
+            depths().zip(file.mesh().shares()).map(|(depth, share)| share * depth * depth).sum()
+        } else if depth < 2.0 * radius {
             depth.powi(3) / (6.0 * radius)
         } else {
             (depth - radius).powi(2) + radius * radius / 3.0
@@ -47,14 +54,14 @@ impl Throw {
 
     /// By the plane that would throw a body with its centre at `centre` out the fastest, if faster than gently.
     fn fastest(planes: &[Plane], body: &Body, centre: DVec3) -> Option<Throw> {
-        let all = planes.iter().map(|plane| Throw::of(plane, body.radius, centre));
+        let all = planes.iter().map(|plane| Throw::of(plane, body, centre));
         let fastest = all.max_by(|one, other| one.speed.total_cmp(&other.speed));
         fastest.filter(|throw| throw.speed > GENTLE * body.material.omega * body.radius)
     }
 }
 
 impl Scene {
-    /// Moves the free bodies that a plane would throw out along its normal until their radius touches it.
+    /// Moves the free bodies that a plane would throw out along its normal until they touch it.
     pub(super) fn push_out(&mut self) {
         for body in &mut self.bodies {
             let Motion::Free(free) = &body.motion else { continue };
@@ -100,7 +107,11 @@ impl Scene {
 mod tests {
     use glam::DVec3;
 
-    use crate::{Scene, World};
+    use crate::{
+        Scene, World,
+        geometry::{Shape, files},
+        scene::FreeMotion,
+    };
 
     fn scene(planes: &[[f64; 4]], stiffness: f64, from: DVec3, rotation: &str) -> Scene {
         let plane = |[x, y, z, offset]: &[f64; 4]| {
@@ -132,6 +143,29 @@ mod tests {
                 }
             }
         }
+    }
+
+    /// A plate that lies on a plane is not in it, though a ball of its size would be.
+    #[test]
+    fn a_mesh_is_as_deep_as_its_deepest_vertex() {
+        let high = |z: f64| {
+            let mut text = String::new();
+            for k in 0..8 {
+                let at = |bit: u32, size: f64| if k >> bit & 1 == 1 { size } else { -size };
+                text += &format!("v {} {} {}\n", at(0, 1.0), at(1, 1.0), at(2, 0.05));
+            }
+            text += "f 1 3 4 2\nf 5 6 8 7\nf 1 2 6 5\nf 3 7 8 4\nf 1 5 7 3\nf 2 4 8 6\n";
+            let mut scene = scene(&[[0.0, 0.0, 1.0, 0.0]], 4e3, DVec3::Z * 9.0, "free");
+            let plate = files::from_content("p.obj", &text).unwrap().mesh;
+            let body = &mut scene.bodies[0];
+            (body.radius, body.shape, body.motion) = (1.0, Shape::Mesh(plate), FreeMotion::at(DVec3::Z * z).into());
+            scene.push_out();
+            scene.bodies[0].motion.start().z
+        };
+        let half = 0.05 / 2.0025f64.sqrt();
+        assert_eq!(high(0.04), 0.04);
+        assert_eq!(high(0.03), 0.03); // it is lifted gently
+        assert!((high(-0.2) - half).abs() < 1e-12 && (high(-2.0) - half).abs() < 1e-12, "{}", high(-0.2));
     }
 
     #[test]

@@ -238,6 +238,11 @@ impl FocusFinder {
         Some(focus)
     }
 
+    /// The bodies in frames throughout the run so far.
+    pub fn run(&self) -> impl Iterator<Item = (DVec3, f64)> + '_ {
+        self.run.iter().flatten().copied()
+    }
+
     /// The requested event, if it has not happened so far, and the number of matching events.
     pub fn missed(&self) -> Option<(&Around, u64)> {
         self.around.as_ref().filter(|(around, seen)| *seen < around.number).map(|(around, seen)| (around, *seen))

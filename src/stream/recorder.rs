@@ -59,6 +59,7 @@ pub use super::{
     settings::{Detail, Entities, MOST_PAIRS, Settings, file_stem},
 };
 use crate::{
+    geometry::bounds,
     observe::{Frame, Schema, Simulation, StageFrame, StepSummary, row::rows, verify},
     sdk::{
         self, AnyValues, ApplicationId, AsComponents, Clear, LogMsg, Points3D, Scalars, StateChange, StoreId,
@@ -104,6 +105,8 @@ pub struct Recorder {
     worst: Option<(usize, f64, DVec3)>,
     /// The spheres (centre and radius) that are in view at first.
     framed: Vec<(DVec3, f64)>,
+    /// The box in which planes are drawn.
+    spread: [DVec3; 2],
     /// The parts that show stages inside steps.
     stages: Option<(StateParts, Moves)>,
     /// Number of stages shown.
@@ -196,6 +199,7 @@ impl Recorder {
             id = format!("{number}-{id}");
         }
         let mut chunks = Chunks::new(StoreId::new(StoreKind::Recording, application, id));
+        let framing = simulation.framing(false);
         log_properties(&schema, &run, &overrides, &settings, &mut chunks);
         if settings.frames != Frames::Thin {
             // a thin recording would open an empty 3D view
@@ -209,7 +213,7 @@ impl Recorder {
             marks::log_style_of_scheduled(&mut chunks);
         }
         if settings.frames != Frames::Thin && !schema.planes.is_empty() {
-            planes::log(&schema, &simulation.framing(false), now(simulation), &mut chunks);
+            planes::log(&schema, &framing, now(simulation), &mut chunks);
         }
         let mut recorder = Recorder {
             checksums: match settings.frames {
@@ -230,6 +234,7 @@ impl Recorder {
             middle: DVec3::ZERO,
             worst: None,
             framed: focus::furthest(&simulation.framing(true)),
+            spread: bounds(framing.iter().copied()),
             stages: matches!(settings.detail, Detail::Stages { .. }).then(|| {
                 log_text(&ABOUT_STAGES, blueprint::stages(), &mut chunks);
                 (StateParts::new(&schema, &settings, simulation.interrupt(), &mut chunks), Moves::new(&mut chunks))
@@ -638,6 +643,13 @@ impl Recorder {
         if let Some(parts) = self.parts.as_mut().filter(|_| !is_waiting) {
             parts.series.extend_all(&mut self.chunks);
             parts.numbers.log_ranking(&mut self.chunks);
+            // bodies may have left the sheets on which they seemed to lie
+            let [low, high] = self.spread;
+            let corners = [low, high].map(|corner| (corner, 0.0));
+            let run: Vec<(DVec3, f64)> = parts.focus.run().chain(corners).collect();
+            if self.schema.changes.is_empty() && bounds(run.iter().copied()) != self.spread {
+                planes::log(&self.schema, &run, self.at, &mut self.chunks);
+            }
             if self.flight.is_none() {
                 let told = parts.told(&self.schema);
                 let level = parts.pairs.axis(&parts.series, &self.schema, &told).map(|axis| axis.ends[0]);

@@ -1059,7 +1059,7 @@ impl Run {
                     of_all = of_all.max(displacement);
                     let is_larger = displacement > largest.as_ref().map_or(0.0, |(largest, ..)| *largest);
                     if is_counted && body.max_displacement() > 0.0 && !is_inside(position, index, false) {
-                        on_surface.push(displacement);
+                        on_surface.push((displacement, position, body.centre()));
                     }
                     if is_larger && !is_inside(position, index, true) {
                         let name = &body.scene().name;
@@ -1230,10 +1230,13 @@ impl Run {
                     return;
                 }
                 let [.., end] = &scale.held[frame].texts("Points2D:labels")[..] else { panic!("no numbers") };
-                // the colours end at the largest, but for spikes, at a round number
-                on_surface.sort_by(f64::total_cmp);
-                let usual = on_surface[(0.98 * on_surface.len() as f64) as usize];
-                let least = displacement.min(1.5 * usual).max(0.5 * displacement).max(0.01);
+                // the colours end at the largest on the sides that face the eye, but for spikes, at a round number
+                let facing = on_surface.iter().filter(|(_, at, centre)| (at - centre).dot(look.eye - centre) > 0.0);
+                let mut facing: Vec<f64> = facing.map(|(displacement, ..)| *displacement).collect();
+                facing.sort_by(f64::total_cmp);
+                let in_front = facing.last().copied().unwrap_or(0.0);
+                let usual = facing.get((0.98 * facing.len() as f64) as usize).copied().unwrap_or(in_front);
+                let least = in_front.min(1.5 * usual).max(0.5 * in_front).max(0.01);
                 let ends = [0.01, 0.015, 0.02, 0.03, 0.04, 0.06, 0.08];
                 let round = (0..9).flat_map(|power| ends.map(|end| end * 10f64.powi(power)));
                 let expected = round.into_iter().find(|end| *end >= 0.999_999 * least).expect("a displacement");

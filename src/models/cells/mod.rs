@@ -6,7 +6,7 @@
 //! through it or if its centre is inside: the cells cover the body, and protrude from it by less than a cell. All cells
 //! have the same mass, an eighth of it at each corner (2.1.1: "each cell has a uniform mass"). If the mass centre of
 //! the nodes would then differ from that of the mesh, which is the body's centre, a linear density gradient corrects
-//! it. Nodes and cells are in ascending order of z, y, x, so the result depends on the mesh alone.
+//! it, and no cell gets less than a fifth of the mean. Nodes and cells are in ascending order of z, y, x, so the result depends on the mesh alone.
 
 mod boundary;
 mod cover;
@@ -159,6 +159,11 @@ impl Cells {
         shares
     }
 
+    /// The mass centre of the nodes [radii]: that of the body, unless no densities of the cells move it there.
+    pub fn mass_centre(&self) -> DVec3 {
+        self.nodes.iter().zip(self.shares()).map(|(&node, share)| node * share).sum()
+    }
+
     /// The nodes that hold a body on a prescribed path: those within `radius` of its centre [radii], and for every
     /// connected component without such nodes, the corners of its cell nearest to the centre.
     pub fn core(&self, radius: f64) -> Vec<bool> {
@@ -220,11 +225,14 @@ impl Cells {
     }
 }
 
+/// The smallest fraction of the mass in a cell [that of the mean].
+const LEAST: f64 = 0.2;
+/// The mass centre is at the centre of the grid, but for rounding [radii].
+pub const NONE: f64 = 1e-9;
+
 /// Fractions of the mass in cells at the given grid coordinates: equal, except for a linear gradient that moves their
-/// mass centre to the centre of the grid. No gradient if it would leave a cell with less than a fifth of the mean.
+/// mass centre to the centre of the grid, if there is one.
 fn weights(places: &[[u32; 3]], across: u32) -> Vec<f64> {
-    const NONE: f64 = 1e-9;
-    const LEAST: f64 = 0.2;
     let (mean, h) = (1.0 / places.len() as f64, 2.0 / f64::from(across));
     let centre = |place: &[u32; 3]| (DVec3::from_array(place.map(f64::from)) + 0.5) * h - 1.0;
     let middle = places.iter().map(centre).sum::<DVec3>() * mean;
@@ -239,7 +247,50 @@ fn weights(places: &[[u32; 3]], across: u32) -> Vec<f64> {
     if middle.length() > NONE && slope.is_finite() && places.iter().all(|place| weight(place) > LEAST * mean) {
         return places.iter().map(weight).collect();
     }
-    vec![mean; places.len()]
+    let is_off = middle.length() > NONE;
+    let bounded = || bounded(&places.iter().map(centre).collect::<Vec<_>>());
+    is_off.then(bounded).flatten().unwrap_or_else(|| vec![mean; places.len()])
+}
+
+/// The fractions of the mass in cells with these centres that differ least from their mean, are at least [`LEAST`] of it, and
+/// have their mass centre at the origin: linear, except where that would be too little. `None` if the cells lie on one side.
+fn bounded(centres: &[DVec3]) -> Option<Vec<f64>> {
+    /// Spreads smaller than this are none [that of all].
+    const FLAT: f64 = 1e-12;
+
+    let least = LEAST / centres.len() as f64;
+    let mut is_light = vec![false; centres.len()];
+    loop {
+        let all = || centres.iter().copied().zip(&is_light);
+        let linear = || all().filter(|(_, is_light)| !**is_light).map(|(centre, _)| centre);
+        let count = linear().count();
+        if count == 0 {
+            return None;
+        }
+        let (mut left, mut wanted) = (1.0, DVec3::ZERO);
+        for (centre, _) in all().filter(|(_, is_light)| **is_light) {
+            left -= least;
+            wanted -= least * centre;
+        }
+        let middle = linear().sum::<DVec3>() / count as f64;
+        let mut spread = DMat3::ZERO;
+        linear().for_each(|centre| spread += outer(centre - middle, centre - middle));
+        // cells in one plane cannot be moved out of it
+        let extent = spread.x_axis.x + spread.y_axis.y + spread.z_axis.z;
+        let moment = wanted - left * middle;
+        let slope = solve(spread + DMat3::from_diagonal(DVec3::splat(FLAT * extent)), moment);
+        if !((spread * slope - moment).length() < NONE) {
+            return None;
+        }
+        let weight = |centre: DVec3| left / count as f64 + slope.dot(centre - middle);
+        let weights: Vec<f64> =
+            all().map(|(centre, is_light)| if *is_light { least } else { weight(centre) }).collect();
+        let is_too_light = |weight: &f64| *weight < least;
+        if !weights.iter().any(is_too_light) {
+            return Some(weights);
+        }
+        is_light.iter_mut().zip(&weights).for_each(|(is_light, weight)| *is_light |= is_too_light(weight));
+    }
 }
 
 /// Index of a cell in an array of the whole grid.

@@ -70,6 +70,35 @@ fn a_box_along_the_grid_is_covered_exactly() {
     assert_eq!(cells.cell_count(), 4 * 4 * 2);
 }
 
+/// The mass centre of the nodes is that of the body, also where some cells of a linear density would weigh nothing.
+#[test]
+fn cells_of_lopsided_bodies_are_balanced() {
+    let ring: String = (0..12)
+        .map(|k| libm::sincos(f64::from(k) * std::f64::consts::TAU / 12.0))
+        .map(|(sin, cos)| format!("v {cos} {sin} 0\n"))
+        .collect();
+    let sides: String = (0..12)
+        .map(|k| format!("f {} {} 13\nf {} {} 14\n", k + 1, (k + 1) % 12 + 1, (k + 1) % 12 + 1, k + 1))
+        .collect();
+    for (name, apex) in [("cone", [0.0, 0.0, 1.5]), ("tall", [0.0, 0.0, 4.0]), ("wry", [0.9, 0.3, 2.0])] {
+        let [x, y, z] = apex;
+        let text = format!("{ring}v {x} {y} {z}\nv 0 0 0\n{sides}");
+        let file = crate::geometry::files::from_content("m.obj", &text).unwrap().mesh;
+        let mesh = file.mesh();
+        for across in [4, 6, 7, 12] {
+            let cells = Cells::cover(mesh, across, None).unwrap();
+            let (off, mean) = (cells.mass_centre().length(), 1.0 / cells.cell_count() as f64);
+            let [total, least] =
+                [cells.weights.iter().sum(), cells.weights.iter().copied().fold(f64::INFINITY, f64::min)];
+            assert!(
+                (total - 1.0).abs() < 1e-12 && least >= 0.2 * mean * (1.0 - 1e-12),
+                "{name}, {across}: {total} {least}"
+            );
+            assert!(off < 1e-9, "{name}, {across}: {off}");
+        }
+    }
+}
+
 /// A torus knot is covered without filling its hole: χ of the boundary is at most that of a torus.
 #[test]
 fn cells_keep_the_shape_of_a_mesh() {

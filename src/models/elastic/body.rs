@@ -17,7 +17,7 @@ use crate::{
     geometry::{Mesh, Shape, Vectors},
     model::shape_matching::outer,
     models::{
-        cells::{Cells, TETRAHEDRA, boundary},
+        cells::{self, Cells, TETRAHEDRA, boundary},
         fem::{self, Elasticity, Element, Stepper, Unfactored},
         lattice::{self, Constants, Lattice},
     },
@@ -200,6 +200,16 @@ impl Body {
             Motion::Free(motion) => Some(motion),
             Motion::Prescribed(_) => None,
         };
+        let off = cells.mass_centre().length();
+        if motion.is_some() && off > cells::NONE {
+            return Err(format!(
+                "scene \"{}\": the cells of the free body \"{}\" have their mass centre {off:.2} R beside that of its mesh, and no \
+                 densities of at least a fifth of the mean move it there; use other `cells` in [{}]",
+                scene.name,
+                described.name,
+                scene.model.name()
+            ));
+        }
         let held = if motion.is_some() { vec![false; cells.node_count()] } else { cells.core(CORE) };
         let mesh = described.shape.mesh();
         let constants = |density| Constants::of(material.omega, material.damping, radius, density);

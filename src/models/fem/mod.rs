@@ -1,6 +1,7 @@
 //! Linear finite elements (2.1.2, (2.1)): F = K δ on tetrahedra in the cells of a body.
 //!
-//! Each cell is cut into six tetrahedra. Displacements are linear in each, so its strain and stress are constant:
+//! Each cell is cut into six tetrahedra. Displacements are linear in each, so its strain and stress are constant. The cut has a
+//! direction: a scene that is turned by 90° differs by up to 2 % of a radius with 6 cells.
 //!
 //! ```text
 //! K = Σ V Bᵀ D B        σ = λ tr(ε) 1 + 2μ ε

@@ -1,7 +1,7 @@
 //! The two ways to tear a lattice (2.2.2, Fig. 2.2).
 //!
 //! - `cut` (Fig. 2.2b; [11, 12] of the thesis): an overstretched spring is cut with all springs of its cells. That is
-//!   cheap, but the volume of the cells is lost.
+//!   cheap, but the volume of the cells is lost; their mass stays at the nodes that are left.
 //! - `split` (Fig. 2.2c; [9, 12]): an overloaded node becomes two, one for the cells on either side of the plane across
 //!   which the tension is strongest, and the springs are rebuilt. The volume is kept.
 //!

@@ -129,12 +129,13 @@ fn lowest(balls: &[Ball]) -> Option<DVec3> {
             (least, value) = (k, here);
         }
     }
-    if least == 0 || least == SAMPLES {
-        return None;
-    }
     // the slope along the line changes sign there
     let slope = |z: f64| -slope_of(balls, a.centre + z * along).dot(along);
-    let (low, high) = (of(least - 1), of(least + 1));
+    let (low, high) = (of(least.saturating_sub(1)), of((least + 1).min(SAMPLES)));
+    // between an end and the sample beside it only if the density falls from the end
+    if least == 0 && slope(low) <= 0.0 || least == SAMPLES && slope(high) >= 0.0 {
+        return None;
+    }
     let z = if slope(low) > 0.0 && slope(high) < 0.0 { root(low, high, slope) } else { of(least) };
     Some(a.centre + z * along)
 }

@@ -8,8 +8,8 @@
 //! | the surface as a mesh, its volume, the distance between two balls | [`surface`] |
 //!
 //! A lone ball is the sphere of its body's radius; the support of its density is the influence sphere. Bodies follow their
-//! paths. Nothing else moves: a metaball has no mass, so material, strengths, pushes, planes and force points have no effect
-//! ([`Schema::warnings`] lists those in a scene), and free bodies are rejected.
+//! paths. Nothing else moves: a metaball has no mass, so material, strengths, core and `[surface]` have no effect, neither have
+//! pushes, planes, force points and gravity ([`Schema::warnings`] lists those in a scene), and free bodies are rejected.
 //!
 //! # Two criteria for merging
 //! The scene's thresholds on the centre distance give `merge` and `split` events, at the same times as for the

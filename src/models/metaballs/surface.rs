@@ -74,7 +74,7 @@ impl Surfaces for LevelSet {
         let (a, b) = (&balls[0], &balls[1]);
         let (radius, distance) = (f64::min(a.radius, b.radius), a.centre.distance(b.centre));
         let is_one = are_one(&balls);
-        let gap = if is_one { f64::min(0.0, distance - a.radius - b.radius) } else { gap(&balls) };
+        let gap = if is_one { f64::min(0.0, distance - a.radius - b.radius) } else { gap(&balls)? };
         let neck = if is_one { neck(&balls) } else { 0.0 };
         let overlap = lens(a.radius, b.radius, distance);
         Some(PairMeasures {
@@ -125,8 +125,8 @@ impl LevelSet {
 }
 
 /// The distance between the surfaces of the first two balls, which are not joined, on the line of their centres
-/// [scene unit].
-fn gap(balls: &[Ball]) -> f64 {
+/// [scene unit]; `None` if that is inside of other balls all along.
+fn gap(balls: &[Ball]) -> Option<f64> {
     let (a, b) = (&balls[0], &balls[1]);
     let distance = a.centre.distance(b.centre);
     let end = |from: &Ball, to: &Ball| {
@@ -138,8 +138,8 @@ fn gap(balls: &[Ball]) -> f64 {
         outside.map(|r| root(r - step, r, excess))
     };
     match (end(a, b), end(b, a)) {
-        (Some(of_a), Some(of_b)) => f64::max(0.0, distance - of_a - of_b),
-        _ => 0.0,
+        (Some(of_a), Some(of_b)) => Some(f64::max(0.0, distance - of_a - of_b)),
+        _ => None,
     }
 }
 

@@ -203,6 +203,32 @@ fn two_balls_become_one_and_two_at_times_in_closed_form() {
     }
 }
 
+/// The density between a large ball and a small one is least close to the small one: the root of that density is found by
+/// itself here, on a fine grid.
+#[test]
+fn balls_of_different_sizes_touch_where_the_least_density_reaches_the_threshold() {
+    let text = "duration = 4\ndt = 0.1\n[[body]]\nname = 'a'\nradius = 9.23783179901658\nreach = 5.558385510179625\n\
+                motion = { fixed = [0, 0, 0] }\n[[body]]\nname = 'b'\nradius = 1.0\nreach = 1.333672736607671\n\
+                motion = { line = { from = [10.762486359343165, 0, 0], velocity = [-0.1, 0, 0] } }\n";
+    let density = |distance: f64, reach: f64, radius: f64| {
+        let of = |r: f64| (1.0 - (r / (reach * radius)).powi(2)).max(0.0).powi(3);
+        of(distance) / of(radius)
+    };
+    let least = |apart: f64| {
+        let at = |k: u32| 9.23783179901658 + f64::from(k) * 1e-5 * (apart - 10.23783179901658);
+        let sum = |x: f64| density(x, 5.558385510179625, 9.23783179901658) + density(apart - x, 1.333672736607671, 1.0);
+        (0..=100_000).map(|k| sum(at(k))).fold(f64::INFINITY, f64::min)
+    };
+    let (mut near, mut far) = (10.3, 10.76);
+    while far - near > 1e-9 {
+        let middle = 0.5 * (near + far);
+        if least(middle) >= 1.0 { near = middle } else { far = middle }
+    }
+    let events = contacts(text);
+    assert_eq!(events.len(), 1, "{events:?}");
+    assert!((10.762486359343165 - 0.1 * events[0].time - near).abs() < 1e-6, "{events:?}, at a distance of {near}");
+}
+
 /// A ball that is at one place at both ends of a step, and visits another within it.
 #[test]
 fn a_visit_within_a_step_is_found() {

@@ -128,7 +128,7 @@ fn eye(spheres: &[(DVec3, f64)], back: DVec3, aspect: f64) -> DVec3 {
 /// of a pair is seen from the side.
 fn foreshortening(pair: &[(DVec3, f64)], back: DVec3) -> f64 {
     /// The largest cosine at which the axis is seen well.
-    const MOST: f64 = 0.5;
+    const MOST: f64 = 0.35;
 
     let [(one, _), (other, _)] = pair else { return 0.0 };
     ((*other - *one).normalize_or_zero().dot(back).abs() - MOST).max(0.0)

@@ -60,12 +60,17 @@ pub fn arrows(schema: &Schema) -> String {
     }
     format!(
         "**By body**, plots and rows: means over a body; arrows are scaled per step, the longest {} unit long, less for small bodies, specks left out; {}: the net force and its \
-         strongest cause in unit/s². **Others**: at vertices{}; an arrow of **{} unit** means: {}.\n",
+         strongest cause in unit/s². **Others**: at vertices{}; an arrow of **{} unit** means: {}.{}\n",
         rounded(longest(schema) * radius),
         if is_ranked(schema) { "rows" } else { "labels" },
         if is_uniform { "; uniform forces at the centre" } else { "" },
         rounded(radius),
         lengths(schema, |_| true),
+        if schema.terms.iter().any(|term| term.can_act && term.name == "reaction") {
+            " Reaction: to what the body's own sphere does to others."
+        } else {
+            ""
+        },
     )
 }
 
@@ -208,5 +213,5 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame, ne
     };
     // what is first is visible in a small panel
     let colors = spheres + changes + &springs + &arrows + &net_forces + &merged + &trails + &timings + &bound;
-    format!("{}{colors}\n{head}{nearest}{credit}", warnings.trim_start())
+    format!("{}{colors}{nearest}\n{head}{credit}", warnings.trim_start())
 }

@@ -230,7 +230,7 @@ impl Layout {
                 plot
             }));
         }
-        let title = "Contact: red-orange joined, yellow touching, green both";
+        let title = "Contact: orange joined, green touching, yellow both";
         let mut contents: Vec<String> = pairs::named(schema, &PAIR_PHASE).map(|lane| format!("- {lane}")).collect();
         contents.push(family(&PAIR_PHASE));
         let contacts = self.lanes(title, PAIR_PHASE.family(), &contents);

@@ -33,8 +33,10 @@ pub const MOST_BODIES: usize = 16;
 /// are seen, too.
 const LONGEST: f64 = 1.5;
 const LONGEST_OF_MANY: f64 = 3.0;
-/// The length of the shortest arrow [that of the longest]: of a shorter one only a speck would be seen.
+/// The weakest force that has an arrow [the strongest on its body] …
 const SHORTEST: f64 = 0.1;
+/// … if that is longer than a speck [the longest arrow].
+const SPECK: f64 = 0.03;
 
 /// Number of the bodies with the largest net forces that are labelled even if others, which are translucent, hide them.
 const MAY_BE_HIDDEN: usize = 3;
@@ -259,10 +261,12 @@ impl ResultantRows {
         let length = |of: &Resultant| of.strength() / (schema.bodies[of.body].radius * largest).sqrt();
         let longest_length = resultants.iter().map(length).fold(0.0, f64::max);
         let scale = longest(schema) / longest_length;
+        let mut strongest = vec![0.0f64; schema.bodies.len()];
+        resultants.iter().for_each(|of| strongest[of.body] = strongest[of.body].max(of.strength()));
+        let is_shown =
+            |of: &&Resultant| of.strength() > SHORTEST * strongest[of.body] && length(of) > SPECK * longest_length;
         let mut arrows = ResultantRows::default();
-        for &Resultant { body, term, acceleration } in
-            resultants.iter().filter(|of| length(of) > SHORTEST * longest_length)
-        {
+        for &Resultant { body, term, acceleration } in resultants.iter().filter(is_shown) {
             let beside = match schema.sum_of_terms() == Some(term) {
                 true => BESIDE * schema.bodies[body].radius * acceleration.cross(view.back).normalize_or_zero(),
                 false => DVec3::ZERO,

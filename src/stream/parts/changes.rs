@@ -52,6 +52,9 @@ impl Next {
     }
 }
 
+/// How far ahead changes are told [s]: extrapolated further, q most often takes another way.
+const SOON: f64 = 0.15;
+
 impl Changes {
     /// Starts without pairs, in a run of so many steps; of few bodies, there is no ranking.
     pub fn new(schema: &Schema, steps: Option<u64>, chunks: &mut Chunks) -> Option<Changes> {
@@ -94,14 +97,13 @@ impl Changes {
             let levels = (0..schema.thresholds.len()).filter_map(|threshold| Some((threshold, level(threshold)?)));
             let ticks = levels.map(|(threshold, level)| (Mark::Tick(place(level)), schema.thresholds[threshold].color));
             let marks = ticks.chain([(Mark::Dot(place(pair.q)), phase.color)]).collect();
-            let what = match next.filter(|next| next.wait.is_finite()) {
+            let what = match next.filter(|next| next.wait <= SOON) {
                 Some(Next { threshold, wait, .. }) => {
                     let label = schema.thresholds[threshold].name.trim_end_matches("_at");
                     let leaves = if label == phase.name { "leave " } else { "" };
                     match wait {
                         ..0.001 => format!("{leaves}{label} in < 1 ms"),
-                        ..0.1 => format!("{leaves}{label} in {:.0} ms", 1e3 * wait),
-                        _ => format!("{leaves}{label} in {wait:.2} s"),
+                        _ => format!("{leaves}{label} in {:.0} ms", 1e3 * wait),
                     }
                 }
                 None => match *rate {

@@ -266,12 +266,16 @@ impl GroupPlots {
         }));
         // what all of it encloses, and how that has changed
         let count = groups.len() + ranked_alone;
-        let all = self.sums.zip(self.first).filter(|_| !groups.is_empty()).map(|([of_surfaces, _], first)| {
-            let all = if count > 1 { format!("all {count}") } else { "all".to_owned() };
-            let label = format!("{all}: {}, {} % since start", short(of_surfaces), percent(of_surfaces / first));
-            Row { label, color: SILVER, marks: Vec::new() }
+        let all = self.sums.zip(self.first).filter(|_| !groups.is_empty()).map(|([of_surfaces, of_bodies], first)| {
+            let all = if count > 1 { format!("all {count} surfaces") } else { "all".to_owned() };
+            let [overlaps, deformation] = [of_surfaces / of_bodies, of_bodies / first].map(percent);
+            let labels = [
+                format!("{all}: {}", short(of_surfaces)),
+                format!("overlaps {overlaps} %, deformation {deformation} %"),
+            ];
+            labels.map(|label| Row { label, color: SILVER, marks: Vec::new() })
         });
-        let rows = all.into_iter().chain(rows);
+        let rows = all.into_iter().flatten().chain(rows);
         let none =
             if merged.overlapping > 0 { "groups are drawn as overlapping meshes" } else { "no bodies are joined" };
         ranking.log(rows, none, view.at, chunks);

@@ -1,7 +1,7 @@
 //! The colours of displacements: a texture that the displacement view maps onto surfaces, and its colour scale.
 //!
-//! The place of a vertex in the texture is its displacement as a share of about the largest on the surface in the frame. A
-//! single spike, perhaps on the far side, would leave the same colour to all others, and is beyond the end of the scale.
+//! The place of a vertex in the texture is its displacement as a share of about the largest in front in the frame. What is
+//! larger on the far side, or a single spike, would leave the same colour to all others, and is beyond the end of the scale.
 
 use std::sync::Arc;
 
@@ -53,8 +53,8 @@ pub const MAPPINGS: [Mapping; 4] = [
 const WIDTH: usize = 256;
 /// The smallest end of the colour range [radii]: numbers below would look like displacements.
 const LEAST: f64 = 0.01;
-/// The end of the colour range is the largest displacement on the surface, but for spikes: at most this ratio to the
-/// displacement that all but a share of the vertices do not exceed …
+/// The end of the colour range is the largest displacement on the sides of bodies that face the eye, but for spikes: at most this
+/// ratio to the displacement that all but a share of these vertices do not exceed …
 const OF_USUAL: f64 = 1.5;
 const SHARE: f64 = 0.98;
 /// … and at least this share of the largest, so that a small dent has more than one colour.
@@ -352,6 +352,7 @@ impl Displacements {
             }
         }
         let [mut outside, mut of_all]: [Option<Largest>; 2] = [None; 2];
+        let mut in_front = 0.0f64;
         self.lengths.clear();
         self.candidates.clear();
         self.is_inside.clear();
@@ -400,6 +401,7 @@ impl Displacements {
         for (index, (body, now)) in view.bodies().enumerate().filter(|(_, (_, now))| now.max_displacement > 0.0) {
             others(index, &self.merged, &mut self.near);
             let PartOfSurface { number, is_on } = &self.merged[index];
+            let to_eye = view.eye - now.centre;
             self.normals.clear();
             for (vertex, &length) in now.lengths.iter().enumerate() {
                 let position = now.centre + now.positions.get(vertex);
@@ -418,8 +420,10 @@ impl Displacements {
                     continue;
                 }
                 let is_free = !is_within(|near| near.usually);
-                if is_free {
+                // on the side of the body that faces the eye
+                if is_free && (position - now.centre).dot(to_eye) > 0.0 {
                     self.lengths.push(found.displacement as f32);
+                    in_front = in_front.max(found.displacement);
                 }
                 if is_within(|near| near.surely) {
                     continue;
@@ -471,13 +475,12 @@ impl Displacements {
         };
         self.seen = self.candidates.iter().find(is_clear).copied();
         (self.outside, self.of_all) = (outside.or(of_all), of_all);
-        let largest = self.outside.map_or(0.0, |largest| largest.displacement);
         let rank = (SHARE * self.lengths.len() as f64) as usize;
         let usual = match self.lengths.get(rank) {
             Some(_) => f64::from(*self.lengths.select_nth_unstable_by(rank, f32::total_cmp).1),
-            None => largest,
+            None => in_front,
         };
-        self.end = rounded_up(largest.min(OF_USUAL * usual).max(OF_LARGEST * largest).max(LEAST));
+        self.end = rounded_up(in_front.min(OF_USUAL * usual).max(OF_LARGEST * in_front).max(LEAST));
     }
 
     /// The displacement at the end of the colours [radii].

@@ -130,6 +130,8 @@ struct ScalarLine {
     first: Option<f64>,
     /// Its largest finite magnitude in all frames.
     largest: f64,
+    /// Whether its plot has no other.
+    is_alone: bool,
 }
 
 /// A stage, the time spent on it since the last frame, and the distribution of that time over previous frames.
@@ -182,7 +184,8 @@ impl FrameNumbers {
             Series::style(chunks, &entity, scalar.label, color, 1.5, shape);
             let id = series.line(chunks, &entity, shape);
             let (first, of, label) = (None, scalar.of, scalar.label);
-            ScalarLine { id, of, value: 0.0, last: 0.0, label, color, first, largest: 0.0 }
+            let is_alone = schema.scalars.iter().filter(|other| other.plot == scalar.plot).count() == 1;
+            ScalarLine { id, of, value: 0.0, last: 0.0, label, color, first, largest: 0.0, is_alone }
         });
         let scalars = scalars.collect();
         let energies = energies.into_iter().enumerate();
@@ -258,7 +261,8 @@ impl FrameNumbers {
         let noise = ranking::NOISE * energies.map(|&index| self.scalars[index].largest).fold(0.0, f64::max);
         for (ranking, scalars) in &self.energies {
             let lines = scalars.iter().map(|&index| &self.scalars[index]);
-            let rows = energy_rows(lines.filter(|line| line.largest > noise || !line.last.is_finite()).collect());
+            let is_listed = |line: &&ScalarLine| line.largest > noise || !line.last.is_finite() || line.is_alone;
+            let rows = energy_rows(lines.filter(is_listed).collect());
             ranking.log(rows.into_iter(), "all are 0", view.at, chunks);
         }
         for (&line, &value) in self.of_bodies.iter().zip(&view.frame.body_scalars) {

@@ -145,9 +145,9 @@ impl PairPlot {
 /// Whether two bodies are joined by their phase, and touch by their surfaces: names and colours.
 const CONTACTS: [(&str, palette::Rgb); 5] = [
     ("apart", colors::GREY),
-    ("joined and touching", colors::GREEN),
-    ("joined, not touching", colors::VERMILION),
-    ("touching, not joined", colors::YELLOW),
+    ("joined and touching", colors::YELLOW),
+    ("joined, not touching", colors::ORANGE),
+    ("touching, not joined", colors::GREEN),
     ("not measured", palette::IDLE_SPHERE_OF_MANY),
 ];
 /// Indices in [`CONTACTS`].
@@ -479,22 +479,26 @@ impl PairPlots {
 /// A pair that has plots.
 type Known<'p> = (&'p (usize, usize), &'p PairPlot);
 
-/// Of many pairs, the one that changes phase nearest to `opening` [s], and others that do so at times spread over the run;
-/// then those that come closest.
+/// Of many pairs, the one that changes phase nearest to `opening` [s], others that do so at times spread over the run, and the
+/// one that comes closest without a change; then others that come close.
 fn spread<'p>(mut pairs: Vec<Known<'p>>, series: &Series, opening: f64, most: usize) -> Vec<Known<'p>> {
     if pairs.len() <= most {
         return pairs;
     }
+    let closest = |plot: &PairPlot| series.outline(plot.distance).range.map_or(f64::INFINITY, |[low, _]| low);
+    let missed = (0..pairs.len()).filter(|&index| pairs[index].1.changes.is_empty() && most > 2);
+    let missed = missed.min_by(|&x, &y| closest(pairs[x].1).total_cmp(&closest(pairs[y].1)));
+    let missed = missed.map(|index| pairs.remove(index));
+    let most = most - usize::from(missed.is_some());
     let changes = || pairs.iter().flat_map(|(_, plot)| plot.changes.iter().map(|event| event.time));
     let [first, last] = [changes().fold(f64::INFINITY, f64::min), changes().fold(0.0, f64::max)];
     let others = most.saturating_sub(1);
     let times = (0..others).map(|k| first + (k as f64 + 0.5) / others as f64 * (last - first));
     let times: Vec<f64> = [opening].into_iter().chain(times).take(most).collect();
-    let mut chosen = Vec::new();
+    let mut chosen: Vec<Known<'p>> = missed.into_iter().collect();
     for time in times {
         let away =
             |plot: &PairPlot| plot.changes.iter().map(|event| (event.time - time).abs()).fold(f64::INFINITY, f64::min);
-        let closest = |plot: &PairPlot| series.outline(plot.distance).range.map_or(f64::INFINITY, |[low, _]| low);
         let nearest = (0..pairs.len()).min_by(|&x, &y| {
             let [x, y] = [x, y].map(|index| pairs[index].1);
             away(x).total_cmp(&away(y)).then(closest(x).total_cmp(&closest(y)))
@@ -649,7 +653,7 @@ fn number(value: f64) -> Arc<dyn Array> {
 }
 
 fn contact_color(event: &SurfaceEvent) -> palette::Rgb {
-    if event.what == Finding::Touch { CONTACTS[TOGETHER].1 } else { colors::SILVER }
+    if event.what == Finding::Touch { colors::GREEN } else { colors::SILVER }
 }
 
 /// Logs the line of a body event.

@@ -137,7 +137,7 @@ impl Recent {
         for (number, (event, bodies)) in (first..).zip(events[first..].iter().zip(pairs)) {
             let mut label = titled(event.name, &schema.pair_name(event.a, event.b));
             if events.len() > most {
-                label += &format!(", {} of {} in step {}", number + 1, events.len(), event.step);
+                label += &format!(", {} of {} changes in step {}", number + 1, events.len(), event.step);
             }
             let (pair, color) = ([event.a, event.b], schema.phases[event.to].color);
             self.events.retain(|before| before.step == event.step && before.pair != pair);
