@@ -324,7 +324,7 @@ impl Judge {
         let steps = scene.steps();
         let stride = steps.div_ceil(MAX_INSTANTS).next_power_of_two();
         let instants: Vec<f64> = (0..=steps / stride).map(|k| (k * stride) as f64 * scene.dt).collect();
-        Reference::check(scene, &instants, Accuracy::TIGHTER)?; // before minutes are spent on the other
+        Reference::check(scene, &instants, Accuracy::TIGHTER)?; // before minutes are spent on the usual one
         let usual = Reference::solve(scene, &instants, Accuracy::DEFAULT)?;
         let reference = Reference::solve(scene, &instants, Accuracy::TIGHTER)?;
         let agreement = usual.largest_difference(&reference, scene);

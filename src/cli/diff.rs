@@ -92,7 +92,9 @@ pub fn diff(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> {
     let has_events = !(difference.events.is_empty() && difference.starts.is_empty());
     match (&difference.first_beyond, has_events, has_surfaces) {
         (None, false, false) => {
-            print(&format!("no difference exceeds {tolerance:e} radii"));
+            if difference.first_bits.is_some() || !difference.bodies.is_empty() {
+                print(&format!("no difference exceeds {tolerance:e} radii"));
+            }
             Ok(())
         }
         _ => Err(Failure::Run(format!("{first} and {second} differ"))),

@@ -71,7 +71,8 @@ pub fn end() -> Result<(), Failure> {
     })
 }
 
-/// Lets a write beyond the limit on the size of files (`ulimit -f`) fail, as on a full disk, instead of ending the program.
+/// Lets a write beyond the limit on the size of files (`ulimit -f`) fail, as on a full disk, instead of ending the program; for the
+/// whole process.
 pub fn survive_limit_on_files() {
     #[cfg(unix)]
     signal_hook::flag::register(signal_hook::consts::SIGXFSZ, std::sync::Arc::default()).ok();

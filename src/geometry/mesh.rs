@@ -228,14 +228,11 @@ fn normals(positions: &Vectors, triangles: &[[u32; 3]], sums: &mut Vec<DVec3>) -
     sums.iter().zip(positions.iter()).map(unit)
 }
 
-/// Whether triangles of a mesh hide a point, which may be one of its vertices, from an eye.
-pub fn hides(positions: &Vectors, triangles: &[[u32; 3]], point: DVec3, eye: DVec3) -> bool {
-    /// Triangles that have the point as a corner are this close, but for rounding [distance of the eye].
-    const AT_POINT: f64 = 1e-9;
-
-    within(triangles, positions.len()).any(|&corners| {
-        place_of_crossing(positions, corners, point, eye - point).is_some_and(|place| (AT_POINT..1.0).contains(&place))
-    })
+/// Whether triangles of a mesh hide a point, which may be the given one of its vertices, from an eye.
+pub fn hides(positions: &Vectors, triangles: &[[u32; 3]], (point, vertex): (DVec3, Option<u32>), eye: DVec3) -> bool {
+    within(triangles, positions.len())
+        .filter(|corners| vertex.is_none_or(|vertex| !corners.contains(&vertex)))
+        .any(|corners| place_of_crossing(positions, *corners, point, eye - point).is_some_and(|place| place < 1.0))
 }
 
 /// Whether a point is inside a closed mesh: a ray from it crosses an odd number of triangles.

@@ -17,7 +17,7 @@ use crate::geometry::{Vectors, union::Topology};
 const MAX_MISTAKES: usize = 20;
 
 /// Runs an experiment twice for a number of steps, and checks everything it reports: names, lengths, indices, order,
-/// finite numbers, closed meshes, and that both runs have the same checksums.
+/// finite numbers, closed meshes, that every step can be taken, and that both runs have the same checksums.
 ///
 /// Recordings check the same of the schema and of every step, except for what takes time for each vertex; builds with
 /// debug assertions check that too.

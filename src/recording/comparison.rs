@@ -33,7 +33,7 @@ use crate::{
         instant::Instant,
         light::Light,
         palette::{self, Rgb, color},
-        parts::{callout::Callout, labels::MAX_NAMED, marks, planes},
+        parts::{body_forces, callout::Callout, labels::MAX_NAMED, marks, planes},
         series::{Interpolation, Series},
         settings::file_stem,
         sinks::{Destinations, Saved, SinkError, Sinks},
@@ -41,8 +41,6 @@ use crate::{
     text::{counted, short, significant},
 };
 
-/// How the ids of comparisons end.
-pub const SUFFIX: &str = "-difference";
 /// Upper limit on the number of bodies shown.
 const MAX_BODIES: usize = 64;
 const COLORS: [Rgb; 2] = [[90, 150, 235], [240, 150, 50]];
@@ -131,7 +129,7 @@ impl Comparison {
         let destinations = Destinations::file(path);
         let mut sinks = Sinks::open(&destinations)?;
         let application = ApplicationId::new_or_unknown(Existing::comparison().application);
-        let store = StoreId::new(StoreKind::Recording, application, format!("{}{SUFFIX}", file_stem(&schema.name)));
+        let store = StoreId::new(StoreKind::Recording, application, format!("{}-difference", file_stem(&schema.name)));
         let bodies = plan.bodies.iter().take(MAX_BODIES);
         let shown: Vec<_> = bodies
             .filter_map(|&index| {
@@ -204,8 +202,9 @@ impl Comparison {
         let dots =
             Points3D::update_fields().with_colors([color(COLORS[1])]).with_radii([sdk::Radius::new_ui_points(2.0)]);
         chunks.log_static(COMPARED_ERROR.path, &dots);
-        for (body, name, _) in &shown {
-            let rgb = palette::distance(*body); // blue and orange are the two runs
+        for (number, (body, name, _)) in shown.iter().enumerate() {
+            // those of the bodies in plots of a run, where they have some; blue and orange are the two runs
+            let rgb = palette::distance(if schema.bodies.len() <= body_forces::MOST_BODIES { *body } else { number });
             for line in [&DIFFERENCE, &LOG_DIFFERENCE] {
                 Series::style(&mut chunks, &line.of(&[name]), name, rgb, 1.5, Interpolation::Linear);
             }

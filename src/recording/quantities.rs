@@ -77,15 +77,18 @@ impl Deviation {
         let is_whole = [first, second].iter().all(|value| !(value.fract().abs() > 0.0));
         let digits = if is_whole { 0.0 } else { 1.0 - (first - second).abs().log10().floor() };
         let digits = if digits.is_finite() { digits.clamp(0.0, 17.0) as usize } else { 6 };
-        let value = |value: &f64| if value.is_nan() { "none".to_owned() } else { format!("{value:.digits$}") };
+        let value = |value: &f64| match value.is_nan() {
+            true => "none".to_owned(),
+            false => format!("{value:.digits$}{unit}"),
+        };
         let later = match last == step {
             true => String::new(),
             false => {
                 let largest = if is_whole { format!("{largest:.0}") } else { short(*largest) };
-                format!(", up to {largest} apart, at step {last}")
+                format!(", up to {largest}{unit} apart, at step {last}")
             }
         };
-        format!("{what}: {} and {}{unit}{at}{later}", value(first), value(second))
+        format!("{what}: {} and {}{at}{later}", value(first), value(second))
     }
 }
 

@@ -6,7 +6,7 @@ use std::{
     sync::Arc,
 };
 
-use super::{ReadError, comparison, contents::Contents, read::End};
+use super::{ReadError, contents::Contents, existing::Existing, read::End};
 use crate::{
     hash, models,
     observe::{Experiment, Parameter, Refusal, Schema, Simulation, simulation::ReadExperiment},
@@ -254,7 +254,7 @@ impl Found {
 
     /// Recreates the experiment.
     pub fn into_recorded(self, path: &Path, read: &ReadExperiment<'_>, end: End) -> Result<Recorded, ReadError> {
-        let Found { id, called, mut texts, format, sums, events, contacts, .. } = self;
+        let Found { id, application, called, mut texts, format, sums, events, contacts, .. } = self;
         let mut text = |property: Component| texts.remove(property.0);
         let foreign = |what: &str| ReadError::Foreign { path: path.to_owned(), what: what.to_owned() };
         let unsupported = |what: String| ReadError::Unsupported { path: path.to_owned(), what };
@@ -267,7 +267,7 @@ impl Found {
                         .to_owned(),
                 ),
                 (None, End::Cut) => foreign("it ends before its header is complete"),
-                (None, End::Whole) if id.ends_with(comparison::SUFFIX) => foreign(
+                (None, End::Whole) if application == Existing::comparison().application => foreign(
                     "it is a comparison, as `diff --save` and `check` make them; use the recordings that it compares",
                 ),
                 (None, End::Whole) => foreign("it lacks the properties of one"),

@@ -52,7 +52,7 @@ impl Numbers {
 
     /// Appends a body, in the group of body `like` if there is one.
     fn add_body(&mut self, body: &super::Body, like: Option<usize>) {
-        self.pairs.add_body(like);
+        self.pairs.add_body(self.materials.len(), like);
         self.materials.push(body.material);
         self.reaches.push(body.reach);
     }
@@ -93,7 +93,10 @@ impl Edit {
 
     /// Whether it was made from this scene, or from what the `earlier` edit makes of it.
     pub(super) fn follows(&self, scene: &Scene, earlier: Option<&Edit>) -> bool {
-        earlier.map_or_else(|| *self.before == Numbers::of(scene), |edit| self.before == edit.numbers)
+        earlier.map_or_else(
+            || *self.before == Numbers::of(scene),
+            |edit| Arc::ptr_eq(&self.before, &edit.numbers) || self.before == edit.numbers,
+        )
     }
 
     /// The numbers that hold from then on.
@@ -110,20 +113,28 @@ impl Edit {
     pub(crate) fn has_begun(&self, time: f64, dt: f64) -> bool {
         self.time < time - ROUNDING * dt
     }
-
-    /// Changes the numbers before and after it.
-    fn change(&mut self, change: impl Fn(&mut Numbers)) {
-        [&mut self.before, &mut self.numbers].into_iter().for_each(|numbers| change(Arc::make_mut(numbers)));
-    }
 }
 
 impl Scene {
     /// Appends a body, with what the scene lists by body.
     pub(crate) fn add_body(&mut self, body: super::Body) {
         let known = self.bodies.iter().position(|other| body.group.is_some() && other.group == body.group);
-        self.pairs.add_body(known);
-        self.edits.iter_mut().for_each(|edit| edit.change(|numbers| numbers.add_body(&body, known)));
+        self.pairs.add_body(self.bodies.len(), known);
+        self.change_edits(|numbers| numbers.add_body(&body, known));
         self.bodies.push(body);
+    }
+
+    /// Changes the numbers of all edits, each of which begins where the one before ends.
+    fn change_edits(&mut self, change: impl Fn(&mut Numbers)) {
+        let mut before: Option<Arc<Numbers>> = None;
+        for edit in &mut self.edits {
+            match before {
+                Some(before) => edit.before = before,
+                None => change(Arc::make_mut(&mut edit.before)),
+            }
+            change(Arc::make_mut(&mut edit.numbers));
+            before = Some(Arc::clone(&edit.numbers));
+        }
     }
 
     /// Removes a body, its pushes, and itself from what the scene lists by body; the indices of later bodies decrease by
@@ -134,7 +145,7 @@ impl Scene {
         self.pushes.retain(|push| push.body != index);
         self.pushes.iter_mut().filter(|push| push.body > index).for_each(|push| push.body -= 1);
         self.points.iter_mut().for_each(|point| point.remove_body(index));
-        self.edits.iter_mut().for_each(|edit| edit.change(|numbers| numbers.remove_body(index)));
+        self.change_edits(|numbers| numbers.remove_body(index));
     }
 
     /// The scene from edit `index` on; it keeps the list of edits.

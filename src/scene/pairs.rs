@@ -74,9 +74,10 @@ impl PairLaws {
         Ok(laws)
     }
 
-    /// Appends a body, in the group of body `like` if there is one. A group of its own has no law yet.
-    pub(super) fn add_body(&mut self, like: Option<usize>) {
+    /// Appends body `index`, in the group of body `like` if there is one. A group of its own has no law yet.
+    pub(super) fn add_body(&mut self, index: usize, like: Option<usize>) {
         if !self.is_empty() {
+            self.group_of.resize(index, None);
             self.group_of.push(like.and_then(|body| self.group_of(body)));
         }
     }

@@ -47,8 +47,6 @@ pub(super) const ARRAYS: [&str; 7] = ["body", "grid", "pair", "plane", "point", 
 
 /// Limit on the planes of a scene.
 pub(super) const MAX_PLANES: usize = 1000;
-/// Limit on the number of pushes of one body.
-const MAX_PUSHES: usize = 1000;
 
 /// A key of the [table](keys), found when the program is built.
 macro_rules! key {
@@ -105,13 +103,13 @@ impl Scene {
     /// # Errors
     /// It is not UTF-8, or has a NUL, as UTF-16 does.
     pub fn text_of<'a>(bytes: &'a [u8], path: &std::path::Path) -> Result<&'a str, SceneError> {
-        let offset = match std::str::from_utf8(bytes).map(|text| (text, text.find('\0'))) {
+        let (offset, what) = match std::str::from_utf8(bytes).map(|text| (text, text.find('\0'))) {
             Ok((text, None)) => return Ok(text),
-            Ok((_, Some(nul))) => nul,
-            Err(error) => error.valid_up_to(),
+            Ok((_, Some(nul))) => (nul, "no text, or UTF-16"),
+            Err(error) => (error.valid_up_to(), "not UTF-8"),
         };
         let valid = String::from_utf8_lossy(&bytes[..offset]);
-        let message = format!("not UTF-8: found the byte 0x{:02x} at offset {offset}", bytes[offset]);
+        let message = format!("{what}: found the byte 0x{:02x} at offset {offset}", bytes[offset]);
         let place = Some(Place::of(&valid, offset));
         Err(SceneError { place, ..SceneError::plain(&path.display().to_string(), message) }
             .with_help("save the file as UTF-8"))
@@ -270,15 +268,7 @@ pub(super) fn read_document(
     }
     let planes = plane_tables.iter().map(read_plane).collect::<Result<_, _>>()?;
     let points = point::read(&point_tables, &bodies, &names, &influence)?;
-    let pushes = push_tables.iter().map(|push| read_push(push, &bodies, &names)).collect::<Result<Vec<_>, _>>()?;
-    let mut pushes_of = vec![0; bodies.len()];
-    for (table, push) in push_tables.iter().zip(&pushes) {
-        pushes_of[push.body] += 1;
-        if pushes_of[push.body] > MAX_PUSHES {
-            let message = format!("expected at most {MAX_PUSHES} [[push]]es of one body, found more");
-            return Err(table.error("body", message).with_help("every step tests all pushes of a body"));
-        }
-    }
+    let pushes = push_tables.iter().map(|push| read_push(push, &bodies, &names)).collect::<Result<_, _>>()?;
     let mut scene = Scene {
         name,
         dt,

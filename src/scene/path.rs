@@ -52,7 +52,8 @@ pub struct Given {
 impl Given {
     /// The path `at(t)` = c, c′, c″ at time t [s]. The function must be continuous and deterministic; velocity and
     /// acceleration must be the derivatives of the position, and never exceed `bounds`, which limit the search for
-    /// events, and steps in scenes with free bodies: loose bounds cost time.
+    /// events, and steps in scenes with free bodies: loose bounds cost time. They are finite, and the speed is at least 1e-12
+    /// unless both are 0.
     pub fn new(bounds: Bounds, at: impl Fn(f64) -> Kinematics + Send + Sync + 'static) -> Given {
         Given { at: Arc::new(at), bounds }
     }

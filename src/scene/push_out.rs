@@ -39,7 +39,9 @@ impl Throw {
     fn of(plane: &Plane, body: &Body, centre: DVec3) -> Throw {
         let radius = body.radius;
         let mut depth = (plane.depth(centre) + radius).max(0.0);
-        let mean_square = if let (Shape::Mesh(file), true) = (&body.shape, depth > 0.0) {
+        // no vertex is deeper than that
+        let is_gentle = plane.stiffness.sqrt() * depth <= GENTLE * body.material.omega * radius;
+        let mean_square = if let (Shape::Mesh(file), false) = (&body.shape, is_gentle) {
             let rest = file.mesh().at(radius);
             let depths = || (0..rest.len()).map(|vertex| plane.depth(centre + rest.position(vertex)).max(0.0));
             depth = depths().fold(0.0, f64::max);

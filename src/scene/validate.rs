@@ -87,15 +87,9 @@ impl Scene {
         }
         ensure(!self.bodies.is_empty(), "bodies", || "at least one body".to_owned(), &"none")?;
         for (index, body) in self.bodies.iter().enumerate() {
-            body.validate().map_err(element("bodies", index))?;
+            body.validate(0.0).map_err(element("bodies", index))?;
         }
-        let mut numbers: HashMap<&str, Option<u32>> = HashMap::new();
-        let groups = self.pairs.groups().iter().copied().chain(std::iter::repeat(None));
-        for (index, (body, number)) in self.bodies.iter().zip(groups).enumerate().filter(|_| !self.pairs.is_empty()) {
-            let of_name = body.group.as_deref().and_then(|group| *numbers.entry(group).or_insert(number));
-            let expected = || format!("that of its number in `pairs`, {number:?}: one number for each name");
-            ensure(of_name == number, "group", expected, &body.group).map_err(element("bodies", index))?;
-        }
+        self.check_groups()?;
         let names = unique("bodies", self.bodies.iter().map(|body| &*body.name))?;
         for (index, body) in self.bodies.iter().enumerate() {
             let is_own = body.group.as_ref().is_none_or(|group| !names.contains(group.as_str()));
@@ -131,13 +125,31 @@ impl Scene {
         Ok(())
     }
 
+    /// Checks that the laws of pairs and the bodies have the same groups.
+    fn check_groups(&self) -> Checked {
+        let groups = self.pairs.groups();
+        let expected = || format!("groups of at most {} bodies", self.bodies.len());
+        ensure(groups.len() <= self.bodies.len(), "pairs", expected, &groups.len())?;
+        let (mut number_of, mut name_of): (HashMap<&str, Option<u32>>, HashMap<u32, &str>) = Default::default();
+        let numbers = groups.iter().copied().chain(std::iter::repeat(None));
+        let grouped = self.bodies.iter().zip(numbers).enumerate();
+        for (index, (body, number)) in grouped.take(if groups.is_empty() { 0 } else { self.bodies.len() }) {
+            let name = body.group.as_deref();
+            let is_same = name.and_then(|name| *number_of.entry(name).or_insert(number)) == number
+                && number.is_none_or(|number| Some(*name_of.entry(number).or_insert(name.unwrap_or(""))) == name);
+            let expected = || "the group of its number in `pairs`, where each name has one number".to_owned();
+            ensure(is_same, "group", expected, &body.group).map_err(element("bodies", index))?;
+        }
+        Ok(())
+    }
+
     fn body_index(&self) -> String {
         format!("the index of one of {} bodies", self.bodies.len())
     }
 
     fn check_point(&self, point: &Point) -> Checked {
         text(key!(POINTS.name), "name", &point.name)?;
-        path(&point.path)?;
+        path(&point.path, 0.0)?;
         number(key!(POINTS.radius), "radius", point.radius)?;
         within(ANY, "strength", point.strength)?;
         number(key!(POINTS.start), "start", point.start)?;
@@ -161,8 +173,8 @@ impl Scene {
 }
 
 impl Body {
-    /// Checks the body alone; the fields of errors are relative to it, as in all checks of parts.
-    pub(crate) fn validate(&self) -> Checked {
+    /// Checks the body alone, which starts at `time` [s]; the fields of errors are relative to it, as in all checks of parts.
+    pub(crate) fn validate(&self, time: f64) -> Checked {
         text(key!(BODIES.name), "name", &self.name)?;
         number(key!(BODIES.radius), "radius", self.radius)?;
         number(key!(REACH.reach), "reach", self.reach)?;
@@ -174,14 +186,14 @@ impl Body {
             let expected = || Kind::Integer([parameter.least, parameter.most]).expected();
             ensure(false, parameter.name, expected, &value).map_err(|invalid| invalid.at("shape"))?;
         }
-        self.check_motion(&self.motion)?;
-        self.force.as_ref().map_or(Ok(()), |force| self.check_force(force))
+        self.check_motion(&self.motion, time)?;
+        self.force.as_ref().map_or(Ok(()), |force| self.check_force(force, time))
     }
 
-    /// Checks a motion of this body.
-    pub(crate) fn check_motion(&self, motion: &Motion) -> Checked {
+    /// Checks a motion of this body from `time` on [s].
+    pub(crate) fn check_motion(&self, motion: &Motion, time: f64) -> Checked {
         match motion {
-            Motion::Prescribed(own) => path(own),
+            Motion::Prescribed(own) => path(own, time),
             Motion::Free(FreeMotion { from, velocity, spin, rotation: _ }) => {
                 vector(ANY, "motion.from", *from)?;
                 vector(ANY, "motion.velocity", *velocity)?;
@@ -194,9 +206,9 @@ impl Body {
     }
 
     /// Checks a force on this body, where it starts.
-    fn check_force(&self, force: &Force) -> Checked {
+    fn check_force(&self, force: &Force, time: f64) -> Checked {
         match &self.motion {
-            Motion::Free(free) => force.validate(0.0, free.from, free.velocity),
+            Motion::Free(free) => force.validate(time, free.from, free.velocity),
             Motion::Prescribed(_) => {
                 ensure(false, "force", || "none: no force moves a body on a path".to_owned(), force)
             }
@@ -239,7 +251,7 @@ fn law(law: &PairLaw) -> Checked {
     ensure(has_rim, "core_width", || "0 where there is no core".to_owned(), &core_width)
 }
 
-fn path(path: &Path) -> Checked {
+fn path(path: &Path, time: f64) -> Checked {
     match path {
         Path::Fixed(at) => vector(ANY, "motion.fixed", *at),
         Path::Line { from, velocity } => {
@@ -259,7 +271,7 @@ fn path(path: &Path) -> Checked {
             knots.iter().try_for_each(|&t| vector(ANY, "motion.keys", path.position(t)))
         }
         Path::Given(given) => {
-            let Kinematics { position, velocity, acceleration } = path.at(0.0);
+            let Kinematics { position, velocity, acceleration } = path.at(time);
             let Bounds { speed, acceleration: most } = given.bounds();
             vector(ANY, "motion", position)?;
             within(NON_NEGATIVE, "motion.bounds.speed", speed)?;
@@ -269,7 +281,7 @@ fn path(path: &Path) -> Checked {
             let expected = || format!("a speed of at least {SMALLEST:e}, or a path without acceleration");
             ensure(is_path, "motion.bounds", expected, &given.bounds())?;
             let is_within = velocity.length() <= speed * (1.0 + UNIT) && acceleration.length() <= most * (1.0 + UNIT);
-            let expected = || format!("velocity and acceleration within {:?} at t = 0", given.bounds());
+            let expected = || format!("velocity and acceleration within {:?} at t = {time:?} s", given.bounds());
             ensure(is_within, "motion", expected, &[velocity, acceleration])
         }
     }

@@ -24,7 +24,7 @@ impl World {
     /// [`EditError::Invalid`] for a body that no scene file could have, [`EditError::Name`], [`EditError::Solver`],
     /// [`EditError::TooLarge`]; the world is then unchanged.
     pub fn add(&mut self, body: Body) -> Result<BodyHandle, EditError> {
-        body.validate().map_err(|invalid| invalid.at("body"))?;
+        body.validate(self.time()).map_err(|invalid| invalid.at("body"))?;
         if self.scene.bodies.iter().any(|other| other.name == body.name) {
             return Err(EditError::Name(body.name));
         }
@@ -149,7 +149,7 @@ impl World {
     /// scene file could have; the world is then unchanged.
     pub fn set_motion(&mut self, body: impl BodyId, motion: impl Into<Motion>) -> Result<(), EditError> {
         let (index, motion) = (body.index_in(self)?, motion.into());
-        let checked = self.scene.bodies[index].check_motion(&motion);
+        let checked = self.scene.bodies[index].check_motion(&motion, self.time());
         checked.map_err(|invalid| invalid.at(format_args!("bodies[{index}]")))?;
         let time = self.time();
         let energy = self.solver.coupled().map_or(0.0, |coupled| coupled.energy_of(&self.scene, time, index));

@@ -241,7 +241,8 @@ impl World {
 
 /// Read access to the state.
 impl World {
-    /// The scene that is simulated.
+    /// The scene that is simulated, with what its edits have set so far: another world starts from it only without
+    /// [`edits`](Scene::edits).
     pub fn scene(&self) -> &Scene {
         &self.scene
     }

@@ -72,6 +72,8 @@ use crate::{
 /// Upper limit on the number of near misses listed.
 pub const MOST_APPROACHES: usize = 5;
 
+/// How far planes are drawn beyond the box of the start [its extent].
+const WIDEST_SHEETS: f64 = 4.0;
 /// Upper limit on the ranges of frames that the panel of a flight recorder lists.
 const RANGES: usize = 8;
 
@@ -643,11 +645,13 @@ impl Recorder {
         if let Some(parts) = self.parts.as_mut().filter(|_| !is_waiting) {
             parts.series.extend_all(&mut self.chunks);
             parts.numbers.log_ranking(&mut self.chunks);
-            // bodies may have left the sheets on which they seemed to lie
+            // bodies may have left the sheets on which they seemed to lie; those that change stay as they are
             let [low, high] = self.spread;
             let corners = [low, high].map(|corner| (corner, 0.0));
-            let run: Vec<(DVec3, f64)> = parts.focus.run().chain(corners).collect();
-            if self.schema.changes.is_empty() && bounds(run.iter().copied()) != self.spread {
+            let wide = WIDEST_SHEETS * (high - low).max_element();
+            let run = bounds(parts.focus.run().chain(corners).collect::<Vec<_>>().into_iter())
+                .map(|corner| (corner.clamp(low - wide, high + wide), 0.0));
+            if self.schema.changes.is_empty() && run != corners {
                 planes::log(&self.schema, &run, self.at, &mut self.chunks);
             }
             if self.flight.is_none() {

@@ -1,6 +1,7 @@
 //! The sweep file: parses text to a [`Sweep`] that is valid by construction, or to an error that locates the mistake.
 
 use std::{
+    collections::HashMap,
     fs,
     path::{Path, PathBuf},
     sync::Arc,
@@ -471,10 +472,11 @@ fn read_axis(table: &Table<'_>, sampling: Sampling) -> Result<Axis, SceneError> 
         if values.iter().any(|value| is_number(value) != is_number(&values[0])) {
             return Err(table.error("values", "expected numbers only, or strings only".to_owned()));
         }
-        if let Some((later, same)) = values.iter().enumerate().find(|(index, value)| values[..*index].contains(value)) {
-            let earlier = values.iter().position(|value| value == same).unwrap_or_default();
-            let message = format!("{same} is listed twice, at places {} and {}", earlier + 1, later + 1);
-            return Err(table.error("values", message));
+        let mut places = HashMap::new();
+        for (place, value) in (1..).zip(&values) {
+            if let Some(earlier) = places.insert(value.to_string(), place) {
+                return Err(table.error("values", format!("{value} is listed twice, at places {earlier} and {place}")));
+            }
         }
         return Ok(Axis { key, name, values: Values::List(values) });
     }

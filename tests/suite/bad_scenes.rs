@@ -1170,7 +1170,10 @@ fn a_file_that_is_not_text_is_rejected_with_the_position() {
     assert_eq!(latin1.rejection(), "FILE:2:11: not UTF-8: found the byte 0xf6 at offset 23; save the file as UTF-8");
     let cut = Temporary::holding("cut.toml", "name = \"ö".as_bytes().split_last().expect("bytes").1);
     let wide = Temporary::holding("wide.toml", b"d\0u\0");
-    assert_eq!(wide.rejection(), "FILE:1:2: not UTF-8: found the byte 0x00 at offset 1; save the file as UTF-8");
+    assert_eq!(
+        wide.rejection(),
+        "FILE:1:2: no text, or UTF-16: found the byte 0x00 at offset 1; save the file as UTF-8"
+    );
     assert_eq!(cut.rejection(), "FILE:1:9: not UTF-8: found the byte 0xc3 at offset 8; save the file as UTF-8");
 }
 

@@ -160,6 +160,12 @@ fn a_body_that_joins_a_group_needs_its_number() {
     let mut scene = Scene::parse(&text, "balls.toml").expect("a scene");
     scene.bodies.push(ball("d", [-9.0, 0.0, 5.0]));
     assert_eq!(scene.validate(), Ok(()));
+    // a body that is added later does not give its group to one before it
+    let mut world = World::new(scene.clone()).expect("enough memory");
+    world.add(Body { group: Some("g".to_owned()), ..ball("e", [-9.0, 9.0, 5.0]) }).expect("a new name");
+    let law = |a, b| world.scene().law(a, b).alpha;
+    assert_eq!([law(1, 4), law(1, 0)], [7.0; 2]);
+    assert!(law(1, 3) != 7.0);
     scene.bodies[3].group = Some("g".to_owned());
     assert_eq!(scene.validate().expect_err("no number").field, "bodies[3].group");
     let rules: Vec<_> = scene.pairs.rules().collect();
@@ -297,6 +303,22 @@ fn a_body_at_rest_wakes_for_a_force() {
     world.run(50).expect("it runs");
     let moved = world.body(1).centre() - start;
     assert!((moved - DVec3::Y).length() < 1e-6, "{moved}"); // ½ · 2 · 1²
+}
+
+/// A path that a program gives a body during a run need not be one before.
+#[test]
+fn a_given_path_is_checked_where_it_begins() {
+    let mut world = world();
+    world.run(50).expect("it runs");
+    let at = |t: f64| {
+        let late = t - 1.0;
+        let position = DVec3::new(0.5 * late * late, 9.0, 0.0);
+        Kinematics { position, velocity: late * DVec3::X, acceleration: DVec3::X }
+    };
+    let given = |speed| Path::Given(Given::new(Bounds { speed, acceleration: 1.0 }, at));
+    world.set_motion(2, given(0.99)).expect("from t = 1 s on, it is slower");
+    world.run(40).expect("it runs");
+    assert!(world.set_motion(2, given(0.5)).is_err(), "it is faster by now");
 }
 
 /// Not the body that is nearest to it.

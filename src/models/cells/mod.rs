@@ -131,6 +131,7 @@ impl Cells {
         let nodes = nodes.collect();
         let node = |place, i| keys.partition_point(|&other| other < key(place, i)) as u32;
         let corners = places.iter().map(|&place| std::array::from_fn(|i| node(place, i))).collect();
+        drop(keys); // the weights need as much
         let weights = weights(&places, across);
         Cells { across, nodes, corners, weights, places, embedded: Vec::new() }
     }
@@ -227,11 +228,11 @@ impl Cells {
 
 /// The smallest fraction of the mass in a cell [that of the mean].
 const LEAST: f64 = 0.2;
-/// The mass centre is at the centre of the grid, but for rounding [radii].
-pub const NONE: f64 = 1e-9;
+/// A mass centre this close to the centre of the grid is there, but for rounding [radii].
+pub const BALANCED: f64 = 1e-9;
 
-/// Fractions of the mass in cells at the given grid coordinates: equal, except for a linear gradient that moves their
-/// mass centre to the centre of the grid, if there is one.
+/// Fractions of the mass in cells at the given grid coordinates: equal if their mass centre is then at the centre of the grid,
+/// or if no others move it there.
 fn weights(places: &[[u32; 3]], across: u32) -> Vec<f64> {
     let (mean, h) = (1.0 / places.len() as f64, 2.0 / f64::from(across));
     let centre = |place: &[u32; 3]| (DVec3::from_array(place.map(f64::from)) + 0.5) * h - 1.0;
@@ -244,16 +245,16 @@ fn weights(places: &[[u32; 3]], across: u32) -> Vec<f64> {
     let slope = solve(spread, -middle);
     let weight = |place: &[u32; 3]| mean * (1.0 + slope.dot(centre(place) - middle));
     // not finite for cells in one plane
-    if middle.length() > NONE && slope.is_finite() && places.iter().all(|place| weight(place) > LEAST * mean) {
+    if middle.length() > BALANCED && slope.is_finite() && places.iter().all(|place| weight(place) > LEAST * mean) {
         return places.iter().map(weight).collect();
     }
-    let is_off = middle.length() > NONE;
+    let is_off = middle.length() > BALANCED;
     let bounded = || bounded(&places.iter().map(centre).collect::<Vec<_>>());
     is_off.then(bounded).flatten().unwrap_or_else(|| vec![mean; places.len()])
 }
 
-/// The fractions of the mass in cells with these centres that differ least from their mean, are at least [`LEAST`] of it, and
-/// have their mass centre at the origin: linear, except where that would be too little. `None` if the cells lie on one side.
+/// Fractions of the mass in cells with these centres that are close to their mean, at least [`LEAST`] of it, and have their mass
+/// centre at the origin: linear, except where that would be too little. `None` if none are found: the cells lie on one side.
 fn bounded(centres: &[DVec3]) -> Option<Vec<f64>> {
     /// Spreads smaller than this are none [that of all].
     const FLAT: f64 = 1e-12;
@@ -279,7 +280,7 @@ fn bounded(centres: &[DVec3]) -> Option<Vec<f64>> {
         let extent = spread.x_axis.x + spread.y_axis.y + spread.z_axis.z;
         let moment = wanted - left * middle;
         let slope = solve(spread + DMat3::from_diagonal(DVec3::splat(FLAT * extent)), moment);
-        if !((spread * slope - moment).length() < NONE) {
+        if !((spread * slope - moment).length() < BALANCED) {
             return None;
         }
         let weight = |centre: DVec3| left / count as f64 + slope.dot(centre - middle);

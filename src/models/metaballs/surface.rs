@@ -139,6 +139,7 @@ fn gap(balls: &[Ball]) -> Option<f64> {
     };
     match (end(a, b), end(b, a)) {
         (Some(of_a), Some(of_b)) => Some(f64::max(0.0, distance - of_a - of_b)),
+        _ if balls.len() == 2 => Some(0.0), // narrower than a sample
         _ => None,
     }
 }

@@ -85,9 +85,9 @@ pub fn camera_past(
             }
             let angle = std::f64::consts::TAU * f64::from(twelfth) / 12.0 - 0.2;
             let back = DVec3::new(angle.sin(), -angle.cos(), height).normalize();
-            let loss = loss(back);
-            if loss + WORTH < least {
-                (best, least) = (back, loss);
+            let here = loss(back);
+            if here + WORTH < least {
+                (best, least) = (back, here);
             }
         }
     }

@@ -59,7 +59,7 @@ pub fn arrows(schema: &Schema) -> String {
         return "No force can act in this scene.\n".to_owned();
     }
     format!(
-        "**By body**, plots and rows: means over a body; arrows are scaled per step, the longest {} unit long, less for small bodies, specks left out; {}: the net force and its \
+        "**By body**, plots and rows: means over a body; arrows are scaled per step, the longest {} unit long, less for small bodies, weak ones left out; {}: the net force and its \
          strongest cause in unit/s². **Others**: at vertices{}; an arrow of **{} unit** means: {}.{}\n",
         rounded(longest(schema) * radius),
         if is_ranked(schema) { "rows" } else { "labels" },
@@ -146,7 +146,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame, ne
     };
     let changes = match is_ranked(schema) && !schema.thresholds.is_empty() {
         true => {
-            "- **Next phase changes**: q and its rate, or when it reaches the next threshold; right, q as a dot, its thresholds as lines\n"
+            "- **Next phase changes**: q and its rate, or when it soon reaches the next threshold; right, q as a dot, its thresholds as lines\n"
         }
         false => "",
     };

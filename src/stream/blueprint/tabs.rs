@@ -8,6 +8,7 @@ use super::{
     layout::{Layout, Part, TimingsPlot, VERTICES, family, including},
 };
 use crate::{
+    colors,
     observe::Schema,
     sdk::{
         self, Mesh3D, Points3D,
@@ -215,11 +216,8 @@ impl Layout {
         let view = self.surface_view((framing, NARROW), "One surface per group", schema, settings);
         let mut plots = Vec::new();
         if pairs::has_named_pairs(schema) {
-            let measures = [
-                ("Gap [R of the smaller]", &PAIR_GAP),
-                ("Neck [R of the smaller]", &PAIR_NECK),
-                ("Overlap [R³ of the smaller]; a ball: 4.19", &PAIR_OVERLAP),
-            ];
+            let measures =
+                [("Gap [R]", &PAIR_GAP), ("Neck [R]", &PAIR_NECK), ("Overlap [R³]; a ball: 4.19", &PAIR_OVERLAP)];
             plots.extend(measures.map(|(title, measure)| {
                 let contents: Vec<String> = pairs::named(schema, measure).map(|line| including(&line)).collect();
                 let plot = self.plot(title, "/", &contents, Corner2D::RightTop);
@@ -230,10 +228,12 @@ impl Layout {
                 plot
             }));
         }
-        let title = "Contact: orange joined, green touching, yellow both";
+        let [joined, touching, both] =
+            [pairs::JOINED, pairs::TOUCHING, pairs::TOGETHER].map(|of| colors::name(pairs::CONTACTS[of].1));
+        let title = format!("Contact: {joined} joined, {touching} touching, {both} both");
         let mut contents: Vec<String> = pairs::named(schema, &PAIR_PHASE).map(|lane| format!("- {lane}")).collect();
         contents.push(family(&PAIR_PHASE));
-        let contacts = self.lanes(title, PAIR_PHASE.family(), &contents);
+        let contacts = self.lanes(&title, PAIR_PHASE.family(), &contents);
         self.contacts.push(contacts.path.clone());
         let mut parts = match is_ranked(schema) {
             true => {

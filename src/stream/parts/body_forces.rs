@@ -34,7 +34,7 @@ pub const MOST_BODIES: usize = 16;
 const LONGEST: f64 = 1.5;
 const LONGEST_OF_MANY: f64 = 3.0;
 /// The weakest force that has an arrow [the strongest on its body] …
-const SHORTEST: f64 = 0.1;
+const WEAKEST: f64 = 0.1;
 /// … if that is longer than a speck [the longest arrow].
 const SPECK: f64 = 0.03;
 
@@ -264,7 +264,7 @@ impl ResultantRows {
         let mut strongest = vec![0.0f64; schema.bodies.len()];
         resultants.iter().for_each(|of| strongest[of.body] = strongest[of.body].max(of.strength()));
         let is_shown =
-            |of: &&Resultant| of.strength() > SHORTEST * strongest[of.body] && length(of) > SPECK * longest_length;
+            |of: &&Resultant| of.strength() > WEAKEST * strongest[of.body] && length(of) > SPECK * longest_length;
         let mut arrows = ResultantRows::default();
         for &Resultant { body, term, acceleration } in resultants.iter().filter(is_shown) {
             let beside = match schema.sum_of_terms() == Some(term) {

@@ -52,8 +52,8 @@ impl Next {
     }
 }
 
-/// How far ahead changes are told [s]: extrapolated further, q most often takes another way.
-const SOON: f64 = 0.15;
+/// How far ahead changes are told [s, Δt]: extrapolated further, q most often takes another way.
+const SOON: (f64, f64) = (0.15, 3.0);
 
 impl Changes {
     /// Starts without pairs, in a run of so many steps; of few bodies, there is no ranking.
@@ -97,7 +97,7 @@ impl Changes {
             let levels = (0..schema.thresholds.len()).filter_map(|threshold| Some((threshold, level(threshold)?)));
             let ticks = levels.map(|(threshold, level)| (Mark::Tick(place(level)), schema.thresholds[threshold].color));
             let marks = ticks.chain([(Mark::Dot(place(pair.q)), phase.color)]).collect();
-            let what = match next.filter(|next| next.wait <= SOON) {
+            let what = match next.filter(|next| next.wait <= f64::max(SOON.0, SOON.1 * schema.dt)) {
                 Some(Next { threshold, wait, .. }) => {
                     let label = schema.thresholds[threshold].name.trim_end_matches("_at");
                     let leaves = if label == phase.name { "leave " } else { "" };

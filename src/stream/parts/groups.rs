@@ -41,6 +41,8 @@ pub struct GroupPlots {
     ratios: Option<[f64; 2]>,
     /// The volume of all surfaces at first [scene unit³], and the least so far as a share of that.
     first: Option<f64>,
+    /// The volume of the bodies one by one at first [scene unit³].
+    first_of_bodies: Option<f64>,
     least: f64,
     /// Volume of each body at rest [scene unit³].
     at_rest: Vec<f64>,
@@ -115,6 +117,7 @@ impl GroupPlots {
             sums: None,
             ratios: None,
             first: None,
+            first_of_bodies: None,
             least: 1.0,
             at_rest,
             volumes,
@@ -208,6 +211,7 @@ impl GroupPlots {
             if let Some([of_surfaces, _]) = self.sums {
                 self.least = self.least.min(of_surfaces / *self.first.get_or_insert(of_surfaces));
             }
+            self.first_of_bodies.get_or_insert(sum);
             let ratio = sums[0] / sum;
             if merged.overlapping == 0 && ratio.is_finite() {
                 let [least, largest] = self.ratios.unwrap_or([ratio; 2]);
@@ -266,7 +270,8 @@ impl GroupPlots {
         }));
         // what all of it encloses, and how that has changed
         let count = groups.len() + ranked_alone;
-        let all = self.sums.zip(self.first).filter(|_| !groups.is_empty()).map(|([of_surfaces, of_bodies], first)| {
+        let all = self.sums.zip(self.first_of_bodies).filter(|_| !groups.is_empty());
+        let all = all.map(|([of_surfaces, of_bodies], first)| {
             let all = if count > 1 { format!("all {count} surfaces") } else { "all".to_owned() };
             let [overlaps, deformation] = [of_surfaces / of_bodies, of_bodies / first].map(percent);
             let labels = [

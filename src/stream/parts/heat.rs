@@ -3,7 +3,7 @@
 //! The place of a vertex in the texture is its displacement as a share of about the largest in front in the frame. What is
 //! larger on the far side, or a single spike, would leave the same colour to all others, and is beyond the end of the scale.
 
-use std::sync::Arc;
+use std::{cell::Cell, sync::Arc};
 
 use glam::DVec3;
 
@@ -54,7 +54,7 @@ const WIDTH: usize = 256;
 /// The smallest end of the colour range [radii]: numbers below would look like displacements.
 const LEAST: f64 = 0.01;
 /// The end of the colour range is the largest displacement on the sides of bodies that face the eye, but for spikes: at most this
-/// ratio to the displacement that all but a share of these vertices do not exceed …
+/// ratio to the displacement that this share of these vertices do not exceed …
 const OF_USUAL: f64 = 1.5;
 const SHARE: f64 = 0.98;
 /// … and at least this share of the largest, so that a small dent has more than one colour.
@@ -65,6 +65,8 @@ const ENDS: [f64; 7] = [1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0];
 const INSIDE: f64 = 0.95;
 /// Number of vertices in front, the most displaced ones, of which one is marked that no body hides.
 const CANDIDATES: usize = 64;
+/// Number of triangles that are tested in a frame for whether they hide one.
+const MOST_TRIANGLES: usize = 200_000;
 /// Number of vertices, the most displaced ones, for which the mesh of a body tells whether they are inside.
 const MOST_TESTED: usize = 32;
 /// How far above all bodies the label of the largest displacement is at most [largest radius].
@@ -464,16 +466,20 @@ impl Displacements {
         let larger = self.doubtful.iter().take_while(|of| of.displacement > least).take(MOST_TESTED);
         outside = larger.copied().find(&mut is_outside).or(outside);
         // its own body may hide it, too
+        let left = Cell::new(MOST_TRIANGLES);
         let is_clear = |of: &&Largest| {
             let hides = |body: usize| {
+                let triangles = view.frame.bodies[body].mesh_of(&view.schema.bodies[body]).triangles().len();
+                left.set(left.get().saturating_sub(triangles));
                 let centre = view.frame.bodies[body].centre;
                 with_mesh(view, body, |positions, triangles| {
-                    mesh::hides(positions, triangles, of.position - centre, view.eye - centre)
+                    let own = (body == of.body).then_some(of.vertex as u32);
+                    mesh::hides(positions, triangles, (of.position - centre, own), view.eye - centre)
                 })
             };
             !hides(of.body) && !labels.before(of.body, of.position).any(hides) && is_outside(of)
         };
-        self.seen = self.candidates.iter().find(is_clear).copied();
+        self.seen = self.candidates.iter().take_while(|_| left.get() > 0).find(is_clear).copied();
         (self.outside, self.of_all) = (outside.or(of_all), of_all);
         let rank = (SHARE * self.lengths.len() as f64) as usize;
         let usual = match self.lengths.get(rank) {

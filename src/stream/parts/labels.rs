@@ -210,10 +210,8 @@ impl<'a> Labels<'a> {
         let ray = (place - self.view.eye) / distance;
         let is_before = move |of: &&Hiding| {
             let to = of.centre - self.view.eye;
-            let along = to.dot(ray);
-            of.body != body
-                && along - BULGE * of.radius < distance
-                && (to - along * ray).length_squared() < (BULGE * of.radius).powi(2)
+            let (along, reach) = (to.dot(ray), BULGE * self.view.schema.bodies[of.body].radius);
+            of.body != body && along - reach < distance && (to - along * ray).length_squared() < reach * reach
         };
         self.hiding.iter().filter(is_before).map(|of| of.body)
     }

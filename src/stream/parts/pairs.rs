@@ -143,7 +143,7 @@ impl PairPlot {
 }
 
 /// Whether two bodies are joined by their phase, and touch by their surfaces: names and colours.
-const CONTACTS: [(&str, palette::Rgb); 5] = [
+pub const CONTACTS: [(&str, palette::Rgb); 5] = [
     ("apart", colors::GREY),
     ("joined and touching", colors::YELLOW),
     ("joined, not touching", colors::ORANGE),
@@ -152,7 +152,12 @@ const CONTACTS: [(&str, palette::Rgb); 5] = [
 ];
 /// Indices in [`CONTACTS`].
 const APART: usize = 0;
-const TOGETHER: usize = 1;
+/// Joined and touching.
+pub const TOGETHER: usize = 1;
+/// Joined, but not touching.
+pub const JOINED: usize = 2;
+/// Touching, but not joined.
+pub const TOUCHING: usize = 3;
 const UNKNOWN: usize = 4;
 
 /// The index in [`CONTACTS`].
@@ -160,8 +165,8 @@ fn contact_of(is_joined: bool, is_touching: bool) -> usize {
     match (is_joined, is_touching) {
         (false, false) => APART,
         (true, true) => TOGETHER,
-        (true, false) => 2,
-        (false, true) => 3,
+        (true, false) => JOINED,
+        (false, true) => TOUCHING,
     }
 }
 
@@ -653,7 +658,7 @@ fn number(value: f64) -> Arc<dyn Array> {
 }
 
 fn contact_color(event: &SurfaceEvent) -> palette::Rgb {
-    if event.what == Finding::Touch { colors::GREEN } else { colors::SILVER }
+    if event.what == Finding::Touch { CONTACTS[TOUCHING].1 } else { colors::SILVER }
 }
 
 /// Logs the line of a body event.
