@@ -45,7 +45,7 @@ pub const PAIR_DISTANCES: &str = "Pair distances q and their thresholds";
 pub const VOLUMES: &str = "Volume [unit³]";
 
 /// The title of plots of the stages of a step.
-const TIMINGS: &str = "Timings [ms per step]";
+const TIMINGS: &str = "Timings, ms per step";
 
 /// Upper limit on the number of bodies that are drawn transparent in views of forces.
 const MAX_SHEER: usize = 64;
