@@ -129,13 +129,6 @@ impl<'a> BodyView<'a> {
             Solved::Prescribed { active, now, .. } => (active.filter(|active| !active.is_at_rest()), now),
             Solved::Coupled(member) => return member.states_into(displacement, velocity),
         };
-        if let Some(active) = active.filter(|active| active.state.carried.is_zero()) {
-            displacement.resize(self.vertex_count());
-            velocity.resize(self.vertex_count());
-            if active.state.deformation.all_free_into(displacement, velocity, now) {
-                return;
-            }
-        }
         displacement.reset(self.vertex_count());
         velocity.reset(self.vertex_count());
         let Some(active) = active else { return };

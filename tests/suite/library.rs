@@ -483,6 +483,10 @@ fn mistakes_of_an_implementer_are_named() {
     let frame = |frame: &mut Frame| frame.bodies[0].positions.x[2] = f64::INFINITY;
     let mistakes = observe::verify(&Broken { frame, ..Broken::NOWHERE }, 100).expect_err("an infinite position");
     assert_eq!(mistakes, ["frame.bodies[0].positions in step 0 has a number that is not finite"]);
+    // nor is a failure a mistake of a recording
+    let summary = |summary: &mut StepSummary| summary.failure = Some(StepFailure::NotTaken("no more".to_owned()));
+    let mistakes = observe::verify(&Broken { summary, ..Broken::NOWHERE }, 100).expect_err("99 steps are left");
+    assert!(mistakes[0].ends_with("fails: no more"), "{mistakes:?}");
     let dir = Dir::new();
     for (text, broken) in broken {
         let mistakes = observe::verify(&broken, 100).expect_err(text);

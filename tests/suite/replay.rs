@@ -690,6 +690,10 @@ fn check_reports_differences_and_bless_needs_a_reason() {
     let output = fails(&dir, 1, &["check", "."]);
     assert!(output.contains("240 steps, 300 in the golden recording"), "{output}");
 
+    fs::write(dir.file("two.toml"), format!("integrator = \"rk4\"\n{text}")).expect("disk space");
+    let output = fails(&dir, 1, &["check", "."]);
+    assert!(output.contains("run with rk4, the golden recording with exponential"), "{output}");
+
     let finer = text.replacen("radius = 1.0\n", "radius = 1.0\nshape = { sphere = { stacks = 6, slices = 8 } }\n", 1);
     fs::write(dir.file("two.toml"), finer).expect("disk space");
     let output = fails(&dir, 1, &["check", "."]);
@@ -781,7 +785,8 @@ fn diff_compares_two_runs_of_a_scene() {
     assert_eq!(both.changes("/world/a/a").len(), 151);
     assert_eq!(both.changes("/difference/b").len(), 151);
     fails(&dir, 2, &["diff", "a.rrd", "push.rrd"]);
-    fails(&dir, 2, &["diff", "a.rrd", "d.rrd"]);
+    let output = fails(&dir, 2, &["diff", "a.rrd", "d.rrd"]);
+    assert!(output.contains("it is a comparison"), "{output}");
 
     let other =
         builtin::ALL[1].text.replace("merge_at = 1.05", "merge_at = 1.06").replace("split_at = 1.2", "split_at = 1.4");

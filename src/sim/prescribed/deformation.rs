@@ -148,16 +148,6 @@ impl Deformation {
         }
     }
 
-    /// If all vertices are free, sets the arrays to their states at the end of the last step and returns true.
-    pub fn all_free_into(&self, displacement: &mut Vectors, velocity: &mut Vectors, now: Now) -> bool {
-        let free_vertices = &self.free_vertices;
-        let all = free_vertices.vertices.len() == displacement.len();
-        let flow = free_vertices.flow(now).filter(|_| all && self.active_set.vertices.is_empty());
-        let Some(flow) = flow else { return false };
-        now.arch.dispatch(FreeVertex { flow, free_vertices, displacement, velocity }); // every vertex, in order
-        true
-    }
-
     /// Puts all vertices into the active set, in order; those at rest get a state of zero.
     pub fn wake_all(&mut self, rest: Rest<'_>) {
         if !self.is_empty() {
@@ -254,37 +244,6 @@ impl Deformation {
         let free = free_vertices.len();
         self.clear();
         self.free_vertices.take(free, now, scratch);
-    }
-}
-
-/// Applies a flow to the states of all vertices and adds the result to displacements and velocities.
-struct FreeVertex<'a> {
-    flow: [f64; 4],
-    free_vertices: &'a FreeVertices,
-    displacement: &'a mut Vectors,
-    velocity: &'a mut Vectors,
-}
-
-impl WithSimd for FreeVertex<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) {
-        let [xx, xu, ux, uu] = self.flow;
-        let displacement = [&mut self.displacement.x, &mut self.displacement.y, &mut self.displacement.z];
-        let velocity = [&mut self.velocity.x, &mut self.velocity.y, &mut self.velocity.z];
-        for (axis, (displacement, velocity)) in displacement.into_iter().zip(velocity).enumerate() {
-            let all = displacement.chunks_mut(LANES).zip(velocity.chunks_mut(LANES));
-            for (Block([x, u]), (displacement, velocity)) in self.free_vertices.blocks.all().iter().zip(all) {
-                // the last block may have more lanes than there are vertices
-                for (((displacement, velocity), x), u) in
-                    displacement.iter_mut().zip(velocity).zip(&x[axis]).zip(&u[axis])
-                {
-                    *displacement = xx * x + xu * u;
-                    *velocity = ux * x + uu * u;
-                }
-            }
-        }
     }
 }
 
