@@ -1185,8 +1185,8 @@ impl Run {
                     // of many bodies, none hides a place
                     let all = if positions.len() > 64 { index..index + 1 } else { 0..positions.len() };
                     let hides = |body: usize| triangles_of(body).iter().any(|corners| is_behind(body, corners));
-                    // a body with dents as deep as that is taken for whole
-                    is_facing && !look.is_hidden(index, place, 0.5) && !all.into_iter().any(hides)
+                    // a body with deeper dents than that is taken for whole
+                    is_facing && !look.is_hidden(index, place, 0.15) && !all.into_iter().any(hides)
                 };
                 let named = |text: &str| {
                     let (name, vertex) = text.split_once(':').expect("a vertex");

@@ -15,7 +15,9 @@ use super::{
 /// Work steps to find the depth of a point.
 const SAMPLE: u64 = 64;
 /// Triangles larger than this, from the centre to a corner, are sampled more densely than once [radii of the smaller body].
-const COARSE: f64 = 0.25;
+const COARSE: f64 = 0.5;
+/// So are those as close to the deepest sample as this, once [from their own centre to a corner].
+const BESIDE: f64 = 1.5;
 /// Parts of them are divided no further if they are smaller than this, or cannot be deeper than the deepest sample by more
 /// than this [radii of the smaller body].
 const FINE: f64 = 0.05;
@@ -53,7 +55,7 @@ pub struct PairMeasures {
 ///
 /// The depth is the greatest distance of a sample point on either surface, inside the other body, to that body's
 /// surface. Sample points are the vertices, the midpoints of edges and of the parts of cut edges, and the centres of
-/// triangles; of triangles that are large compared with a body, also the centres of parts, unless the other body may intersect
+/// triangles; of triangles that are large compared with a body, or beside the deepest of these, also the centres of parts, unless the other body may intersect
 /// itself. For bodies that intersect themselves, the distance is to the nearest sheet.
 ///
 /// # Errors
@@ -137,6 +139,7 @@ fn gap_of(united: &Union, [a, b]: [usize; 2], budget: &Budget, hint: &mut Hint) 
 fn deepen(united: &Union, body: usize, other: &Tree, deepest: &mut f64, meter: &Meter) -> Result<(), Failure> {
     let samples = samples(united, body);
     let mut search = Search::default();
+    let mut place = None;
     // where the search for a vertex ended, those for samples beside it begin
     let mut ended = vec![u32::MAX; united.bodies[body].topology.fan_count()];
     // the deepest point is usually the one nearest to the centre; shallower points then cost little
@@ -152,22 +155,23 @@ fn deepen(united: &Union, body: usize, other: &Tree, deepest: &mut f64, meter: &
         if !is_vertex && *beside != u32::MAX {
             search.hint = *beside;
         }
-        if let Some(depth) = other.depth_beyond(at, *deepest, &mut search) {
-            *deepest = deepest.max(depth);
+        if let Some(depth) = other.depth_beyond(at, *deepest, &mut search).filter(|depth| depth > deepest) {
+            (*deepest, place) = (depth, Some(at));
         }
         if is_vertex {
             *beside = search.hint;
         }
     }
-    deepen_in_coarse(united, body, other, deepest, meter)
+    deepen_in_coarse(united, body, (other, place), deepest, meter)
 }
 
-/// Raises `deepest` to the greatest depth in triangles that are large compared with one of the bodies. The depth grows by
+/// Raises `deepest` to the greatest depth in triangles that are large compared with one of the bodies, or beside the `place` of
+/// the deepest sample, if this body has it. The depth grows by
 /// no more than the way, so that parts that cannot exceed `deepest` are left out; those that may be deepest come first.
 fn deepen_in_coarse(
     united: &Union,
     body: usize,
-    other: &Tree,
+    (other, place): (&Tree, Option<DVec3>),
     deepest: &mut f64,
     meter: &Meter,
 ) -> Result<(), Failure> {
@@ -180,7 +184,8 @@ fn deepen_in_coarse(
     let mut sample = |corners: [DVec3; 3], least_size: f64, deepest: &mut f64| {
         let at = corners.iter().sum::<DVec3>() / 3.0;
         let size = corners.iter().map(|corner| corner.distance_squared(at)).fold(0.0, f64::max).sqrt();
-        if size <= least_size || !Aabb::of(corners).meets(&other.body.bounds) {
+        let is_beside = place.is_some_and(|place| place.distance_squared(at) < (BESIDE * size).powi(2));
+        if size <= least_size && !is_beside || !Aabb::of(corners).meets(&other.body.bounds) {
             return None;
         }
         let depth = other.depth_beyond(at, f64::max(*deepest - size, 0.0), &mut search).unwrap_or(0.0);
@@ -190,17 +195,19 @@ fn deepen_in_coarse(
     let mut parts = BinaryHeap::new();
     for &t in &united.removed[body] {
         meter.spend(SAMPLE)?;
-        parts.extend(sample(mesh.corners(t), COARSE * radius, deepest));
+        let Some(part) = sample(mesh.corners(t), COARSE * radius, deepest) else { continue };
+        if part.size > COARSE * radius {
+            parts.push(part);
+        } else {
+            meter.spend(4 * SAMPLE)?;
+            part.divided().into_iter().for_each(|corners| drop(sample(corners, 0.0, deepest)));
+        }
     }
     for _ in 0..PARTS / 4 {
         let Some(part) = parts.pop().filter(|part| part.limit > *deepest + NEGLIGIBLE * radius) else { break };
         if part.size > FINE * radius {
             meter.spend(4 * SAMPLE)?;
-            let [a, b, c] = part.corners;
-            let [ab, bc, ca] = [(a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0];
-            for corners in [[a, ab, ca], [b, bc, ab], [c, ca, bc], [ab, bc, ca]] {
-                parts.extend(sample(corners, 0.0, deepest));
-            }
+            parts.extend(part.divided().into_iter().filter_map(|corners| sample(corners, 0.0, deepest)));
         }
     }
     Ok(())
@@ -213,6 +220,15 @@ struct Part {
     size: f64,
     /// The depth that no point of it exceeds.
     limit: f64,
+}
+
+impl Part {
+    /// The corners of its four parts.
+    fn divided(&self) -> [[DVec3; 3]; 4] {
+        let [a, b, c] = self.corners;
+        let [ab, bc, ca] = [(a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0];
+        [[a, ab, ca], [b, bc, ab], [c, ca, bc], [ab, bc, ca]]
+    }
 }
 
 impl Ord for Part {

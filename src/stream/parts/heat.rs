@@ -66,7 +66,7 @@ const INSIDE: f64 = 0.95;
 /// Number of vertices in front, the most displaced ones, of which one is marked that no body hides.
 const CANDIDATES: usize = 64;
 /// Number of triangles that are tested in a frame for whether they hide one.
-const MOST_TRIANGLES: usize = 200_000;
+const MOST_TRIANGLES: usize = 20_000;
 /// Number of vertices, the most displaced ones, for which the mesh of a body tells whether they are inside.
 const MOST_TESTED: usize = 32;
 /// How far above all bodies the label of the largest displacement is at most [largest radius].

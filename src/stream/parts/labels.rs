@@ -194,9 +194,9 @@ impl<'a> Labels<'a> {
     }
 
     /// Whether a place on a body's surface, with this outward normal, faces the eye, and is not behind another body, as far as
-    /// their spheres tell: bodies may be dented by half of their radii.
+    /// their spheres tell: bodies may be dented by that [radii].
     pub fn may_be_in_front(&self, body: usize, place: DVec3, out: DVec3) -> bool {
-        const DENT: f64 = 0.5;
+        const DENT: f64 = 0.15;
 
         out.dot(self.view.eye - place) > 0.0 && self.is_seen(body, place, DENT) && !self.is_at_rim(body, place)
     }
