@@ -181,33 +181,36 @@ fn deepen_in_coarse(
     }
     let radius = f64::min(mesh.radius, other.body.radius);
     let mut search = Search::default();
-    let mut sample = |corners: [DVec3; 3], least_size: f64, deepest: &mut f64| {
-        let at = corners.iter().sum::<DVec3>() / 3.0;
-        let size = corners.iter().map(|corner| corner.distance_squared(at)).fold(0.0, f64::max).sqrt();
-        let is_beside = place.is_some_and(|place| place.distance_squared(at) < (BESIDE * size).powi(2));
-        if size <= least_size && !is_beside || !Aabb::of(corners).meets(&other.body.bounds) {
+    // only of those that are divided further is more asked than whether they are deeper
+    let mut sample = |corners: [DVec3; 3], is_last: bool, deepest: &mut f64| {
+        let (at, size) = extent(corners);
+        if !Aabb::of(corners).meets(&other.body.bounds) {
             return None;
         }
-        let depth = other.depth_beyond(at, f64::max(*deepest - size, 0.0), &mut search).unwrap_or(0.0);
+        let least = if is_last { *deepest } else { f64::max(*deepest - size, 0.0) };
+        let depth = other.depth_beyond(at, least, &mut search).unwrap_or(0.0);
         *deepest = deepest.max(depth);
         Some(Part { corners, size, limit: depth + size })
     };
     let mut parts = BinaryHeap::new();
     for &t in &united.removed[body] {
         meter.spend(SAMPLE)?;
-        let Some(part) = sample(mesh.corners(t), COARSE * radius, deepest) else { continue };
-        if part.size > COARSE * radius {
-            parts.push(part);
-        } else {
+        let corners = mesh.corners(t);
+        let (at, size) = extent(corners);
+        if size > COARSE * radius {
+            parts.extend(sample(corners, false, deepest));
+        } else if place.is_some_and(|place| place.distance_squared(at) < (BESIDE * size).powi(2)) {
             meter.spend(4 * SAMPLE)?;
-            part.divided().into_iter().for_each(|corners| drop(sample(corners, 0.0, deepest)));
+            for corners in divided(corners) {
+                sample(corners, true, deepest);
+            }
         }
     }
     for _ in 0..PARTS / 4 {
         let Some(part) = parts.pop().filter(|part| part.limit > *deepest + NEGLIGIBLE * radius) else { break };
         if part.size > FINE * radius {
             meter.spend(4 * SAMPLE)?;
-            parts.extend(part.divided().into_iter().filter_map(|corners| sample(corners, 0.0, deepest)));
+            parts.extend(divided(part.corners).into_iter().filter_map(|corners| sample(corners, false, deepest)));
         }
     }
     Ok(())
@@ -222,13 +225,16 @@ struct Part {
     limit: f64,
 }
 
-impl Part {
-    /// The corners of its four parts.
-    fn divided(&self) -> [[DVec3; 3]; 4] {
-        let [a, b, c] = self.corners;
-        let [ab, bc, ca] = [(a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0];
-        [[a, ab, ca], [b, bc, ab], [c, ca, bc], [ab, bc, ca]]
-    }
+/// The centre of a triangle, and how far the farthest corner is from it.
+fn extent(corners: [DVec3; 3]) -> (DVec3, f64) {
+    let at = corners.iter().sum::<DVec3>() / 3.0;
+    (at, corners.iter().map(|corner| corner.distance_squared(at)).fold(0.0, f64::max).sqrt())
+}
+
+/// The corners of the four parts of a triangle.
+fn divided([a, b, c]: [DVec3; 3]) -> [[DVec3; 3]; 4] {
+    let [ab, bc, ca] = [(a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0];
+    [[a, ab, ca], [b, bc, ab], [c, ca, bc], [ab, bc, ca]]
 }
 
 impl Ord for Part {
