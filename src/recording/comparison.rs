@@ -161,8 +161,8 @@ impl Comparison {
             "**{}**: {} and {}\n\n{}\
              - **Surface**: the first run; grey up to a hundredth of the largest difference now (of the tolerance, if that is \
              larger), blue at that, on a logarithmic scale. {}\n\
-             - **Orange dots**: vertices of the second run that differ by more than {LEAST} of it; red arrows point there, all of an \
-             instant longer by one factor, so that the longest has at least {LONGEST} radii\n\
+             - **Orange dots**: vertices of the second run that differ by more than {LEAST} of that difference; red arrows point there, \
+             all of an instant longer by one factor, so that the longest has at least {LONGEST} radii\n\
              - **Plot**: the largest distance of each body, from a thousandth of the tolerance on; grey: the tolerance, {:e}\n\
              {}",
             schema.name,

@@ -373,12 +373,12 @@ impl Spline {
     /// The C² cubic spline through `keys` (time [s], position [scene unit]), one or more, times strictly increasing, with
     /// zero velocity at the first and the last.
     ///
-    /// # Panics
-    /// There is no key; so do [`Spline::linear`] and [`Spline::hold`].
-    ///
     /// The accelerations M_k at the keys solve the tridiagonal system of the clamped spline, `h₋ M₋ + 2 (h₋ + h₊) M +
     /// h₊ M₊ = 6 (Δ₊ − Δ₋)`, with Δ the slope of a segment, 0 beyond the ends (de Boor, A Practical Guide to Splines,
     /// chapter IV).
+    ///
+    /// # Panics
+    /// There is no key.
     pub fn new(keys: &[(f64, DVec3)]) -> Spline {
         let n = keys.len();
         let width = |k: usize| keys[k + 1].0 - keys[k].0;
@@ -413,6 +413,9 @@ impl Spline {
     }
 
     /// Straight lines between `keys`, each at constant speed: the velocity jumps at the keys.
+    ///
+    /// # Panics
+    /// There is no key.
     pub fn linear(keys: &[(f64, DVec3)]) -> Spline {
         let line = |ends: &[(f64, DVec3)]| Segment {
             position: ends[0].1,
@@ -424,6 +427,9 @@ impl Spline {
     }
 
     /// Stays at each key until the next: the position jumps at the keys.
+    ///
+    /// # Panics
+    /// There is no key.
     pub fn hold(keys: &[(f64, DVec3)]) -> Spline {
         let still = |ends: &[(f64, DVec3)]| Segment {
             position: ends[0].1,
@@ -438,8 +444,7 @@ impl Spline {
         let times: Arc<[f64]> = keys.iter().map(|key| key.0).collect();
         let mut hasher = FxHasher::default();
         times.iter().for_each(|time| hasher.write_u64(time.to_bits()));
-        let (first, last) =
-            (keys.first().map_or(DVec3::ZERO, |key| key.1), keys.last().map_or(DVec3::ZERO, |key| key.1));
+        let [first, last] = [0, keys.len() - 1].map(|key| keys[key].1);
         Spline { times, times_hash: hasher.finish(), segments, first, last, jumps }
     }
 

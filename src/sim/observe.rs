@@ -67,8 +67,8 @@ impl World {
     }
 
     /// Energy brought to the free bodies since t = 0, by cause: their energy minus [`Ledger::total`] is constant up to
-    /// the integrator's error. Bodies that a program adds, removes or moves count as edits. Only [`Integrator::Exponential`](crate::scene::Integrator::Exponential) keeps this
-    /// account.
+    /// the integrator's error. Bodies that a program adds, removes or moves count as edits. Only
+    /// [`Integrator::Exponential`](crate::scene::Integrator::Exponential) keeps this account.
     pub fn ledger(&self) -> Ledger {
         self.solver.coupled().map(|coupled| coupled.ledger).unwrap_or_default()
     }

@@ -441,6 +441,31 @@ fn unsupported_features_of_a_model_are_rejected_with_status_2() {
     assert_eq!(status, Some(0), "{error}");
 }
 
+/// The mass centre of a body's cells is that of its mesh, or the body drifts. What cannot be balanced is refused if it is free.
+#[test]
+fn free_bodies_with_cells_that_cannot_be_balanced_are_refused() {
+    let dir = Dir::new();
+    let pyramid = "v 1 1 0\nv -1 1 0\nv -1 -1 0\nv 1 -1 0\nv 0 0 1.5\nf 4 3 2 1\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\n";
+    std::fs::write(dir.file("pyramid.obj"), pyramid).expect("disk space");
+    let scene = |model: Model, cells: u32, motion: &str| {
+        let model = model.name();
+        let text = format!(
+            "duration = 0.1\nmodel = \"{model}\"\n[{model}]\ncells = {cells}\n[[body]]\nname = \"a\"\nradius = 1\n\
+             shape = {{ mesh = \"pyramid.obj\" }}\nmotion = {{ {motion} = {{ from = [0, 0, 0] }} }}\n"
+        );
+        std::fs::write(dir.file("a.toml"), text.replace("fixed = { from = [0, 0, 0] }", "fixed = [0, 0, 0]"))
+            .expect("disk space");
+        Scene::load(&dir.file("a.toml")).expect("a valid scene").start()
+    };
+    for model in [Model::Lattice, Model::Fem] {
+        let error = scene(model, 3, "free").err().expect("it is refused");
+        let remedy = format!("use other `cells` in [{}]", model.name());
+        assert!(error.contains("the cells of the free body \"a\"") && error.ends_with(&remedy), "{error}");
+        assert_eq!(scene(model, 6, "free").err(), None);
+        assert_eq!(scene(model, 3, "fixed").err(), None);
+    }
+}
+
 fn two() -> String {
     builtin_text("two").to_owned()
 }

@@ -6,7 +6,8 @@
 //! through it or if its centre is inside: the cells cover the body, and protrude from it by less than a cell. All cells
 //! have the same mass, an eighth of it at each corner (2.1.1: "each cell has a uniform mass"). If the mass centre of
 //! the nodes would then differ from that of the mesh, which is the body's centre, a linear density gradient corrects
-//! it, and no cell gets less than a fifth of the mean. Nodes and cells are in ascending order of z, y, x, so the result depends on the mesh alone.
+//! it, and no cell gets less than a fifth of the mean. Nodes and cells are in ascending order of z, y, x, so the result
+//! depends on the mesh alone.
 
 mod boundary;
 mod cover;
@@ -236,26 +237,14 @@ pub const BALANCED: f64 = 1e-9;
 fn weights(places: &[[u32; 3]], across: u32) -> Vec<f64> {
     let (mean, h) = (1.0 / places.len() as f64, 2.0 / f64::from(across));
     let centre = |place: &[u32; 3]| (DVec3::from_array(place.map(f64::from)) + 0.5) * h - 1.0;
-    let middle = places.iter().map(centre).sum::<DVec3>() * mean;
-    let mut spread = DMat3::ZERO;
-    for place in places {
-        let apart = centre(place) - middle;
-        spread += outer(apart, apart) * mean;
-    }
-    let slope = solve(spread, -middle);
-    let weight = |place: &[u32; 3]| mean * (1.0 + slope.dot(centre(place) - middle));
-    // not finite for cells in one plane
-    if middle.length() > BALANCED && slope.is_finite() && places.iter().all(|place| weight(place) > LEAST * mean) {
-        return places.iter().map(weight).collect();
-    }
-    let is_off = middle.length() > BALANCED;
-    let bounded = || bounded(&places.iter().map(centre).collect::<Vec<_>>());
-    is_off.then(bounded).flatten().unwrap_or_else(|| vec![mean; places.len()])
+    let is_off = (places.iter().map(centre).sum::<DVec3>() * mean).length() > BALANCED;
+    let balanced = || balanced(&places.iter().map(centre).collect::<Vec<_>>());
+    is_off.then(balanced).flatten().unwrap_or_else(|| vec![mean; places.len()])
 }
 
 /// Fractions of the mass in cells with these centres that are close to their mean, at least [`LEAST`] of it, and have their mass
 /// centre at the origin: linear, except where that would be too little. `None` if none are found: the cells lie on one side.
-fn bounded(centres: &[DVec3]) -> Option<Vec<f64>> {
+fn balanced(centres: &[DVec3]) -> Option<Vec<f64>> {
     /// Spreads smaller than this are none [that of all].
     const FLAT: f64 = 1e-12;
 

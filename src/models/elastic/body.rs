@@ -200,8 +200,8 @@ impl Body {
             Motion::Free(motion) => Some(motion),
             Motion::Prescribed(_) => None,
         };
-        let off = cells.mass_centre().length();
-        if motion.is_some() && off > cells::BALANCED {
+        let off = if motion.is_some() { cells.mass_centre().length() } else { 0.0 };
+        if off > cells::BALANCED {
             return Err(format!(
                 "scene \"{}\": the cells of the free body \"{}\" have their mass centre {off:.2} R beside that of its mesh, and no \
                  densities of at least a fifth of the mean move it there; use other `cells` in [{}]",

@@ -1,9 +1,10 @@
 //! Dense output: the states of an island's bodies at any time within its last step.
 //!
-//! States between the solver's steps are kept during the step if some were asked for in the step before; else the solver
-//! repeats the step when it is asked. Between these states, cubic Hermite polynomials interpolate. Where they are not accurate enough, the solver advances the island to the middle of the interval, and
-//! both halves are interpolated: their error is a sixteenth of that which was found in the middle. So the cost does not
-//! grow with the number of times asked for.
+//! States between the solver's steps are kept during the step if some were asked for in the step before; else the
+//! solver repeats the step when it is asked. Between these states, cubic Hermite polynomials interpolate. Where they
+//! are not accurate enough, the solver advances the island to the middle of the interval, and both halves are
+//! interpolated: their error is a sixteenth of that which was found in the middle. So the cost does not grow with the
+//! number of times asked for.
 
 use glam::{DQuat, DVec3};
 

@@ -17,15 +17,22 @@ fn called(term: &TermSchema) -> String {
     format!("{} {}", colors::name(term.color), term.name)
 }
 
-/// The accelerations at which arrows are as long as the largest radius, with the terms of which this is true.
-fn lengths(schema: &Schema, is_listed: impl Fn(&TermSchema) -> bool) -> String {
+/// A force term with its colour, by the first words of its label.
+fn described(term: &TermSchema) -> String {
+    let label = term.label.split(':').next().unwrap_or_default();
+    format!("{} {}", colors::name(term.color), label.to_lowercase())
+}
+
+/// The accelerations at which arrows are as long as the largest radius, with the terms of which this is true, as they are
+/// `told`.
+fn lengths(schema: &Schema, told: fn(&TermSchema) -> String, is_listed: impl Fn(&TermSchema) -> bool) -> String {
     let radius = schema.largest_radius();
     let mut lengths: Vec<(f64, Vec<String>)> = Vec::new();
     for term in schema.terms.iter().filter(|term| term.can_act && is_listed(term)) {
         let scale = schema.arrow_scale_of(term);
         match lengths.iter_mut().find(|(of, _)| *of == scale) {
-            Some((_, terms)) => terms.push(called(term)),
-            None => lengths.push((scale, vec![called(term)])),
+            Some((_, terms)) => terms.push(told(term)),
+            None => lengths.push((scale, vec![told(term)])),
         }
     }
     let lengths =
@@ -60,17 +67,12 @@ pub fn arrows(schema: &Schema) -> String {
     }
     format!(
         "**By body**, plots and rows: means over a body; arrows are scaled per step, the longest {} unit long, less for small bodies, weak ones left out; {}: the net force and its \
-         strongest cause in unit/s². **Others**: at vertices{}; an arrow of **{} unit** means: {}.{}\n",
+         strongest cause in unit/s². **Others**: at vertices{}; an arrow of **{} unit** means: {}.\n",
         rounded(longest(schema) * radius),
         if is_ranked(schema) { "rows" } else { "labels" },
         if is_uniform { "; uniform forces at the centre" } else { "" },
         rounded(radius),
-        lengths(schema, |_| true),
-        if schema.terms.iter().any(|term| term.can_act && term.name == "reaction") {
-            " Reaction: to what the body's own sphere does to others."
-        } else {
-            ""
-        },
+        lengths(schema, described, |_| true),
     )
 }
 
@@ -155,7 +157,7 @@ pub fn about(schema: &Schema, settings: &Settings, first: u64, frame: &Frame, ne
         // among many bodies, arrows are hidden here, and explained beside those of forces
         Detail::Forces | Detail::Stages { .. } if is_crowd => String::new(),
         Detail::Forces | Detail::Stages { .. } => {
-            let shown = lengths(schema, |term| term.is_shown);
+            let shown = lengths(schema, called, |term| term.is_shown);
             let hidden = schema.terms.iter().filter(|term| term.can_act && !term.is_shown);
             let hidden: Vec<String> = hidden.map(called).collect();
             let hidden = (!hidden.is_empty()).then(|| format!("hidden at first: {}", hidden.join(", ")));

@@ -308,10 +308,11 @@ impl Near {
     /// Whether a point in the world is inside.
     fn contains(&self, view: FrameView<'_>, point: DVec3) -> bool {
         let distance = self.centre.distance(point);
-        let encloses = |positions: &Vectors, triangles: &[[u32; 3]]| {
-            mesh::encloses(positions, triangles, point - self.centre) //
-        };
-        distance < self.surely || distance < self.reach && with_mesh(view, self.body, encloses)
+        distance < self.surely
+            || distance < self.reach
+                && with_mesh(view, self.body, |positions, triangles| {
+                    mesh::encloses(positions, triangles, point - self.centre)
+                })
     }
 }
 

@@ -37,10 +37,14 @@ pub fn timings(schema: &Schema) -> impl Iterator<Item = &'static str> {
     schema.stages.iter().copied().chain(OBSERVING).chain(RECORDING)
 }
 
+/// The stages in `/timings`, in order, with the colours of their lines.
+fn colored(schema: &Schema) -> impl Iterator<Item = (&'static str, Rgb)> {
+    timings(schema).enumerate().map(|(number, stage)| (stage, palette::line(number)))
+}
+
 /// The stages of a step that are stacked, with the colours of their lines.
 pub fn colors(schema: &Schema) -> impl Iterator<Item = (&'static str, Rgb)> {
-    let all = timings(schema).enumerate().map(|(number, stage)| (stage, palette::line(number)));
-    all.filter(|(stage, _)| is_work(stage) && !RECORDING.contains(stage))
+    colored(schema).filter(|(stage, _)| is_work(stage) && !RECORDING.contains(stage))
 }
 
 /// How the names of plots of energies begin.
@@ -151,9 +155,8 @@ struct Timing {
 impl FrameNumbers {
     /// Logs the names of the lines.
     pub fn new(schema: &Schema, series: &mut Series, chunks: &mut Chunks) -> FrameNumbers {
-        let mut numbered = 0..;
-        let timings = timings(schema).map(|name| {
-            let (entity, rgb) = (TIMING.of(&[name]), palette::line(numbered.next().unwrap_or(0)));
+        let timings = colored(schema).map(|(name, rgb)| {
+            let entity = TIMING.of(&[name]);
             Series::style(chunks, &entity, &format!("{name} [ms]"), rgb, 1.5, Interpolation::Step);
             let track = chunks.track(&entity, [Scalars::descriptor_scalars()]);
             let stacked = is_work(name).then(|| {

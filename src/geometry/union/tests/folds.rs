@@ -189,17 +189,20 @@ fn no_vertex_or_centre_of_a_triangle_is_deeper_than_the_gap() {
     assert!(inside > 200, "{inside} points inside");
 }
 
-/// The deepest point of large triangles may be anywhere on them: compared with a dense grid of points.
+/// The deepest point of few large triangles may be anywhere on them, that of others is near the deepest sample: compared with
+/// a dense grid of points.
 #[test]
-fn the_depth_of_coarse_bodies_is_that_of_any_of_their_points() {
+fn the_depth_of_boxes_and_balls_is_that_of_any_of_their_points() {
     const ACROSS: u32 = 60;
     let mut random = shapes::Random::new(29);
-    let mut inside = 0;
-    for round in 0..30 {
+    let (mut inside, mut missing) = (0, 0.0);
+    for round in 0..40 {
         let size = if round % 2 == 0 { 1.0f64 } else { 0.4 };
-        let (solid, radius) = if round < 20 { (shapes::cube(), 3f64.sqrt()) } else { (shapes::sphere(5, 7), 1.0) };
+        let is_box = round < 20;
+        let (solid, radius) = if is_box { (shapes::cube(), 3f64.sqrt()) } else { (shapes::sphere(8, 12), 1.0) };
+        let apart = if is_box { 1.1 } else { 0.6 };
         let place =
-            (1.1 + 0.3 * random.next()) * size.max(0.8) * DVec3::new(1.0, 0.6 * random.next(), 0.6 * random.next());
+            (apart + 0.3 * random.next()) * size.max(0.8) * DVec3::new(1.0, 0.6 * random.next(), 0.6 * random.next());
         let turned = glam::DMat3::from_quat(glam::DQuat::from_rotation_x(3.0 * random.next()))
             * glam::DMat3::from_rotation_z(3.0 * random.next());
         let shapes = [solid.clone(), solid.scaled(size).turned(turned).at(place)];
@@ -220,13 +223,18 @@ fn the_depth_of_coarse_bodies_is_that_of_any_of_their_points() {
                 }
             }
         }
+        let radius = radius * size;
+        if !is_box {
+            missing += (deepest - depth) / radius / 20.0;
+        }
         if depth > 0.0 {
-            // found: from 0.0042 of the smaller radius below to 0.001 above, which this grid leaves
-            let radius = radius * size;
-            let [least, most] = [deepest - 0.006 * radius, deepest + 0.002 * radius];
+            // found: from 0.0042 of the smaller radius below, 0.0509 of balls, to 0.001 above, which this grid leaves
+            let [least, most] = [deepest - if is_box { 0.006 } else { 0.052 } * radius, deepest + 0.002 * radius];
             assert!((least..most).contains(&depth), "round {round}: {depth} of {deepest}");
             inside += 1;
         }
     }
-    assert!(inside >= 20, "{inside} overlap");
+    assert!(inside >= 35, "{inside} overlap");
+    // found: 0.0084, and 0.0114 if no triangle beside the deepest sample is divided
+    assert!(missing < 0.0087, "{missing} of the radius is missing on the mean of balls");
 }
