@@ -665,6 +665,23 @@ mod tests {
         }
     }
 
+    /// Bodies whose spheres are too small to act before they touch, on paths and free.
+    #[test]
+    fn bodies_touch_before_their_spheres_reach() {
+        for motion in
+            ["line = { from = [4, 0, 0], velocity = [-2, 0, 0] }", "free = { from = [4, 0, 0], velocity = [-2, 0, 0] }"]
+        {
+            let text = format!(
+                "duration = 1.5\n[influence]\nalpha = 0\nbeta = 0\nreach = 0.6\nmerge_at = 0.3\nsplit_at = 0.4\ncore_at = 0.2\n\
+                 [[body]]\nname = \"a\"\nradius = 1.0\nmotion = {{ fixed = [0, 0, 0] }}\n[[body]]\nname = \"b\"\nradius = 1.0\n\
+                 motion = {{ {motion} }}\n"
+            );
+            let events: Vec<_> = found(&text, 1.0 / 60.0).into_iter().filter(SurfaceEvent::is_contact).collect();
+            let [touch] = events[..] else { panic!("{motion}: {events:?}") };
+            assert!(touch.what == Finding::Touch && (touch.time - 1.0).abs() < 1e-3, "{motion}: {touch:?}");
+        }
+    }
+
     #[test]
     fn a_pair_that_leaves_its_reach_within_a_step_parts() {
         let text = "duration = 1.0\n[influence]\nalpha = 0\nbeta = 0\nreach = 1.1\n[[body]]\nname = \"a\"\nradius = 1.0\n\

@@ -17,6 +17,7 @@ use crate::{
     geometry::Vectors,
     observe::{BodyFrame, Frame, PairEvent, PairFrame, Run, Schema, Simulation, Want, schema::Scheduled},
     recording::{Recorded, existing::Existing},
+    scene::template::Override,
     text::{aligned, counted, did_you_mean, short, thousands, trimmed},
 };
 
@@ -41,16 +42,23 @@ pub struct Arguments {
     /// Explain this pair; may be repeated.
     #[arg(long, value_name = "A~B")]
     pair: Vec<String>,
+    /// Another value for a key of the scene, such as influence.merge_at=1.1; may be repeated.
+    #[arg(long, value_name = "KEY=VALUE", value_parser = Override::parse)]
+    set: Vec<Override>,
 }
 
 /// Simulates a run and explains one of its steps.
 pub fn explain(program: Program<'_>, arguments: &Arguments) -> Result<(), Failure> {
     let path = Path::new(&arguments.subject);
     let (simulation, last, recorded) = if Existing::is_recording(path) {
+        if !arguments.set.is_empty() {
+            return Err(Failure::Input("--set is for scenes: a recording is explained as it was made".to_owned()));
+        }
         let recorded = program.recorded(path)?;
         (recorded.start().map_err(Failure::input)?, recorded.last(), Some(recorded))
     } else {
-        let subject = program.subject(&arguments.subject, &Overrides::default())?;
+        let subject =
+            program.subject(&arguments.subject, &Overrides { set: arguments.set.clone(), ..Overrides::default() })?;
         let simulation = subject.experiment(Some(&interrupt::STOP)).start().map_err(Failure::Input)?;
         let schema = simulation.schema();
         warnings(&schema).iter().for_each(|line| say(line));

@@ -80,6 +80,14 @@ pub(super) fn live(program: Program<'_>, arguments: Arguments) -> Result<(), Fai
     };
     let name = path.file_stem().map_or(first.schema().name, |stem| stem.to_string_lossy().into_owned());
     let save = arguments.save.unwrap_or_else(|| PathBuf::from(format!("{name}-live.rrd")));
+    if save.extension().is_none_or(|extension| extension != "rrd") {
+        let named = save.with_extension("rrd");
+        return Err(Failure::Input(format!(
+            "--save {}: not the name of a recording, such as {}",
+            save.display(),
+            named.display()
+        )));
+    }
     if let Some(remedy) = atomic::missing_folder(&save) {
         return Err(Failure::Input(format!("--save: {remedy}")));
     }

@@ -157,7 +157,7 @@ pub fn main() -> ! {
     let status = start(Arguments::<OwnCommand>::command(), std::env::args_os(), |command| match command {
         OwnCommand::Any(command) => command.run(Program::Scenes),
         OwnCommand::Bench(arguments) => interrupt::end().and_then(|()| bench::bench(arguments)),
-        // a list is all that these commands are for
+        // `--quiet` does not apply: these commands only print
         OwnCommand::Scenes(arguments) => unquiet(|| scenes::scenes(&arguments)),
         OwnCommand::Reference(arguments) => unquiet(|| {
             reference::reference(&arguments);

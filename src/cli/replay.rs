@@ -80,7 +80,7 @@ fn verify_all(program: Program<'_>, arguments: &Arguments, contents: &Contents) 
             is_input |= matches!(failure, Failure::Input(_));
         }
     }
-    let summary = format!("{path}: {failed} of {} recordings failed", names.len());
+    let summary = format!("{path}: {failed} of {} failed", counted(names.len() as u64, "recording"));
     match (failed, is_input) {
         (0, _) => Ok(()),
         (_, true) => Err(Failure::Input(summary)),

@@ -18,7 +18,7 @@ use super::{
 use crate::{
     models,
     recording::{Recorded, existing::Existing},
-    scene::template::Setting,
+    scene::template::{Setting, Template},
     stream::settings::application,
     sweep::{
         Sweep,
@@ -61,7 +61,7 @@ pub struct Arguments {
     #[arg(long, value_name = "I/N", requires = "level", value_parser = parse_shard)]
     shard: Option<Shard>,
     /// The level to run, from 0, whose predecessors are complete.
-    #[arg(long, value_name = "L", requires = "shard")]
+    #[arg(long, value_name = "L", requires = "shard", value_parser = clap::value_parser!(u32).range(..=i64::from(MOST_LEVELS)))]
     level: Option<u32>,
     /// Record the run of a row to DIR/row-ROW.rrd, and compare its checksum.
     #[arg(long, value_name = "ROW", conflicts_with_all = ["shard", "refine"])]
@@ -137,6 +137,14 @@ pub fn sweep(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> 
         }
     }
     let axis = arguments.bisect.as_ref().map(|name| axis_to_bisect(&sweep.design, name)).transpose()?;
+    for (number, divided) in sweep.design.axes.iter().enumerate() {
+        if divided.is_range() && arguments.refine > 0 {
+            may_take(&sweep, template.as_ref(), number, divided.value(arguments.refine, 1), "--refine")?;
+        }
+        if axis == Some(number) {
+            may_take(&sweep, template.as_ref(), number, divided.at(ANYWHERE), "--bisect")?;
+        }
+    }
     if arguments.out.exists() && !arguments.out.is_dir() {
         return Err(Failure::Input(format!("--out {} is not a folder: choose another name", arguments.out.display())));
     }
@@ -217,6 +225,32 @@ fn axis_to_bisect(design: &Design, name: &str) -> Result<usize, Failure> {
     })
 }
 
+/// A fraction of a range at which no value of a grid is.
+const ANYWHERE: f64 = 0.381_966_011_250_105;
+
+/// Checks that values of an axis between those of the grid are valid, by one of them.
+fn may_take(
+    sweep: &Sweep,
+    template: Option<&Template<'_>>,
+    axis: usize,
+    value: Setting,
+    option: &str,
+) -> Result<(), Failure> {
+    let design = &sweep.design;
+    let mut point: Vec<Setting> = design.axes.iter().map(|axis| axis.sample(0)).collect();
+    point[axis] = value;
+    let invalid = match template {
+        Some(template) => template.scene(sweep.settings(&point)).err().map(|error| error.message),
+        None => sweep.own(&point).and_then(Result::err).map(|invalid| invalid.text),
+    };
+    invalid.map_or(Ok(()), |invalid| {
+        let (key, value) = (&design.axes[axis].key, &point[axis]);
+        Err(Failure::Input(format!(
+            "{option} needs values between those of the axis {key}, and {value} is invalid: {invalid}"
+        )))
+    })
+}
+
 fn thresholds_file(axis: usize) -> String {
     format!("thresholds-{axis}.parquet")
 }
@@ -224,7 +258,10 @@ fn thresholds_file(axis: usize) -> String {
 /// Checks that the maps replace no file of the user.
 fn may_draw(folder: &Path) -> Result<(), Failure> {
     let recording = folder.join(MAP_RECORDING);
-    let is_map = || Existing::at(&recording).is_some_and(|there| there.application == application("map"));
+    // that of a scene called "map" has a kind
+    let is_map = || {
+        Existing::at(&recording).is_some_and(|there| there.application == application("map") && there.kind.is_none())
+    };
     if recording.symlink_metadata().is_ok() && !is_map() {
         return Err(not_replaced(&recording));
     }
@@ -386,15 +423,21 @@ impl RunningSweep<'_> {
 fn open(sweep: &Sweep, store: &Store, row: u64) -> Result<(), Failure> {
     let template = sweep.template().map_err(Failure::input)?;
     let mut known: Option<Row> = None;
+    let (mut count, mut last) = (0, 0);
     let columns = store.named(&["outcome", "steps", "checksum"]);
     store.read(0..u32::MAX, None, &columns, |found| {
+        (count, last) = (count + 1, last.max(found.0));
         if found.0 == row {
             known = Some(found);
         }
     })?;
-    let point: Vec<Setting> = sweep.design.point(row).unwrap_or_default();
-    let (Some((_, cells)), false) = (known, point.is_empty()) else {
-        return Err(Failure::Input(format!("{} has no row {row}: run the sweep first", store.path().display())));
+    let Some(((_, cells), point)) = known.zip(sweep.design.point(row)) else {
+        let why = if count == 0 {
+            "run the sweep first".to_owned()
+        } else {
+            format!("it has {}, the last is {last}", counted(count, "row"))
+        };
+        return Err(Failure::Input(format!("{} has no row {row}: {why}", store.path().display())));
     };
     let [outcome, Cell::Integer(steps), Cell::Count(checksum)] = &cells[..] else {
         return Err(Failure::Run(format!("row {row} has no checksum")));

@@ -43,7 +43,7 @@ const BATCH: usize = 16;
 const MAX_RECORDS: usize = 1024;
 /// A run that takes longer reports its progress, at this interval.
 const PATIENCE: Duration = Duration::from_millis(300);
-/// Bodies of larger scenes cannot be poked: a list of more names is no choice.
+/// Scenes with more bodies have no poke control: the list of names would be too long.
 const MAX_POKED: usize = 1000;
 /// Upper limit on the files that are asked for and not yet saved.
 const MAX_SAVES: usize = 16;
@@ -174,7 +174,9 @@ impl Runs {
                 branch.values.retain(|key, _| known(key).is_some_and(|parameter| parameter.can_branch));
             }
             branches.retain(|branch| !branch.values.is_empty());
-            *poke = poke.take().filter(|poke| bodies.iter().any(|body| body.name == poke.body));
+            // not of `bodies`: a run that is interrupted at its start has none
+            let named = |name: &str| experiment.schema().bodies.iter().any(|body| body.name == name);
+            *poke = poke.take().filter(|poke| experiment.can_poke() && named(&poke.body));
             wanted.experiment = experiment;
             wanted.problem = None;
             self.feed.send("scene", scene);
@@ -232,8 +234,7 @@ impl Runs {
         }
     }
 
-    /// Runs a change. One that is invalid does not end the run before it: if that was `unfinished`, it is made again, beside
-    /// the problem.
+    /// Runs a change. If it is invalid, shows the problem, and starts the run before it again if that was `unfinished`.
     fn answer(
         &self,
         experiment: &Arc<dyn Experiment>,
@@ -292,7 +293,7 @@ impl Runs {
         lock(&self.wanted).number == number
     }
 
-    /// Finds the thresholds of a parameter. Whatever else is asked for comes first, and then they are found anew.
+    /// Finds the thresholds of a parameter. Any other request interrupts the search, which then starts over.
     fn mark(&self, experiment: &dyn Experiment, change: &Change, number: u64, key: String) {
         let is_waited_for = || {
             let wanted = lock(&self.wanted);
@@ -425,8 +426,7 @@ impl Runs {
     fn save_now(&self, experiment: &dyn Experiment, what: Save) -> Result<(), Problem> {
         let text = match what {
             Save::Recording => {
-                let extension = self.save.extension().map_or("rrd".into(), |extension| extension.to_string_lossy());
-                let path = free_name(&self.save, &extension)?;
+                let path = free_name(&self.save, "rrd")?;
                 let destinations = Destinations::file(&path);
                 let frames = stream::record(experiment, Settings::of(experiment), &destinations)
                     .map_err(|error| Problem::new(error.to_string()))?;

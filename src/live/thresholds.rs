@@ -7,7 +7,7 @@ use crate::observe::{Experiment, StepSummary, Variation};
 
 /// Number of values for which the outcome is found first.
 const SAMPLES: usize = 24;
-/// A value at which the outcome changes is found to this fraction of the parameter's range.
+/// Bisection stops at this fraction of the parameter's range, or after [`MAX_RUNS`].
 const RESOLUTION: f64 = 1e-4;
 
 /// Upper limit on the number of runs: where outcomes are chaotic, each of them has more between its neighbours.
@@ -22,8 +22,8 @@ pub struct Mark {
 }
 
 /// Finds the values of a parameter, in its range, at which the outcome of a run changes: by bisection, wherever it
-/// differs between two of `SAMPLES` values. There are none of a parameter that does not exist. `None` if `is_current` says that
-/// the result is no longer needed.
+/// differs between two of `SAMPLES` values. Those that [`MAX_RUNS`] leave unresolved are left out. Returns no marks for an unknown
+/// parameter, and `None` if `is_current` says that the result is no longer needed.
 pub fn find(
     experiment: &dyn Experiment,
     variation: &Variation,
@@ -49,8 +49,9 @@ pub fn find(
         // ends of intervals that are still to be searched, the nearest last, each with its outcome
         let mut ends = vec![(*b, above.clone())];
         while let Some((b, above)) = ends.pop() {
-            if below == above || runs >= MAX_RUNS || b - a <= RESOLUTION * (high - low) {
-                if below != above {
+            let is_narrow = b - a <= RESOLUTION * (high - low);
+            if below == above || runs >= MAX_RUNS || is_narrow {
+                if below != above && is_narrow {
                     marks.push(Mark { value: 0.5 * (a + b), below, above: above.clone() });
                 }
                 (a, below) = (b, above);

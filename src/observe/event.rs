@@ -62,9 +62,9 @@ impl PairEvent {
         PairEvent { name, time: at.time, step: at.step, a, b, q, rate: 0.0, from, to, energy: None }
     }
 
-    /// Whether the event is of the kind of a [word](Schema::event_words).
+    /// Whether the event is of the kind of a [word](Schema::event_words), or has this name.
     pub fn is(&self, word: &str) -> bool {
-        self.name.split(' ').next() == Some(word)
+        self.name == word || self.name.split(' ').next() == Some(word)
     }
 }
 

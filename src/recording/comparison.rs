@@ -9,7 +9,6 @@ use super::{
     events::{self, Change},
     existing::{self, Existing},
     quantities::Deviation,
-    recorded::RecordedEvent,
 };
 use crate::{
     analysis::worst::Worst,
@@ -369,8 +368,11 @@ impl Comparison {
 
     /// Logs a difference between the events of the two runs.
     fn change(&mut self, change: &Change, common: [f64; 2]) {
-        let &RecordedEvent { step, time, .. } = change.event();
-        let at = Instant { step, time };
+        let first = match change {
+            Change::Moved(was, is) if is.time < was.time => is,
+            _ => change.event(),
+        };
+        let at = Instant { step: first.step, time: first.time };
         let rgb = match change {
             Change::Vanished(_) => COLORS[0],
             Change::Appeared(_) => COLORS[1],
@@ -404,11 +406,11 @@ impl Comparison {
         self.chunks.log(EVENTS.path, at, &TextLog::new(deviation.line("")));
     }
 
-    /// Logs that the events are equal.
-    pub fn same_events(&mut self, events: usize) {
+    /// Logs that the events are equal, and `beyond` what time.
+    pub fn same_events(&mut self, events: usize, beyond: &str) {
         let line = match events {
-            0 => "the same: neither run has events".to_owned(),
-            n => format!("the same: {} in both runs", counted(n as u64, "event")),
+            0 => format!("the same: neither run has events{beyond}"),
+            n => format!("the same: {} in both runs{beyond}", counted(n as u64, "event")),
         };
         self.chunks.log(EVENTS.path, Instant::default(), &TextLog::new(line));
     }

@@ -60,8 +60,10 @@ pub struct Difference {
     pub events: Vec<Change>,
     /// The first and the last time that both runs reach [s].
     pub common: [f64; 2],
-    /// Number of events of the first recording.
+    /// Number of events of the first recording in the time in common.
     pub event_count: usize,
+    /// Number of events of either recording at other times.
+    pub event_count_beyond: usize,
     /// Geometric quantities that differ beyond the tolerance; `None` unless both recordings have them.
     pub surfaces: Option<Vec<Deviation>>,
     /// Whether there are quantities that only one of them has.
@@ -114,7 +116,7 @@ impl fmt::Display for Difference {
             write!(f, "\n… and {}", counted((self.starts.len() - LISTED) as u64, "more pair"))?;
         }
         if self.events.is_empty() {
-            write!(f, "\nevents: the same")?;
+            write!(f, "\nevents: the same{}", self.beyond())?;
         }
         events::listed(&self.events, LISTED).iter().try_for_each(|change| {
             write!(f, "\nevent {change}")?;
@@ -136,6 +138,20 @@ impl fmt::Display for Difference {
             write!(f, "\n… and {}", counted((surfaces.len() - LISTED) as u64, "more difference"))?;
         }
         Ok(())
+    }
+}
+
+impl Difference {
+    /// What equal events leave open, in words.
+    fn beyond(&self) -> String {
+        match self.event_count_beyond {
+            0 => String::new(),
+            n => {
+                let [start, end] = self.common;
+                let events = counted(n as u64, "event");
+                format!(" from {start:.3} to {end:.3} s, which both runs have; {events} at other times not compared")
+            }
+        }
     }
 }
 
@@ -265,7 +281,10 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
     let [from_a, from_b, to_a, to_b] = std::array::from_fn(|i| steps[i] as f64 * dt[i % 2]);
     let (start, end) = (from_a.max(from_b), to_a.min(to_b));
     let is_common = |event: &RecordedEvent| (start..=end).contains(&event.time);
+    let count = |events: &[Vec<RecordedEvent>; 2]| events.iter().map(Vec::len).sum::<usize>();
+    let all = events.as_ref().map_or(0, count);
     let events = events.map(|events| events.map(|list| list.into_iter().filter(is_common).collect::<Vec<_>>()));
+    let event_count_beyond = all - events.as_ref().map_or(0, count);
     let [quantities_a, quantities_b] = [quantities::Recorded::read(a)?, quantities::Recorded::read(b)?];
     let surfaces = (!quantities_a.is_empty() && !quantities_b.is_empty()).then(|| {
         let mut deviations = Deviations::new(tolerance, 1.0);
@@ -295,6 +314,7 @@ pub fn diff(recorded: [&Recorded; 2], tolerance: f64) -> Result<Difference, Read
         bodies,
         first_beyond,
         event_count,
+        event_count_beyond,
         events: changes,
         common: [start, end],
         run_again,
@@ -374,7 +394,7 @@ pub fn save(
         Err(error) => return Ok(Err(error)),
     };
     if difference.events.is_empty() {
-        comparison.same_events(difference.event_count);
+        comparison.same_events(difference.event_count, &difference.beyond());
     }
     for deviation in difference.surfaces.iter().flatten().take(LISTED) {
         comparison.deviation(deviation);

@@ -334,11 +334,12 @@ impl<P: Listed> NearPairs<P> {
     }
 }
 
-/// Whether, within their fat bounds, one of two bodies can have vertices inside the other's sphere, or the two can
+/// Whether, within their fat bounds, one of two bodies can have vertices inside the other's sphere, or the two can touch or
 /// merge. (Stricter than overlap of the fat bounds: a sphere does not act on another sphere.)
 fn are_near(scene: &Scene, grid: &Grid, [i, j]: [u32; 2], [a, b]: [FatBounds; 2]) -> bool {
     let [one, other] = [i, j].map(|body| &scene.bodies[body as usize]);
-    let touching = f64::max(one.sphere_radius() + b.vertices, other.sphere_radius() + a.vertices);
+    let acting = f64::max(one.sphere_radius() + b.vertices, other.sphere_radius() + a.vertices);
+    let touching = acting.max(a.vertices + b.vertices);
     let merge_at = scene.law(i as usize, j as usize).thresholds.merge_at;
     let near = touching.max(merge_at * (one.radius + other.radius)) + a.skin + b.skin;
     let rounding = |ball: &Ball| 16.0 * f64::EPSILON * (ball.centre.abs().max_element() + ball.radius);

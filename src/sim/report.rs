@@ -196,7 +196,7 @@ pub struct Strain {
 /// A warning that adaptive steps are too much work, and that bodies take steps of fixed length instead.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error(
-    "step {step} (t = {time:.6} s): {bodies} bodies that act on each other, among them \"{body}\", cannot be followed at tolerance \
+    "step {step} (t = {time:.6} s): bodies that act on each other ({bodies}, among them \"{body}\") cannot be followed at tolerance \
      {tolerance:e} with reasonable work; they take steps of {substep:.1e} s until adaptive steps are affordable again, and \
      their estimated errors are recorded"
 )]

@@ -349,8 +349,8 @@ impl World {
     }
 
     /// Pairs in which one body's influence sphere can reach the other's vertices at their current amplitude, that are
-    /// near enough to merge, or that are not apart; in ascending order of their bodies. All other pairs are apart and
-    /// do not interact.
+    /// near enough to touch or merge, or that are not apart; in ascending order of their bodies. All other pairs are apart
+    /// and do not interact.
     pub fn pairs(&self) -> impl Iterator<Item = PairView> + '_ {
         self.near_pairs()
             .map(|(a, b, phase)| {
@@ -383,15 +383,16 @@ impl World {
         [apart.length() / radii, apart.normalize_or_zero().dot(velocity) / radii]
     }
 
-    /// The q up to which one of two bodies can have vertices inside the other's influence sphere, or the two can merge
-    /// [–].
+    /// The q up to which one of two bodies can have vertices inside the other's influence sphere, or the two can touch or
+    /// merge [–].
     pub(crate) fn reach_of(&self, a: usize, b: usize) -> f64 {
         let vertices = |i: usize| match &self.solver {
             Solver::Prescribed(prescribed) => prescribed.extent(i),
             Solver::Coupled(coupled) => coupled.member(i).extent,
         };
         let sphere = |i: usize| self.scene.bodies[i].sphere_radius();
-        let touching = f64::max(sphere(a) + vertices(b), sphere(b) + vertices(a));
+        let acting = f64::max(sphere(a) + vertices(b), sphere(b) + vertices(a));
+        let touching = acting.max(vertices(a) + vertices(b));
         let radii = self.scene.bodies[a].radius + self.scene.bodies[b].radius;
         (touching / radii).max(self.scene.law(a, b).thresholds.merge_at)
     }
@@ -406,7 +407,8 @@ impl World {
         }
     }
 
-    /// What acts on body `index` in the current state, except its own oscillators.
+    /// What acts on body `index` in the current state, except its own oscillators; with free bodies, also without gravity,
+    /// planes, reactions and the forces of a program.
     ///
     /// # Panics
     /// There is no such body.

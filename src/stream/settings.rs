@@ -199,7 +199,10 @@ impl Around {
         // an example in the words of this simulation
         let example = format!("`{} a~b 2`", kinds.first().unwrap_or(&"event"));
         let (mut around, mut is_numbered) = (Around { number: 1, ..Around::default() }, false);
-        for word in text.split([' ', ':']).filter(|word| !word.is_empty()) {
+        let full = schema.events.iter().map(|event| event.name).filter(|name| name.contains(' '));
+        let full = full.into_iter().find(|name| text.starts_with(name)).unwrap_or_default();
+        around.kind = (!full.is_empty()).then(|| full.to_owned());
+        for word in text[full.len()..].split([' ', ':']).filter(|word| !word.is_empty()) {
             if kinds.contains(&word) {
                 around.kind = Some(word.to_owned());
             } else if let Ok(number @ 1..) = word.parse() {
@@ -423,8 +426,8 @@ fn fnv(text: &str) -> u64 {
         .fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3))
 }
 
-/// The name of a scene as a file name: any character but letters, digits, `-`, `_` and inner `.` becomes `_`. It is
-/// truncated to 100 bytes, well below the limit of file systems.
+/// The name of a scene as a file name: replaces every character but letters, digits, `-`, `_` and `.` with `_`, removes
+/// leading `.` and `-`, and truncates it to 100 bytes, well below the limit of file systems.
 pub fn file_stem(name: &str) -> String {
     let plain = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '_' };
     let mut bytes = 0;

@@ -36,7 +36,7 @@ impl Classes {
         Classes { names: Mutex::default(), are_known: false }
     }
 
-    /// As above, at the start.
+    /// New classes of the same kind, without the outcomes found so far.
     pub fn afresh(&self) -> Classes {
         if self.are_known { Classes::of_scenes() } else { Classes::open() }
     }

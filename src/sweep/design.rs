@@ -221,6 +221,9 @@ impl Design {
             if rest < size {
                 break;
             }
+            if !self.axes.iter().any(Axis::is_range) {
+                return None;
+            }
             (rest, level) = (rest - size, level + 1);
         }
         let mut index = vec![0; self.axes.len()];

@@ -280,7 +280,7 @@ impl Sweep {
     }
 
     /// The experiment at a point, if this is not a sweep of a scene.
-    pub(super) fn own(&self, point: &[Setting]) -> Option<Result<Arc<dyn Experiment>, InvalidVariation>> {
+    pub fn own(&self, point: &[Setting]) -> Option<Result<Arc<dyn Experiment>, InvalidVariation>> {
         let experiment = self.experiment.as_ref()?;
         let mut variation = Variation::default();
         for (key, setting) in self.settings(point) {

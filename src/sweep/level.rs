@@ -191,6 +191,9 @@ pub fn given(store: &Store, sweep: &Sweep, level: u32) -> Result<BTreeMap<u64, G
 pub fn plan(store: &Store, sweep: &Sweep, known: &mut Known<'_>, level: u32) -> Result<Plan, LevelError> {
     let mut plan = Plan::First(known.design().count().unwrap_or(0));
     for before in 0..level {
+        if plan.is_empty() {
+            break;
+        }
         let results = given(store, sweep, before)?;
         let missing = (0..plan.len()).filter(|&index| !results.contains_key(&plan.row(index))).count() as u64;
         if missing > 0 {

@@ -25,7 +25,7 @@ const MAX_POINTS: u64 = 1200;
 /// Maximum number of maps drawn.
 pub const MOST_SLICES: usize = 64;
 /// Maximum number of runs shown as points.
-const MAX_DOTS: usize = 20_000;
+pub const MAX_DOTS: usize = 20_000;
 
 /// Colour of unknown points.
 pub const UNKNOWN: [u8; 3] = [255, 255, 255];
@@ -69,6 +69,18 @@ pub struct Slice {
     pub dots: Vec<Dot>,
     /// Places of the thresholds that were bisected, as fractions of the axes.
     pub thresholds: Vec<[f64; 2]>,
+}
+
+impl Slice {
+    /// Whether there is a run or a region of this class.
+    pub fn shows(&self, class: u8) -> bool {
+        self.classes.contains(&class) || self.dots.iter().any(|dot| dot.class == class)
+    }
+
+    /// Whether it may have more runs than points.
+    pub fn is_cut(&self) -> bool {
+        self.dots.len() == MAX_DOTS
+    }
 }
 
 /// A run on a map.

@@ -6,7 +6,7 @@ use super::{
     Sweep,
     classes::{self, FAILED},
     design::Axis,
-    map::{Map, Slice, boundary, missable, regions, ticks, written},
+    map::{MAX_DOTS, Map, Slice, boundary, missable, regions, ticks, written},
     row::Cell,
     store::{Store, StoreError},
 };
@@ -25,7 +25,7 @@ use crate::{
         sinks::{Destinations, Saved, SinkError, Sinks},
     },
     svg,
-    text::{counted, short},
+    text::{counted, short, thousands},
 };
 
 /// Size of the map [px].
@@ -75,7 +75,7 @@ pub fn save(
     let mut chunks = Chunks::new(recording);
     chunks.log_static(RECORDING_INFO.path, &sdk::RecordingInfo::new().with_name(title));
     let outcomes: String = (0..=FAILED)
-        .filter(|class| map.slices.iter().any(|slice| slice.dots.iter().any(|dot| dot.class == *class)))
+        .filter(|class| map.slices.iter().any(|slice| slice.shows(*class)))
         .map(|class| {
             let about = map.classes.about(class);
             let about = if about.is_empty() { String::new() } else { format!(": {about}") };
@@ -98,9 +98,11 @@ pub fn save(
         false => "",
     };
     let recorded = if sweep.experiment.is_none() { format!(", and record it: `{open}`") } else { String::new() };
+    let is_cut = map.slices.iter().any(Slice::is_cut);
+    let cut = if is_cut { format!(" (the first {} of a map)", thousands(MAX_DOTS as u64)) } else { String::new() };
     let undecided = map.about_undecided().map_or(String::new(), |text| format!("{text}. "));
     let about = format!(
-        "**{title}**: {}; {}. Point at a run to see its row{recorded}\n\n{colored}{outcomes}\n{lines}{dots}{undecided}Note: \
+        "**{title}**: {}; {}. Point at a run{cut} to see its row{recorded}\n\n{colored}{outcomes}\n{lines}{dots}{undecided}Note: \
          {}.",
         counted(map.rows, "run"),
         axes.join(", "),

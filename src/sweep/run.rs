@@ -487,7 +487,7 @@ fn last_change(scene: &Scene) -> Option<f64> {
     }
     let paths: Option<Vec<&Path>> =
         scene.bodies.iter().map(|body| body.path().filter(|path| !matches!(path, Path::Sine { .. }))).collect();
-    let (paths, end) = (paths?, scene.duration);
+    let (paths, end) = (paths?, scene.steps() as f64 * scene.dt);
     let mut last = None;
     for b in 0..paths.len() {
         for a in 0..b {

@@ -153,9 +153,7 @@ fn legend(svg: &mut Svg, map: &Map, panels: &[Slice], [x, mut y]: [f64; 2]) -> f
         }
         y = explain(svg, [x, y + 236.0], &map.about_color) + 14.0;
     } else {
-        let is_shown = |class: &u8| {
-            panels.iter().any(|slice| slice.classes.contains(class) || slice.dots.iter().any(|dot| dot.class == *class))
-        };
+        let is_shown = |class: &u8| panels.iter().any(|slice| slice.shows(*class));
         for class in (0..=FAILED).filter(is_shown) {
             let paint = Paint::Both { fill: classes::color(class).0, stroke: GREY, width: 1.0 };
             svg.rectangle([x, y - 4.0], [20.0, 20.0], paint);

@@ -443,8 +443,12 @@ fn a_row_opens_as_a_recording_with_its_checksum() {
     assert!(output.contains("row 1: body.left.motion.free.velocity[0] = 1; merged"), "{output}");
     assert!(output.contains("the same as in the table"), "{output}");
     assert!(dir.file("out/row-1.rrd").exists());
-    let (status, output) = run(&dir, "s.toml --out out --open 2");
-    assert!(status == 2 && output.contains("has no row 2"), "{output}");
+    for row in [2, u64::MAX] {
+        let (status, output) = run(&dir, &format!("s.toml --out out --open {row}"));
+        assert!(status == 2 && output.contains(&format!("has no row {row}: it has 2 rows, the last is 1")), "{output}");
+    }
+    let (status, output) = run(&dir, "s.toml --out out --shard 0/1 --level 21");
+    assert!(status == 2 && output.contains("--level"), "{output}");
     let columns = of(&dir);
     let rows = rows(&dir.file("out"), &columns);
     let cell = |name: &str| rows[&1][columns.iter().position(|column| column.name == name).unwrap() - 1].clone();
@@ -555,6 +559,14 @@ fn a_sweep_warns_of_a_body_that_a_plane_moves() {
 #[test]
 fn a_sweep_replaces_no_file_of_the_user() {
     let dir = folder(OVER_OFFSETS);
+    // a recording of a scene that is called "map"
+    fs::create_dir(dir.file("own")).unwrap();
+    fs::write(dir.file("map.toml"), format!("name = 'map'\n{PASSING}")).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_meldscope"));
+    command.args(["run", "map.toml", "-q", "--thin", "--save", "own/map.rrd"]).current_dir(dir.path());
+    assert!(command.status().unwrap().success());
+    let (status, output) = run(&dir, "s.toml --out own");
+    assert!(status == 2 && output.contains("map.rrd") && output.contains("is not replaced"), "{output}");
     for name in ["map.svg", "map.rrd", "thresholds-1.parquet"] {
         let out = dir.file("out");
         fs::create_dir(&out).unwrap();
@@ -629,6 +641,40 @@ fn the_outcome_does_not_depend_on_where_a_path_turns_within_a_step() {
     for cells in rows(&dir.file("out"), &columns).values() {
         assert!(cells.iter().any(|cell| matches!(cell, Cell::Text(text) if text == "passed")), "{cells:?}");
     }
+}
+
+/// A scene ends with its last step, which may be later than its duration.
+#[test]
+fn a_change_in_the_last_step_counts_after_the_duration() {
+    let scene = "duration = 1.0\ndt = 0.4\n[influence]\nalpha = 0\nbeta = 0\n[[body]]\nname = 'a'\nradius = 1.0\n\
+                 motion = { fixed = [0, 0, 0] }\n[[body]]\nname = 'b'\nradius = 1.0\n\
+                 motion = { line = { from = [4.1, 0, 0], velocity = [-1.9, 0, 0] } }\n";
+    for until in ["certain", "end"] {
+        let dir = folder(&format!(
+            "scene = 'late.toml'\nuntil = '{until}'\n[[axis]]\nkey = 'body.a.mass'\nvalues = [1, 2]\n"
+        ));
+        fs::write(dir.file("late.toml"), scene).unwrap();
+        let output = succeeds(&dir, "s.toml --out out");
+        assert!(output.contains("outcomes: merged 2\n"), "{until}: {output}");
+    }
+}
+
+/// Between the integers of an axis, no run is valid.
+#[test]
+fn an_axis_of_integers_has_nothing_in_between() {
+    let dir = folder(
+        "scene = 'passing.toml'\n[[axis]]\nkey = 'body.b.shape.sphere.slices'\nfrom = 4\nto = 8\ncount = 3\n\
+         [[axis]]\nkey = 'influence.merge_at'\nfrom = 0.9\nto = 1.1\ncount = 3\n",
+    );
+    for option in ["--refine 2", "--bisect body.b.shape.sphere.slices"] {
+        let (status, output) = run(&dir, &format!("s.toml --out out {option}"));
+        let name = option.split(' ').next().unwrap();
+        let expected = format!("{name} needs values between those of the axis body.b.shape.sphere.slices, and ");
+        assert!(status == 2 && output.contains(&expected), "{output}");
+        assert!(!dir.file("out").exists());
+    }
+    succeeds(&dir, "s.toml --out out --refine 1");
+    succeeds(&dir, "s.toml --out out2 --bisect influence.merge_at");
 }
 
 /// What flies apart for ever until the last edit does not end before that, also if it is at the end of a step.

@@ -144,6 +144,30 @@ motion = { line = { from = [2.15, 0.3, 0.1], velocity = [-2, 0, 0] } }
     assert!(error <= allowed, "{error:e} of {allowed:e}");
 }
 
+/// A path turns one rounding after the end of a step: what is left of the interval is no time. The error was 8e-4, and the
+/// bodies took steps of fixed length.
+#[test]
+fn a_path_that_turns_at_the_end_of_a_step_needs_no_steps() {
+    let scene = |turn: f64| {
+        let text = format!(
+            "duration = 2.1\n[[body]]\nname = \"stamp\"\nradius = 1.0\n\
+             motion = {{ keyframes = [[0, 0, 0, 4], [1.78, 0, 0, 1.6], [{turn:?}, 0, 0, 4]] }}\n\
+             [[body]]\nname = \"ball\"\nradius = 1.0\nmotion = {{ free = {{ from = [0, 0, 0] }} }}\n"
+        );
+        Scene::parse(&text, "stamp.toml").expect("a valid scene")
+    };
+    let turn = 1.85;
+    assert!(111.0 * (1.0 / 60.0) < turn && turn - 111.0 * (1.0 / 60.0) < 1e-15);
+    let mut worlds = [turn, turn + 1e-9].map(|turn| World::new(scene(turn)).expect("enough memory"));
+    for _ in 0..worlds[0].scene().steps() {
+        for world in &mut worlds {
+            assert_eq!(world.step().fallback, None);
+        }
+    }
+    let [found, expected] = worlds.each_ref().map(|world| world.body(1).centre());
+    assert!(found.distance(expected) < 1e-6, "{found} {expected}");
+}
+
 /// Every body is reached by more than 64 spheres, whose rims are all located. Without this, the error was 7e-5.
 #[test]
 fn rims_of_many_spheres_are_located() {

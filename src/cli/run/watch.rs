@@ -40,19 +40,20 @@ pub fn watch(
             }
             console.notes(std::slice::from_ref(failure));
         }
-        while run.next.is_none() && !STOP.load(Ordering::Relaxed) {
-            std::thread::sleep(CHECK_INTERVAL);
-            console.notes(&run.sinks.notes());
-            run.next = changes.scene(arguments, console);
-        }
-        let Some(scene) = run.next.take() else { return Ok(run) };
-        match Subject::Scene(Box::new(scene)).experiment(Some(&STOP)).start() {
-            Ok(simulation) => {
-                console.say(&format!("{} has changed: restarting", arguments.scene));
-                run = simulate(simulation, run.sinks, arguments, Some(&mut changes), console)?;
+        let simulation = loop {
+            while run.next.is_none() && !STOP.load(Ordering::Relaxed) {
+                std::thread::sleep(CHECK_INTERVAL);
+                console.notes(&run.sinks.notes());
+                run.next = changes.scene(arguments, console);
             }
-            Err(error) => console.notes(&[format!("{error}; continuing with the previous scene")]),
-        }
+            let Some(scene) = run.next.take() else { return Ok(run) };
+            match Subject::Scene(Box::new(scene)).experiment(Some(&STOP)).start() {
+                Ok(simulation) => break simulation,
+                Err(error) => console.notes(&[format!("{error}; continuing with the previous scene")]),
+            }
+        };
+        console.say(&format!("{} has changed: restarting", arguments.scene));
+        run = simulate(simulation, run.sinks, arguments, Some(&mut changes), console)?;
     }
 }
 
@@ -169,7 +170,7 @@ impl Watched {
         Watched { text, missing: 0 }
     }
 
-    /// The scene in the file, if its text has changed. While the file is none that can be read, the reason, at every call.
+    /// Returns the scene if the text has changed. While the file is unreadable, returns the reason on every call.
     pub fn changed(&mut self, path: &Path) -> Option<Result<Scene, String>> {
         /// An editor may remove or truncate a file before writing it: for so many calls.
         const PATIENCE: u32 = 20;

@@ -148,7 +148,7 @@ impl Reader<'_> {
         let mirrored = transform.determinant() < 0.0;
         for corners in corners.chunks_exact(3) {
             if let Some(corner) = corners.iter().find(|&&corner| !(0.0..count).contains(&corner)) {
-                return Err(format!("a triangle has vertex {corner} (counted from 0) of {count}"));
+                return Err(format!("a triangle has vertex {corner} (counted from 0), and there are {count}"));
             }
             let [a, b, c] = [corners[0], corners[1], corners[2]].map(|corner| first + corner as u32);
             self.soup.polygon(&if mirrored { [a, c, b] } else { [a, b, c] })?;

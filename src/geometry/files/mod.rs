@@ -118,7 +118,7 @@ impl Soup {
     fn in_range(self) -> Result<Soup, String> {
         let count = self.positions.len();
         match self.triangles.iter().flatten().find(|&&corner| corner as usize >= count) {
-            Some(corner) => Err(format!("a triangle has vertex {corner} (counted from 0) of {count}")),
+            Some(corner) => Err(format!("a triangle has vertex {corner} (counted from 0), and there are {count}")),
             None => Ok(self),
         }
     }

@@ -18,7 +18,7 @@ use super::{
 use crate::{
     model::phase::Phase,
     sim::numerics::{
-        control::{GROWTH, MAX_ANGLE, MAX_GROWTH, ORDER, RESOLVED, SAFETY, STANDING},
+        control::{GROWTH, MAX_ANGLE, MAX_GROWTH, ORDER, RESOLVED, ROUNDING, SAFETY, STANDING},
         larger,
     },
 };
@@ -348,6 +348,11 @@ impl Island {
     ) -> Result<(), Failure> {
         let stop = self.enter(scratch, advance.end, paths, report)?;
         let left = stop - self.time;
+        // an instant at which something jumps and the end of a step are the same if only rounding is between them
+        if left < advance.shortest.max(ROUNDING * stop.abs()) {
+            self.time = stop;
+            return Ok(());
+        }
         let longest = advance.longest.min(self.longest_damped()).max(advance.shortest);
         let parts = (left / self.step_length.min(longest)).ceil().max(1.0);
         let mut next = if parts > 1.0 { self.time + left / parts } else { stop };

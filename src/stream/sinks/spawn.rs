@@ -48,6 +48,9 @@ pub(super) fn spawn(spawn: &Spawn, avoid: bool) -> Result<Spawned, SinkError> {
         return Ok(Spawned { address, notes: vec![note] });
     }
 
+    #[cfg(windows)]
+    const CREATE_NEW_PROCESS_GROUP: u32 = 0x200;
+
     let mut log = Log::create();
     let mut command = Command::new(&spawn.program);
     command
@@ -62,6 +65,8 @@ pub(super) fn spawn(spawn: &Spawn, avoid: bool) -> Result<Spawned, SinkError> {
     // a Ctrl-C that ends the run must not close the viewer's window
     #[cfg(unix)]
     std::os::unix::process::CommandExt::process_group(&mut command, 0);
+    #[cfg(windows)]
+    std::os::windows::process::CommandExt::creation_flags(&mut command, CREATE_NEW_PROCESS_GROUP);
     let mut child = command.spawn().map_err(|err| match err.kind() {
         io::ErrorKind::NotFound => spawn_error("it is not installed, or not on the PATH".to_owned(), install_help()),
         _ => spawn_error(err.to_string(), install_help()),
