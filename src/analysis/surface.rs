@@ -390,7 +390,7 @@ fn measures(
     hint: &mut Hint,
 ) -> Option<PairMeasures> {
     match union::measures_apart(a, b, budget, hint).ok()? {
-        Some(apart) => Some(in_radii(schema, pair, &apart, [a, b])),
+        Some(apart) => in_radii(schema, pair, &apart, [a, b]),
         None => {
             let bodies = [a.clone(), b.clone()];
             measures_of(schema, pair, &union::union(&bodies, budget).ok()?, [0, 1], budget, hint)
@@ -408,21 +408,27 @@ fn measures_of(
     hint: &mut Hint,
 ) -> Option<PairMeasures> {
     let measures = union::measures_of(united, of, budget, hint).ok()?;
-    Some(in_radii(schema, pair, &measures, of.map(|body| &united.bodies()[body])))
+    in_radii(schema, pair, &measures, of.map(|body| &united.bodies()[body]))
 }
 
-fn in_radii(schema: &Schema, pair: [usize; 2], measures: &union::PairMeasures, bodies: [&Body; 2]) -> PairMeasures {
+/// The measures in radii of the smaller body; `None` if one of them has no surface.
+fn in_radii(
+    schema: &Schema,
+    pair: [usize; 2],
+    measures: &union::PairMeasures,
+    bodies: [&Body; 2],
+) -> Option<PairMeasures> {
     let radius = pair.map(|body| schema.bodies[body].radius).into_iter().fold(f64::INFINITY, f64::min);
     let is_overlap = measures.overlap > 0.0; // skips the volumes, which are sums over all triangles
     let volume = if is_overlap { bodies.iter().map(|body| body.volume()).fold(f64::INFINITY, f64::min) } else { 0.0 };
-    PairMeasures {
+    measures.gap.is_finite().then(|| PairMeasures {
         gap: measures.gap / radius,
         overlap: measures.overlap / (radius * radius * radius),
         // more where folds enclose space twice
         share: if volume > 0.0 { f64::min(measures.overlap / volume, 1.0) } else { 0.0 },
         neck: measures.neck / radius,
         perimeter: measures.perimeter / radius,
-    }
+    })
 }
 
 impl Group {
@@ -512,7 +518,12 @@ impl Group {
 
 /// The groups of at least two bodies connected by pairs in a joined phase, in ascending order of their first body.
 fn groups(schema: &Schema, frame: &Frame) -> Vec<Vec<usize>> {
-    connected(frame, |pair| schema.phases[pair.phase].is_joined)
+    let mut groups = connected(frame, |pair| schema.phases[pair.phase].is_joined);
+    // a body that has been torn may have nothing left
+    let has_surface = |&body: &usize| !frame.bodies[body].mesh_of(&schema.bodies[body]).triangles().is_empty();
+    groups.iter_mut().for_each(|group| group.retain(has_surface));
+    groups.retain(|group| group.len() > 1);
+    groups
 }
 
 /// The groups of at least two bodies connected by selected pairs of a frame, in ascending order of their first body.

@@ -277,7 +277,11 @@ impl Touches {
             let (is_touching, touched) = match last {
                 Some(last) if last.what == Finding::Touch => (true, Some(last.time)),
                 Some(_) => (false, None),
-                None => (known.is_touching, known.touched),
+                // what joins by a rule of its own may be joined from the start, of which there is no event
+                None => {
+                    let is_joined = self.has_own && measures.is_some_and(|measures| measures.gap <= 0.0);
+                    (known.is_touching || is_joined, known.touched)
+                }
             };
             let what = Finding::Phase { name, is_touching, touched, measures };
             found.push(SurfaceEvent { what, time, step, a, b, q });

@@ -41,7 +41,7 @@ impl Worst {
                 continue;
             }
             vertices += 1;
-            if worst.is_none() || !(distance <= largest) {
+            if worst.is_none() || !f64::is_nan(largest) && !(distance <= largest) {
                 (worst, largest) = (Some((vertex, recorded, found)), distance);
             }
         }
@@ -57,7 +57,7 @@ impl Worst {
             (one, other) => return one.or(other),
         };
         let vertices = one.vertices + other.vertices;
-        let worse = if other.difference <= one.difference { one } else { other };
+        let worse = if one.difference.is_nan() || other.difference <= one.difference { one } else { other };
         Some(Worst { vertices, ..worse })
     }
 }

@@ -137,8 +137,8 @@ fn compare(scripts: &[Script], arguments: &Arguments) -> Result<(), Failure> {
         (Some(error), _) => Err(Failure::Input(error)),
         (None, 0) => Ok(()),
         (None, count) => Err(Failure::Run(format!(
-            "{count} of {} without an identical golden recording: {}",
-            counted(scripts.len() as u64, "scene"),
+            "{count} of {} scenes differ from their golden recordings, or have none: {}",
+            scripts.len(),
             failed.join(", ")
         ))),
     }
@@ -388,13 +388,15 @@ fn scripts(program: Program<'_>, paths: &[PathBuf]) -> Result<Vec<Script>, Failu
                 let says_so = || fs::read_to_string(&file).is_ok_and(|text| Scene::is_sweep(&text));
                 let is_sweep = || is_of_program && is_text() && says_so();
                 let is_golden = || Existing::at(&file).is_some_and(|there| there.kind == Some(Kind::Golden));
-                let is_script = |file: &Path| file.extension().is_some_and(|found| found == extension);
-                if file.is_dir() {
+                let is_script =
+                    |file: &Path| file.extension().is_some_and(|found| found == extension) && !is_of_check(file);
+                // results of a sweep have their sweep.toml
+                if file.is_dir() && !file.join("sweep.toml").exists() {
                     let mut inside = fs::read_dir(&file).into_iter().flatten().flatten();
                     if inside.any(|entry| is_script(&entry.path())) {
                         notes.push(format!("note: check does not look into {}: name it, too", file.display()));
                     }
-                } else if is_script(&file) && !is_of_check(&file) {
+                } else if is_script(&file) {
                     match is_sweep() {
                         true => notes.push(format!("note: {} is a sweep, which check does not run", file.display())),
                         false => found.push(file),

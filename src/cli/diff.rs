@@ -22,7 +22,7 @@ pub struct Arguments {
     /// Another recording of it, made with a different integrator, step size or version of the program.
     #[arg(value_name = "B.rrd")]
     second: PathBuf,
-    /// Record both side by side, with arrows between corresponding vertices and their distances.
+    /// Record the first, coloured by how much the second differs, with arrows to its vertices and plots of both.
     #[arg(long, value_name = "D.rrd")]
     save: Option<PathBuf>,
     /// Ignore differences up to this, in radii [default: the larger tolerance of the two scenes].

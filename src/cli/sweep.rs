@@ -25,7 +25,7 @@ use crate::{
         bisect::{self, Threshold},
         builtin,
         classes::FAILED,
-        design::{Design, MOST_LEVELS, Sampling},
+        design::{Axis, Design, MOST_LEVELS, Sampling},
         file::duration,
         level::{self, Ended, LevelError, Plan},
         map::{self, Map},
@@ -136,6 +136,9 @@ pub fn sweep(program: Program<'_>, arguments: Arguments) -> Result<(), Failure> 
             say(&format!("warning: {moved}")); // rows that place such a body differently may be the same run
         }
     }
+    if let Some(invalid) = &sweep.invalid {
+        say(&format!("warning: {invalid}; such runs fail"));
+    }
     let axis = arguments.bisect.as_ref().map(|name| axis_to_bisect(&sweep.design, name)).transpose()?;
     for (number, divided) in sweep.design.axes.iter().enumerate() {
         if divided.is_range() && arguments.refine > 0 {
@@ -225,10 +228,11 @@ fn axis_to_bisect(design: &Design, name: &str) -> Result<usize, Failure> {
     })
 }
 
-/// A fraction of a range at which no value of a grid is.
+/// A fraction of a range that lies on no grid.
 const ANYWHERE: f64 = 0.381_966_011_250_105;
 
-/// Checks that values of an axis between those of the grid are valid, by one of them.
+/// Checks that values of an axis between those of the grid are valid, by one of them, with the first or the last values
+/// of the other axes.
 fn may_take(
     sweep: &Sweep,
     template: Option<&Template<'_>>,
@@ -236,15 +240,18 @@ fn may_take(
     value: Setting,
     option: &str,
 ) -> Result<(), Failure> {
-    let design = &sweep.design;
-    let mut point: Vec<Setting> = design.axes.iter().map(|axis| axis.sample(0)).collect();
-    point[axis] = value;
-    let invalid = match template {
-        Some(template) => template.scene(sweep.settings(&point)).err().map(|error| error.message),
-        None => sweep.own(&point).and_then(Result::err).map(|invalid| invalid.text),
+    let axes = &sweep.design.axes;
+    let with_others = |is_last: bool| {
+        let end = |axis: &Axis| axis.sample(if is_last { axis.sample_count() - 1 } else { 0 });
+        let mut point: Vec<Setting> = axes.iter().map(end).collect();
+        point[axis] = value.clone();
+        match template {
+            Some(template) => template.scene(sweep.settings(&point)).err().map(|error| error.message),
+            None => sweep.own(&point).and_then(Result::err).map(|invalid| invalid.text),
+        }
     };
-    invalid.map_or(Ok(()), |invalid| {
-        let (key, value) = (&design.axes[axis].key, &point[axis]);
+    with_others(false).filter(|_| with_others(true).is_some()).map_or(Ok(()), |invalid| {
+        let key = &axes[axis].key;
         Err(Failure::Input(format!(
             "{option} needs values between those of the axis {key}, and {value} is invalid: {invalid}"
         )))
@@ -431,7 +438,7 @@ fn open(sweep: &Sweep, store: &Store, row: u64) -> Result<(), Failure> {
             known = Some(found);
         }
     })?;
-    let Some(((_, cells), point)) = known.zip(sweep.design.point(row)) else {
+    let Some(((_, cells), point)) = known.and_then(|known| Some((known, sweep.design.point(row)?))) else {
         let why = if count == 0 {
             "run the sweep first".to_owned()
         } else {

@@ -22,7 +22,7 @@ pub struct Mesh {
     facets: Option<Facets>,
 }
 
-/// Solid angle of a triangle seen from the origin [sr]; positive if it turns its back on it. Van Oosterom and Strackee:
+/// Solid angle of a triangle seen from the origin [sr]; positive if the origin is behind it. Van Oosterom and Strackee:
 /// *The Solid Angle of a Plane Triangle* (1983).
 pub fn solid_angle([a, b, c]: [DVec3; 3]) -> f64 {
     let (la, lb, lc) = (a.length(), b.length(), c.length());
@@ -182,7 +182,7 @@ fn doubled_area([a, b, c]: [DVec3; 3]) -> DVec3 {
     (b - a).cross(c - a)
 }
 
-/// The triangles whose vertices there are.
+/// The triangles whose vertices all exist.
 fn within(triangles: &[[u32; 3]], vertex_count: usize) -> impl Iterator<Item = &[u32; 3]> {
     triangles.iter().filter(move |corners| corners.iter().all(|&i| (i as usize) < vertex_count))
 }

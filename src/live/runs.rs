@@ -176,7 +176,8 @@ impl Runs {
             branches.retain(|branch| !branch.values.is_empty());
             // not of `bodies`: a run that is interrupted at its start has none
             let named = |name: &str| experiment.schema().bodies.iter().any(|body| body.name == name);
-            *poke = poke.take().filter(|poke| experiment.can_poke() && named(&poke.body));
+            let can_poke = experiment.can_poke() && experiment.schema().bodies.len() <= MAX_POKED;
+            *poke = poke.take().filter(|poke| can_poke && named(&poke.body));
             wanted.experiment = experiment;
             wanted.problem = None;
             self.feed.send("scene", scene);

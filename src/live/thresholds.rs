@@ -22,8 +22,8 @@ pub struct Mark {
 }
 
 /// Finds the values of a parameter, in its range, at which the outcome of a run changes: by bisection, wherever it
-/// differs between two of `SAMPLES` values. Those that [`MAX_RUNS`] leave unresolved are left out. Returns no marks for an unknown
-/// parameter, and `None` if `is_current` says that the result is no longer needed.
+/// differs between two of `SAMPLES` values. Leaves out what [`MAX_RUNS`] do not resolve. Returns no marks for an
+/// unknown parameter, and `None` if `is_current` says that the result is no longer needed.
 pub fn find(
     experiment: &dyn Experiment,
     variation: &Variation,

@@ -143,6 +143,13 @@ impl Mistakes {
         self.names("events", schema.events.iter().map(|event| event.name), false);
         ensure!(self, schema.scheduled.is_sorted_by(|one, other| one.time <= other.time) =>
             "schema.scheduled is not in order of time");
+        ensure!(self, schema.up.is_normalized() => "schema.up is {}, expected a vector of length 1", schema.up);
+        for (index, change) in schema.changes.iter().enumerate() {
+            ensure!(self, change.reaches.len() == bodies.len() =>
+                "schema.changes[{index}].reaches has {} values, expected {}", change.reaches.len(), bodies.len());
+            ensure!(self, change.planes.len() == schema.planes.len() =>
+                "schema.changes[{index}].planes has {} planes, expected {}", change.planes.len(), schema.planes.len());
+        }
         self.names("thresholds", schema.thresholds.iter().map(|threshold| threshold.name), true);
         self.names("scalars", schema.scalars.iter().map(|scalar| scalar.name), true);
         for (list, scalars) in [("body_scalars", &schema.body_scalars), ("pair_scalars", &schema.pair_scalars)] {

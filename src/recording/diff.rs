@@ -149,7 +149,7 @@ impl Difference {
             n => {
                 let [start, end] = self.common;
                 let events = counted(n as u64, "event");
-                format!(" from {start:.3} to {end:.3} s, which both runs have; {events} at other times not compared")
+                format!(" from {start:.3} to {end:.3} s, which both runs have; not compared: {events} at other times")
             }
         }
     }

@@ -126,4 +126,4 @@ pub use report::{
 };
 pub use terms::{Cause, Origin, Source, Surroundings, Weighted};
 pub(crate) use world::Part;
-pub use world::{Options, World, WorldSnapshot};
+pub use world::{Options, World};

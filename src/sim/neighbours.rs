@@ -334,8 +334,8 @@ impl<P: Listed> NearPairs<P> {
     }
 }
 
-/// Whether, within their fat bounds, one of two bodies can have vertices inside the other's sphere, or the two can touch or
-/// merge. (Stricter than overlap of the fat bounds: a sphere does not act on another sphere.)
+/// Whether, within their fat bounds, one of two bodies can have vertices inside the other's sphere, or the two can
+/// touch or merge. (Stricter than overlap of the fat bounds: a sphere does not act on another sphere.)
 fn are_near(scene: &Scene, grid: &Grid, [i, j]: [u32; 2], [a, b]: [FatBounds; 2]) -> bool {
     let [one, other] = [i, j].map(|body| &scene.bodies[body as usize]);
     let acting = f64::max(one.sphere_radius() + b.vertices, other.sphere_radius() + a.vertices);

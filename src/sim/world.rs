@@ -40,7 +40,7 @@ impl Default for Options {
     }
 }
 
-/// The bodies of a scene at an instant, advanced step by step.
+/// The bodies of a scene at an instant, advanced step by step. A clone continues to the same bits.
 #[derive(Clone)]
 pub struct World {
     pub(super) scene: Scene,
@@ -69,10 +69,6 @@ pub(crate) struct Part {
     /// The instant of the edit [s].
     pub end: f64,
 }
-
-/// The state of a world at an instant, see [`World::snapshot`].
-#[derive(Clone)]
-pub struct WorldSnapshot(Box<World>);
 
 impl World {
     /// The scene at t = 0: every displacement and velocity is zero.
@@ -314,16 +310,6 @@ impl World {
         self.index_of(handle).map(|index| self.body(index))
     }
 
-    /// The state at this instant, from which [`World::restore`] continues to the same bits.
-    pub fn snapshot(&self) -> WorldSnapshot {
-        WorldSnapshot(Box::new(self.clone()))
-    }
-
-    /// Returns to a state of this world, or takes that of another one.
-    pub fn restore(&mut self, snapshot: &WorldSnapshot) {
-        *self = (*snapshot.0).clone();
-    }
-
     /// Body `index`, in the order of the scene; panics if out of range.
     pub fn body(&self, index: usize) -> BodyView<'_> {
         let body = &self.scene.bodies[index];
@@ -349,8 +335,8 @@ impl World {
     }
 
     /// Pairs in which one body's influence sphere can reach the other's vertices at their current amplitude, that are
-    /// near enough to touch or merge, or that are not apart; in ascending order of their bodies. All other pairs are apart
-    /// and do not interact.
+    /// near enough to touch or merge, or that are not apart; in ascending order of their bodies. All other pairs are
+    /// apart and do not interact.
     pub fn pairs(&self) -> impl Iterator<Item = PairView> + '_ {
         self.near_pairs()
             .map(|(a, b, phase)| {
@@ -383,8 +369,8 @@ impl World {
         [apart.length() / radii, apart.normalize_or_zero().dot(velocity) / radii]
     }
 
-    /// The q up to which one of two bodies can have vertices inside the other's influence sphere, or the two can touch or
-    /// merge [–].
+    /// The q up to which one of two bodies can have vertices inside the other's influence sphere, or the two can touch
+    /// or merge [–].
     pub(crate) fn reach_of(&self, a: usize, b: usize) -> f64 {
         let vertices = |i: usize| match &self.solver {
             Solver::Prescribed(prescribed) => prescribed.extent(i),
@@ -407,8 +393,8 @@ impl World {
         }
     }
 
-    /// What acts on body `index` in the current state, except its own oscillators; with free bodies, also without gravity,
-    /// planes, reactions and the forces of a program.
+    /// What acts on body `index` in the current state, except its own oscillators; with free bodies, also without
+    /// gravity, planes, reactions and the forces of a program.
     ///
     /// # Panics
     /// There is no such body.

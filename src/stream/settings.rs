@@ -199,8 +199,10 @@ impl Around {
         // an example in the words of this simulation
         let example = format!("`{} a~b 2`", kinds.first().unwrap_or(&"event"));
         let (mut around, mut is_numbered) = (Around { number: 1, ..Around::default() }, false);
-        let full = schema.events.iter().map(|event| event.name).filter(|name| name.contains(' '));
-        let full = full.into_iter().find(|name| text.starts_with(name)).unwrap_or_default();
+        let is_named =
+            |name: &&str| text.strip_prefix(*name).is_some_and(|rest| rest.is_empty() || rest.starts_with([' ', ':']));
+        let names = schema.events.iter().map(|event| event.name).filter(|name| name.contains(' '));
+        let full = names.filter(is_named).max_by_key(|name| name.len()).unwrap_or_default();
         around.kind = (!full.is_empty()).then(|| full.to_owned());
         for word in text[full.len()..].split([' ', ':']).filter(|word| !word.is_empty()) {
             if kinds.contains(&word) {

@@ -237,6 +237,7 @@ impl Design {
     /// The values of a row's axes.
     pub fn point(&self, row: u64) -> Option<Vec<Setting>> {
         match self.sampling {
+            Sampling::Latin { count, .. } | Sampling::Sobol { count, .. } if row >= count => None,
             Sampling::Grid => {
                 let Place { level, index } = self.place(row)?;
                 Some(self.axes.iter().zip(&index).map(|(axis, &index)| axis.value(level, index)).collect())

@@ -242,6 +242,8 @@ pub struct Sweep {
     /// Columns and their limits: neighbours that differ by more, or of which only one has a value, are refined as if
     /// their outcomes differed.
     pub jumps: Vec<(String, f64)>,
+    /// Values of several axes that make the scene invalid only together, in words: such runs fail.
+    pub invalid: Option<String>,
 }
 
 impl Sweep {
@@ -432,7 +434,7 @@ fn parse(text: &str, file: &str, home: Home<'_>) -> Result<Sweep, SceneError> {
         }
     };
     let classes = if experiment.is_some() { Classes::open() } else { Classes::of_scenes() };
-    let sweep = Sweep {
+    let mut sweep = Sweep {
         classes,
         text: text.to_owned(),
         file: file.to_owned(),
@@ -446,8 +448,9 @@ fn parse(text: &str, file: &str, home: Home<'_>) -> Result<Sweep, SceneError> {
         until,
         color,
         jumps,
+        invalid: None,
     };
-    try_values(&sweep, &root, &axis_tables, &set_tables)?;
+    sweep.invalid = try_values(&sweep, &root, &axis_tables, &set_tables)?;
     Ok(sweep)
 }
 
@@ -551,8 +554,14 @@ fn read_jumps(value: Option<Value<'_>>, measures: Measures) -> Result<Vec<(Strin
 /// Why a run without steps is rejected.
 const NO_STEP: &str = "there would be no step: lower dt, or raise duration";
 
-/// Rejects values that make the scene invalid, and sweeps with too many runs, before anything runs.
-fn try_values(sweep: &Sweep, root: &Table<'_>, axes: &[Table<'_>], sets: &[Table<'_>]) -> Result<(), SceneError> {
+/// Rejects values that make the scene invalid, and sweeps with too many runs, before anything runs. Returns values that
+/// make it invalid only together, in words.
+fn try_values(
+    sweep: &Sweep,
+    root: &Table<'_>,
+    axes: &[Table<'_>],
+    sets: &[Table<'_>],
+) -> Result<Option<String>, SceneError> {
     let template = if sweep.experiment.is_none() { Some(sweep.template()?) } else { None };
     let design = &sweep.design;
     let keys: Vec<&KeyPath> =
@@ -612,34 +621,45 @@ fn try_values(sweep: &Sweep, root: &Table<'_>, axes: &[Table<'_>], sets: &[Table
         let key = &design.axes[index].key;
         table.error(at, format!("{key} = {value} makes the scene invalid: {}", in_words(error)))
     };
-    if check(sweep.set.len(), &first).is_err() {
+    let last: Vec<Setting> = design.axes.iter().map(|axis| axis.sample(axis.sample_count() - 1)).collect();
+    if check(sweep.set.len(), &first).is_err() && check(sweep.set.len(), &last).is_err() {
         // the first axis with whose first value the scene becomes invalid
         for (index, value) in first.iter().enumerate() {
             check(sweep.set.len(), &first[..=index]).map_err(|error| of_axis(index, value, &error))?;
         }
     }
+    let mut invalid = None;
+    let mut fails_together = |point: &[Setting], error: &SceneError| {
+        let values = design.axes.iter().zip(point).map(|(axis, value)| format!("{} = {value}", axis.key));
+        let values = crate::text::listed(&values.collect::<Vec<_>>());
+        invalid.get_or_insert_with(|| format!("{values} together make the scene invalid: {}", in_words(error)));
+    };
     for (index, axis) in design.axes.iter().enumerate() {
         let stride = axis.sample_count().div_ceil(MAX_VALIDATED).max(1);
         let all = (0..axis.sample_count()).step_by(stride as usize).chain([axis.sample_count() - 1]);
         for sample in all {
-            let mut point = first.clone();
-            point[index] = axis.sample(sample);
-            check(sweep.set.len(), &point).map_err(|error| of_axis(index, &point[index], &error))?;
+            let [with_first, with_last] = [&first, &last].map(|end| {
+                let mut point = end.clone();
+                point[index] = axis.sample(sample);
+                point
+            });
+            if let Err(error) = check(sweep.set.len(), &with_first) {
+                check(sweep.set.len(), &with_last).map_err(|_| of_axis(index, &with_first[index], &error))?;
+                fails_together(&with_first, &error);
+            }
         }
     }
-    for corner in 1..1u32 << design.axes.len() {
+    for corner in 0..1u32 << design.axes.len() {
         let ends = design.axes.iter().enumerate().map(|(index, axis)| {
             if corner >> index & 1 == 1 { axis.sample(axis.sample_count() - 1) } else { axis.sample(0) }
         });
         let point: Vec<Setting> = ends.collect();
         if let Err(error) = check(sweep.set.len(), &point) {
-            let values = design.axes.iter().zip(&point).map(|(axis, value)| format!("{} = {value}", axis.key));
-            let values = crate::text::listed(&values.collect::<Vec<_>>());
-            return Err(axes[0].error("key", format!("{values} together make the scene invalid: {}", in_words(&error))));
+            fails_together(&point, &error);
         }
     }
     match design.count() {
-        Some(count) if count <= MOST_ROWS => Ok(()),
+        Some(count) if count <= MOST_ROWS => Ok(invalid),
         count => {
             let product = || design.axes.iter().map(|axis| axis.sample_count() as f64).product::<f64>();
             let runs = count.map_or_else(|| format!("{:e}", product()), thousands);

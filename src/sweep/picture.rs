@@ -24,7 +24,7 @@ use crate::{
         settings::{application, file_stem},
         sinks::{Destinations, Saved, SinkError, Sinks},
     },
-    svg,
+    svg::{self, INK},
     text::{counted, short, thousands},
 };
 
@@ -94,7 +94,7 @@ pub fn save(
     };
     let lines = if map.is_grid { "Lines are midway between runs of different outcome. " } else { "" };
     let dots = match map.slices.iter().any(|slice| !slice.thresholds.is_empty()) {
-        true => "White points: where it changes, bisected to 1e-9. ",
+        true => "Black points: where it changes, bisected to 1e-9. ",
         false => "",
     };
     let recorded = if sweep.experiment.is_none() { format!(", and record it: `{open}`") } else { String::new() };
@@ -169,7 +169,7 @@ fn log_slice(chunks: &mut Chunks, map: &Map, slice: &Slice, at: &TimePoint) {
     chunks.row(&MAP.of(&["runs"]), at.clone(), &points);
     if !slice.thresholds.is_empty() {
         let thresholds = Points2D::new(slice.thresholds.iter().map(|&at| pixel(at)))
-            .with_colors([color([255; 3])])
+            .with_colors([color(INK)])
             .with_radii([Radius::new_ui_points(2.5)])
             .with_draw_order(30.0);
         chunks.row(&MAP.of(&["thresholds"]), at.clone(), &thresholds);

@@ -94,8 +94,8 @@ impl Outcome {
     /// What it says of a run, as a sentence.
     pub fn about(self) -> &'static str {
         match self {
-            Outcome::Apart => "No pair merged, and the bodies did not turn back.",
-            Outcome::Bounced => "No pair merged, and the bodies turned back.",
+            Outcome::Apart => "No pair merged, and no free body turned back.",
+            Outcome::Bounced => "No pair merged, and a free body turned back.",
             Outcome::Split => "Bodies merged, and split without passing through each other.",
             Outcome::Passed => {
                 "Bodies merged, passed through each other (their line of centres turned by more than 90°), and split."

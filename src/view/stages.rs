@@ -92,7 +92,7 @@ fn intervals(
             for (number, ends) in (1..).zip(breaks.windows(2)) {
                 let (from, to) = (ends[0], ends[1]);
                 if stages.len() >= max || recomputed.is_over() {
-                    last = format!("end; parts from {number} to {} are left out", breaks.len() - 1);
+                    last = format!("end; parts {number} to {} are omitted", breaks.len() - 1);
                     break;
                 }
                 for (index, (states, pushes)) in states.iter_mut().zip(&mut pushes).enumerate() {
@@ -314,11 +314,7 @@ mod tests {
         let stages = inside(&before, &world);
         let [.., without, last] = &stages[..] else { panic!("no stages") };
         assert_eq!(without.name, "end if no sphere acted");
-        assert!(
-            stages.len() as u64 <= MAX_VERTICES / 10 + 2 && last.name.starts_with("end; parts from "),
-            "{}",
-            last.name
-        );
+        assert!(stages.len() as u64 <= MAX_VERTICES / 10 + 2 && last.name.starts_with("end; parts "), "{}", last.name);
     }
 
     /// Fig. 3.4: the velocity after a step is that of the prediction, and T Δt (3.9).

@@ -441,7 +441,8 @@ fn unsupported_features_of_a_model_are_rejected_with_status_2() {
     assert_eq!(status, Some(0), "{error}");
 }
 
-/// The mass centre of a body's cells is that of its mesh, or the body drifts. What cannot be balanced is refused if it is free.
+/// The mass centre of a body's cells is that of its mesh, or the body drifts. What cannot be balanced is refused if it
+/// is free.
 #[test]
 fn free_bodies_with_cells_that_cannot_be_balanced_are_refused() {
     let dir = Dir::new();
@@ -464,6 +465,28 @@ fn free_bodies_with_cells_that_cannot_be_balanced_are_refused() {
         assert_eq!(scene(model, 6, "free").err(), None);
         assert_eq!(scene(model, 3, "fixed").err(), None);
     }
+}
+
+/// A body that loses all its cells while it is merged leaves the other alone, with its surface.
+#[test]
+fn what_is_left_of_a_group_has_its_surface() {
+    let text = "duration = 0.4\ndt = 0.01\nmodel = 'lattice'\n[lattice]\ncells = 4\ntear = 'cut'\nlimit = 0.3\n\
+                [influence]\nalpha = 0\nbeta = 0\n[[body]]\nname = 'a'\nradius = 1.0\nmotion = { fixed = [0, 0, 0] }\n\
+                [[body]]\nname = 'b'\nradius = 1.0\nmotion = { free = { from = [1.5, 0, 0], spin = [0, 0, 12] } }\n";
+    let scene = Scene::parse(text, "torn.toml").expect("a valid scene");
+    let mut simulation = SceneRun { scene, options: Options::default() }.start().expect("it starts");
+    let mut frame = Frame::default();
+    for _ in 0..40 {
+        simulation.step(&mut StepSummary::default());
+    }
+    simulation.observe(Want::default(), &mut frame);
+    let schema = simulation.schema();
+    let mut merger = Merger::new(&schema, None);
+    assert!(frame.bodies[1].mesh_of(&schema.bodies[1]).triangles().is_empty(), "b has nothing left");
+    assert!(frame.pairs.iter().any(|pair| schema.phases[pair.phase].is_joined), "they are still merged");
+    let merged = merger.merge(&schema, &frame, &[[0, 1]]);
+    assert!(merged.groups.is_empty() && merged.overlapping == 0 && merged.is_merged == [false, false]);
+    assert_eq!(merged.pairs, [None]);
 }
 
 fn two() -> String {

@@ -553,6 +553,14 @@ impl Run {
         assert!(about.contains(&self.scene.name) && about.contains("the graduation thesis"), "{about}");
     }
 
+    /// q with three digits, or six where these are those of a threshold.
+    fn told_q(&self, q: f64) -> String {
+        let thresholds = &self.scene.thresholds;
+        let is_same = |level: &f64| *level > 0.0 && *level != q && format!("{level:.3}") == format!("{q:.3}");
+        let is_same = [thresholds.merge_at, thresholds.split_at, thresholds.core_at].iter().any(is_same);
+        if is_same { format!("{q:.6}") } else { format!("{q:.3}") }
+    }
+
     /// Verifies that the text beside forces says how strong a force is whose arrow is as long as the largest radius.
     fn verify_arrows(&self) {
         let text = self.recording.fixed("/about/arrows").text("TextDocument:text").to_owned();
@@ -1439,13 +1447,13 @@ impl Run {
             let is_highlighted = |pair: &PairView| {
                 let [a, b] = [pair.a, pair.b].map(|body| &self.scene.bodies[body].name);
                 let is_of = |label: &String| {
-                    names(label, &format!("{a}~{b}")) && label.ends_with(&format!("; now q = {:.3}", pair.q))
+                    names(label, &format!("{a}~{b}")) && label.ends_with(&format!("; now q = {}", self.told_q(pair.q)))
                 };
                 highlighted.iter().any(is_of)
             };
             // labels that would cover each other are left out; those of events stand above
             let between = |a: usize, b: usize| 0.5 * (world.body(a).centre() + world.body(b).centre());
-            let label = |pair: &PairView| format!("{} q = {:.3}", self.pair_name((pair.a, pair.b)), pair.q);
+            let label = |pair: &PairView| format!("{} q = {}", self.pair_name((pair.a, pair.b)), self.told_q(pair.q));
             let place = |pair: &PairView| (between(pair.a, pair.b), label(pair).len());
             let (mut first, mut rest): (Vec<PairView>, Vec<PairView>) = (vec![], vec![]);
             for pair in pairs {
@@ -1506,7 +1514,7 @@ impl Run {
                     let [one, other] = [a, b].map(|&body| world.body(body));
                     let sum = one.scene().radius + other.scene().radius;
                     let q = one.centre().distance(other.centre()) / sum;
-                    format!("{name}{colon} {}; now q = {q:.3}", self.pair_name((*a, *b)))
+                    format!("{name}{colon} {}; now q = {}", self.pair_name((*a, *b)), self.told_q(q))
                 };
                 let mut expected: Vec<String> = last.iter().filter(|_| age <= 24).map(named).collect();
                 labels.sort();
@@ -1897,7 +1905,7 @@ impl Look<'_> {
         let spheres: Vec<_> = bodies.iter().chain(framed.iter().filter(|_| !is_wide)).copied().collect();
         let [lowest, highest] = bounds(&spheres);
         let extent = highest - lowest;
-        let is_flat = extent.z < 0.2 * extent.x.min(extent.y);
+        let is_flat = extent.z < 0.35 * extent.x.min(extent.y);
         let back = DVec3::new(-0.2, -1.0, if is_flat { 1.0 } else { 0.4 }).normalize();
         let right = DVec3::new(1.0, -0.2, 0.0).normalize();
         let up = back.cross(right);

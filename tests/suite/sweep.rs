@@ -176,7 +176,7 @@ fn a_boundary_in_closed_form_is_found_to_1e_9() {
     let svg = fs::read_to_string(dir.file("out/map.svg")).unwrap();
     assert!(svg.contains("a region smaller than a cell of the first grid may be missing"), "{svg}");
     assert!(svg.contains("influence.merge_at") && svg.contains(">split<") && svg.contains(">apart<"), "{svg}");
-    assert!(svg.contains("bisected to") && svg.contains("turn back."), "{svg}");
+    assert!(svg.contains("bisected to") && svg.contains("turned back."), "{svg}");
     let column = |name, kind| Column::required(name, kind, "");
     let columns = [
         column("row", Kind::Count),
@@ -659,7 +659,33 @@ fn a_change_in_the_last_step_counts_after_the_duration() {
     }
 }
 
-/// Between the integers of an axis, no run is valid.
+/// The two thresholds exclude each other in a corner of their map, which is no reason to refuse it.
+#[test]
+fn a_corner_that_is_invalid_fails_alone() {
+    let dir = folder(
+        "scene = 'passing.toml'\n[[axis]]\nkey = 'influence.merge_at'\nfrom = 1.0\nto = 1.3\ncount = 4\n\
+         [[axis]]\nkey = 'influence.split_at'\nfrom = 1.1\nto = 1.4\ncount = 4\n",
+    );
+    let output = succeeds(&dir, "s.toml --out out");
+    assert!(
+        output
+            .contains("warning: influence.merge_at = 1.2 and influence.split_at = 1.1 together make the scene invalid"),
+        "{output}"
+    );
+    assert!(output.contains("failed 3"), "{output}");
+    succeeds(&dir, "s.toml --out out --bisect influence.merge_at");
+    succeeds(&dir, "s.toml --out out3 --refine 1 --bisect influence.split_at");
+    // in any order
+    let text = fs::read_to_string(dir.file("s.toml")).unwrap().replace("from = 1.0\nto = 1.3", "from = 1.3\nto = 1.0");
+    fs::write(dir.file("s.toml"), text).unwrap();
+    assert!(succeeds(&dir, "s.toml --out out4").contains("failed 3"));
+    // a value that is invalid with all others is an error
+    fs::write(dir.file("s.toml"), OVER_OFFSETS.replace("from = 0.9", "from = -0.9")).unwrap();
+    let (status, output) = run(&dir, "s.toml --out out2");
+    assert!(status == 2 && output.contains("influence.merge_at = -0.9 makes the scene invalid"), "{output}");
+}
+
+/// At values between integers, no run is valid.
 #[test]
 fn an_axis_of_integers_has_nothing_in_between() {
     let dir = folder(

@@ -144,8 +144,8 @@ motion = { line = { from = [2.15, 0.3, 0.1], velocity = [-2, 0, 0] } }
     assert!(error <= allowed, "{error:e} of {allowed:e}");
 }
 
-/// A path turns one rounding after the end of a step: what is left of the interval is no time. The error was 8e-4, and the
-/// bodies took steps of fixed length.
+/// A path turns one rounding after the end of a step: what is left of the interval is no time. The error was 8e-4, and
+/// the bodies took steps of fixed length.
 #[test]
 fn a_path_that_turns_at_the_end_of_a_step_needs_no_steps() {
     let scene = |turn: f64| {

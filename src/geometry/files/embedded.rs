@@ -45,7 +45,7 @@ pub fn encode(soup: &Soup) -> String {
 /// The text is not an encoded mesh.
 pub fn decode(text: &str) -> Result<Soup, String> {
     let bytes = STANDARD_NO_PAD.decode(text).map_err(|error| error.to_string())?;
-    let [VERSION, size @ (4 | 8), rest @ ..] = &bytes[..] else { return Err("it is of no known version".to_owned()) };
+    let [VERSION, size @ (4 | 8), rest @ ..] = &bytes[..] else { return Err("its version is unknown".to_owned()) };
     let ends = || "it ends too early, or too late".to_owned();
     let (counts, rest) = rest.split_at_checked(8).ok_or_else(ends)?;
     let count = |i: usize| u32::from_le_bytes([counts[i], counts[i + 1], counts[i + 2], counts[i + 3]]) as usize;

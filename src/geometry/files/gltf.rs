@@ -148,7 +148,7 @@ impl Reader<'_> {
         let mirrored = transform.determinant() < 0.0;
         for corners in corners.chunks_exact(3) {
             if let Some(corner) = corners.iter().find(|&&corner| !(0.0..count).contains(&corner)) {
-                return Err(format!("a triangle has vertex {corner} (counted from 0), and there are {count}"));
+                return Err(format!("a triangle refers to vertex {corner} (counted from 0) of only {count}"));
             }
             let [a, b, c] = [corners[0], corners[1], corners[2]].map(|corner| first + corner as u32);
             self.soup.polygon(&if mirrored { [a, c, b] } else { [a, b, c] })?;
@@ -162,7 +162,7 @@ impl Reader<'_> {
         let accessor = &self.document["accessors"][index];
         let rejected = |what: &str| format!("accessor {index}: {what}");
         if accessor["type"].as_str() != Some(kind) || accessor.get("sparse").is_some() {
-            return Err(rejected("expected one that is not sparse, of the usual type"));
+            return Err(rejected("expected one of the usual type, not sparse"));
         }
         let size = match (accessor["componentType"].as_u64(), width) {
             (Some(5126), 3) | (Some(5125), 1) => 4,

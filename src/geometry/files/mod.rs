@@ -118,7 +118,7 @@ impl Soup {
     fn in_range(self) -> Result<Soup, String> {
         let count = self.positions.len();
         match self.triangles.iter().flatten().find(|&&corner| corner as usize >= count) {
-            Some(corner) => Err(format!("a triangle has vertex {corner} (counted from 0), and there are {count}")),
+            Some(corner) => Err(format!("a triangle refers to vertex {corner} (counted from 0) of only {count}")),
             None => Ok(self),
         }
     }

@@ -88,7 +88,8 @@ fn header(bytes: &[u8]) -> Result<(Form, Vec<Element>, &[u8]), String> {
         let end = rest.iter().take(4096).position(|&byte| byte == b'\n').ok_or("its header has no end")?;
         let (line, after) = rest.split_at(end);
         rest = &after[1..];
-        let line = super::text(line)?.trim();
+        let line = String::from_utf8_lossy(line); // comments may be in any encoding
+        let line = line.trim();
         let words: Vec<&str> = line.split_ascii_whitespace().collect();
         let unknown = || format!("line {number}: \"{}\" is not known", line.chars().take(64).collect::<String>());
         match words[..] {

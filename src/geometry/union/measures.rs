@@ -55,8 +55,9 @@ pub struct PairMeasures {
 ///
 /// The depth is the greatest distance of a sample point on either surface, inside the other body, to that body's
 /// surface. Sample points are the vertices, the midpoints of edges and of the parts of cut edges, and the centres of
-/// triangles; of triangles that are large compared with a body, or beside the deepest of these, also the centres of parts,
-/// unless the other body may intersect itself. For bodies that intersect themselves, the distance is to the nearest sheet.
+/// triangles; of triangles that are large compared with a body, or beside the deepest of these, also the centres of
+/// parts, unless the other body may intersect itself. For bodies that intersect themselves, the distance is to the
+/// nearest sheet.
 ///
 /// # Errors
 ///
@@ -165,9 +166,9 @@ fn deepen(united: &Union, body: usize, other: &Tree, deepest: &mut f64, meter: &
     deepen_in_coarse(united, body, (other, place), deepest, meter)
 }
 
-/// Raises `deepest` to the greatest depth in triangles that are large compared with one of the bodies, or beside the `place` of
-/// the deepest sample, if this body has it. The depth grows by no more than the way, so that parts that cannot exceed `deepest`
-/// are left out; those that may be deepest come first.
+/// Raises `deepest` to the greatest depth in triangles that are large compared with one of the bodies, or beside the
+/// `place` of the deepest sample, if this body has it. The depth grows by no more than the way, so that parts that
+/// cannot exceed `deepest` are left out; those that may be deepest come first.
 fn deepen_in_coarse(
     united: &Union,
     body: usize,

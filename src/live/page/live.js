@@ -78,11 +78,21 @@ function listen() {
     const message = JSON.parse(data);
     handlers[message.kind]?.(message);
   };
-  feed.onerror = () => say("the program has ended, or does not answer");
+  feed.onerror = () => {
+    document.body.classList.add("ended");
+    say("the program has ended, or does not answer");
+  };
+  feed.onopen = () => document.body.classList.remove("ended");
 }
 
 const handlers = {
   scene(message) {
+    // curves of runs with other steps would be at other times
+    if (scene && (scene.dt !== message.dt || scene.steps !== message.steps)) {
+      if (pinned) $("pin").click();
+      before = base = run = null;
+      for (const old of ["events", "plot"]) $(old).replaceChildren();
+    }
     scene = message;
     cursor = Math.min(cursor, message.steps);
     poke = message.bodies.some(({ name }) => name === poke?.body) ? poke : null;
@@ -125,7 +135,7 @@ const handlers = {
   },
   frames(message) {
     if (run?.number !== message.number) return;
-    const which = message.every > 1 ? `, of late every ${message.every} steps` : "";
+    const which = message.every > 1 ? `, lately every ${message.every} steps` : "";
     say(`run ${message.number}: ${run.outcome}; simulated in ${run.simulated_ms.toFixed(1)} ms, ${message.frames} frames in ${message.ms.toFixed(0)} ms${which}${warned()}`);
   },
   marks: ({ number, key, marks }) => number >= asked && !isSending && !branch && showMarks(key, marks),
@@ -188,20 +198,23 @@ function showSliders() {
   }
   const open = new Set([...document.querySelectorAll("#sliders details[open]")].map((details) => details.dataset.group));
   rows.clear();
+  const listed = [...groups.keys()].filter((group) => group.startsWith("body ")).length;
+  const count = scene.bodies.length;
   $("sliders").replaceChildren(
     ...[...groups].map(([group, parameters], index) => {
       const details = element("details", { open: open.has(group) || (open.size === 0 && index < 1) }, element("summary", {}, group), ...parameters.map(slider));
       details.dataset.group = group;
       return details;
     }),
-    ...(scene.bodies.length > 0 ? [pokeSection(open)] : []),
+    ...(0 < listed && listed < count ? [element("p", { className: "unit" }, `sliders for ${listed} of ${count} bodies`)] : []),
+    ...(count > 0 ? [pokeSection(open)] : []),
   );
 }
 
 // A force point beside a body, and the sliders that move it.
 function pokeSection(open) {
   const bodies = element("select", { ariaLabel: "body to poke" }, ...scene.bodies.map(({ name }) => element("option", {}, name)));
-  const button = element("button", { id: "poke" }, poke ? "Take away" : "Poke");
+  const button = element("button", { id: "poke" }, poke ? "Remove" : "Poke");
   const fields = element("div", {});
   const number = (label, unit, [min, max], value, set) => {
     const track = element("input", { type: "range", min, max, step: "any", value, ariaLabel: label });
@@ -302,7 +315,9 @@ function showMarks(key, marks) {
   const known = parameterOf(key);
   known?.marks.replaceChildren(
     ...marks.map(({ value, below, above }) => {
-      const mark = element("i", { title: `at ${shown(value)} the outcome changes: ${below} | ${above}` });
+      // found to 1e-4 of the range
+      const digits = Math.ceil(-Math.log10(1e-4 * (known.parameter.max - known.parameter.min)));
+      const mark = element("i", { title: `at ${value.toFixed(Math.min(Math.max(digits, 0), 20))} the outcome changes: ${below} | ${above}` });
       mark.style.left = `${(100 * (value - known.parameter.min)) / (known.parameter.max - known.parameter.min)}%`;
       return mark;
     }),
@@ -359,7 +374,7 @@ function showChanges() {
   $("reset").disabled = values.size === 0 && branches.length === 0 && poke === null;
   $("branches").replaceChildren(
     ...branches.map((one) => {
-      const remove = element("button", { title: "take this branch away", ariaLabel: "take this branch away" }, "✕");
+      const remove = element("button", { title: "remove this branch", ariaLabel: "remove this branch" }, "✕");
       remove.addEventListener("click", () => {
         branches = branches.filter((other) => other !== one);
         if (branch === one) branch = null;
@@ -404,6 +419,9 @@ $("reset").addEventListener("click", () => {
 // The server saves the change that it knows: the last one may still be on its way.
 async function save(what) {
   while (isSending) await new Promise((resolve) => setTimeout(resolve, 10));
+  const isInvalid = document.querySelector(".parameter.wrong");
+  $("saved").textContent = isInvalid ? "not saved: the marked value is invalid" : "";
+  if (isInvalid) return;
   await post("save", { what });
 }
 for (const what of ["scene", "recording"]) $(`save-${what}`).addEventListener("click", () => save(what));
@@ -648,6 +666,9 @@ const viewer = {
     });
     setInterval(() => handle.has_panicked() && ($("loading").textContent = `The viewer has crashed.\n${handle.panic_message()}`), 1000);
     await handle.start($("viewer"));
+    // the viewer would keep the focus: Tab passes it by, and leaves it
+    for (const trap of document.querySelectorAll("#view canvas, #view input")) trap.tabIndex = -1;
+    window.addEventListener("keydown", (event) => event.key === "Tab" && event.stopImmediatePropagation(), true);
     $("loading").textContent = "";
     this.handle = handle;
     if (this.wanted !== null) this.open(this.wanted);
@@ -666,7 +687,7 @@ const viewer = {
   },
 
   // Waits until the viewer shows the run that is being opened.
-  wait(since) {
+  wait(since, woken = since) {
     const recording = this.handle.get_active_recording_id();
     if (recording?.startsWith(`${this.opening.number}-`)) return this.opened(recording);
     // a run that was replaced before it was read is never shown
@@ -676,7 +697,12 @@ const viewer = {
       this.opening = null;
       return this.open(this.wanted);
     }
-    setTimeout(() => this.wait(since), 15);
+    // it may sleep, and sees a new run only when it wakes
+    if (performance.now() - woken > 200) {
+      window.dispatchEvent(new Event("pageshow"));
+      woken = performance.now();
+    }
+    setTimeout(() => this.wait(since, woken), 15);
   },
 
   opened(recording) {

@@ -22,7 +22,7 @@ use crate::{
         lattice::{self, Constants, Lattice},
     },
     observe::{SpringFrame, StepFailure},
-    scene::{Model, Motion, Plane, Push, Scene, TearMode},
+    scene::{Integrator, Model, Motion, Plane, Push, Scene, TearMode},
     sim::reach::Ball,
     text::{bytes, short},
 };
@@ -521,16 +521,21 @@ impl Body {
         }
         if self.failure.is_none() && (!is_finite || self.extent > DIVERGED * self.radius) {
             let scene = around.scene;
+            let remedy = match scene.integrator {
+                Integrator::Exponential => "use weaker pushes and forces, or a smaller dt".to_owned(),
+                _ => format!(
+                    "stable below {:.1e} s: use a smaller dt, or `exponential`, which divides it",
+                    self.statistics.step_limit
+                ),
+            };
             self.failure = Some(StepFailure::Diverged(format!(
-                "diverged at step {} (t = {:.6} s): body \"{}\", its nodes are {} scene units away; {} with dt = {} s, stable below {:.1e} s: use a \
-                smaller dt, or `exponential`, with which the model divides it",
+                "diverged at step {} (t = {:.6} s): body \"{}\", its nodes are {} scene units away; {} with dt = {} s; {remedy}",
                 around.step,
                 around.end,
                 scene.bodies[self.index].name,
                 short(self.extent),
                 scene.integrator,
                 short(scene.dt),
-                self.statistics.step_limit
             )));
         }
     }

@@ -110,7 +110,7 @@ const SPRINGS: &[Scalar] = &[
         "step_limit",
         "longest stable step [s]",
         "Step limit",
-        ScalarValue::MaxOfSteps(|simulation| {
+        ScalarValue::State(|simulation, _| {
             let limits = simulation.bodies.iter().map(|body| body.statistics.step_limit);
             let limit = limits.fold(f64::INFINITY, f64::min);
             if limit.is_finite() { limit } else { 0.0 }

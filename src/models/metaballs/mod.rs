@@ -59,6 +59,10 @@ use surface::LevelSet;
 const MAX_BODIES: usize = 2000;
 /// Upper limit on the bisections of a step in which a pair joins or separates.
 const MAX_HALVINGS: u32 = 200;
+/// Within a step, a pair is sampled once per this much relative motion [smaller radius], evenly in time, …
+const FAR: f64 = 0.1;
+/// … at most so often.
+const MAX_SAMPLES: f64 = 256.0;
 /// Number of samples on the ray of a vertex, within the support of its body.
 const SAMPLES: u32 = 24;
 /// Metaballs on their paths.
@@ -120,6 +124,18 @@ impl Metaballs {
         are_one(&self.around(&pair, centres))
     }
 
+    /// Like [`Metaballs::are_one`] at a time; where the distance of the two tells, the others are not looked at.
+    fn are_one_at(&self, pair: [usize; 2], time: f64) -> bool {
+        let [one, other] = pair.map(|body| path(&self.scene.bodies[body]).position(time));
+        let [one_ball, other_ball] = pair.map(|body| self.ball(body, &self.centres));
+        let distance = one.distance(other);
+        if distance <= one_ball.radius + other_ball.radius || distance >= one_ball.support() + other_ball.support() {
+            return distance <= one_ball.radius + other_ball.radius;
+        }
+        let is_now = time == self.world.time();
+        self.are_one(pair, &if is_now { self.centres.clone() } else { self.centres_at(time) })
+    }
+
     /// Finds the pairs that joined or separated in the step that began at `start`.
     fn find_contacts(&mut self, start: f64) {
         self.contacts.clear();
@@ -138,21 +154,29 @@ impl Metaballs {
                 continue;
             }
             let was = self.ones.get(&pair).copied().unwrap_or(false);
-            let is_one = self.are_one(pair, &self.centres);
-            ones.insert(pair, is_one);
-            if was != is_one {
-                self.find_contact(pair, was, [start, end], step);
-                continue;
-            }
-            // a visit that is shorter than the step is found where the centres are nearest or farthest
+            // visits that are shorter than the step are found where the centres are nearest or farthest, and on long
+            // ways
             let [a, b] = pair;
             let near =
                 |centres: &[DVec3]| NearPair { a, b, phase: 0, apart: centres[b] - centres[a], rate: DVec3::ZERO };
-            let [turn, _] = near(&before).extremum(&near(&self.centres), &self.world, [start, end], was);
-            if start < turn && turn < end && self.are_one(pair, &self.centres_at(turn)) != was {
-                self.find_contact(pair, was, [start, turn], step);
-                self.find_contact(pair, !was, [turn, end], step);
+            let (from, to, ends) = (near(&before), near(&self.centres), [start, end]);
+            let [turn, _] = from.extremum(&to, &self.world, ends, was);
+            let smaller = f64::min(self.scene.bodies[a].radius, self.scene.bodies[b].radius);
+            let count = (from.path_length(&to, &self.world, ends) / (FAR * smaller)).min(MAX_SAMPLES) as u32;
+            let mut times: Vec<f64> =
+                (1..=count).map(|k| start + f64::from(k) / f64::from(count + 1) * (end - start)).collect();
+            times.extend([turn, end]);
+            times.retain(|time| start < *time && *time <= end);
+            times.sort_by(f64::total_cmp);
+            let (mut known, mut since) = (was, start);
+            for time in times {
+                let is_one = self.are_one_at(pair, time);
+                if is_one != known {
+                    self.find_contact(pair, known, [since, time], step);
+                }
+                (known, since) = (is_one, time);
             }
+            ones.insert(pair, known);
         }
         self.ones = ones;
         self.contacts.sort_by(|x, y| x.time.total_cmp(&y.time).then((x.a, x.b).cmp(&(y.a, y.b))));

@@ -242,6 +242,23 @@ fn a_visit_within_a_step_is_found() {
     assert!((events[0].time + events[1].time - 0.5).abs() < 1e-9, "{events:?}");
 }
 
+/// A ball that swings past another several times in a step.
+#[test]
+fn all_visits_within_a_step_are_found() {
+    let visits = |dt: f64| {
+        contacts(&format!(
+            "duration = 1.0\ndt = {dt}\n[[body]]\nname = 'a'\nradius = 1.0\nmotion = {{ fixed = [0, 0, 0] }}\n\
+             [[body]]\nname = 'b'\nradius = 0.9\nmotion = {{ sine = {{ center = [1.9, 0, 0], amplitude = [0, 0.9, 0], \
+             frequency = 7.0, phase = 1.0 }} }}\n"
+        ))
+    };
+    let [few, many] = [0.1, 0.01].map(visits);
+    assert_eq!((few.len(), many.len()), (28, 28));
+    for (one, other) in few.iter().zip(&many) {
+        assert!(one.what == other.what && (one.time - other.time).abs() < 1e-12, "{one:?} {other:?}");
+    }
+}
+
 /// Three balls moving to the middle of their triangle: by symmetry the saddle of a pair is on an altitude of the
 /// triangle, where the density is a function of one variable.
 #[test]

@@ -124,7 +124,8 @@ impl Field {
         self.scaling.factor(radius, source)
     }
 
-    /// The next instant after `t` at which a push or force point begins or ends, or a path jumps [s]; all are known in advance.
+    /// The next instant after `t` at which a push or force point begins or ends, or a path jumps [s]; all are known in
+    /// advance.
     pub(super) fn next_break(&self, t: f64) -> f64 {
         let edges = self.pushes.iter().flat_map(|push| [push.start, push.end()]);
         edges.chain(self.breaks.iter().copied()).filter(|&edge| edge > t).fold(f64::INFINITY, f64::min)

@@ -34,10 +34,13 @@ impl Arrangement {
     fn usual_direction(self, spheres: &[(DVec3, f64)]) -> DVec3 {
         /// Where nothing else is better: slightly to one side and above.
         const USUAL: DVec3 = DVec3::new(-0.2, -1.0, 0.4);
+        /// Arrangements lower than this are flat [smaller width].
+        const FLAT: f64 = 0.35;
 
-        let [low, high] = bounds(spheres.iter().copied());
+        // places of labels have no radius
+        let [low, high] = bounds(spheres.iter().copied().filter(|(_, radius)| *radius > 0.0));
         let extent = high - low;
-        let is_flat = self.laid_out || extent.z < 0.2 * f64::min(extent.x, extent.y);
+        let is_flat = self.laid_out || extent.z < FLAT * f64::min(extent.x, extent.y);
         if is_flat { USUAL.with_z(1.0) } else { USUAL }.normalize()
     }
 }

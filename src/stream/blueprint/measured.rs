@@ -69,7 +69,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
     /// Nor is anything if the steps beyond that take more than this share of all time, and are more than this share of all
     /// steps: they are what the run takes, not a few interruptions.
     const MOST_TIME: f64 = 0.5;
-    const FEW: f64 = 0.05;
+    const FEW: f64 = 0.02;
 
     let mut layout = Layout::of(recording);
     let root = layout.root(subject, tab);
@@ -104,7 +104,7 @@ pub fn measured(subject: &Subject<'_>, tab: Tab, recording: &StoreId, measured: 
         layout.log(&scene, &ViewBlueprint::update_fields().with_display_name(title));
     }
     if let Some((volumes, changed)) = layout.volumes.take().zip(measured.changed_volume.as_ref()) {
-        layout.log(&volumes, &ViewBlueprint::update_fields().with_display_name(format!("{VOLUMES}; {changed}")));
+        layout.log(&volumes, &ViewBlueprint::update_fields().with_display_name(format!("{VOLUMES}, {changed}")));
     }
     if let Some(speeds) = layout.speeds.take().filter(|_| measured.fastest > 0.0) {
         // steps in which nothing happens would leave the others no room

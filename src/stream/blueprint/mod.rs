@@ -108,7 +108,7 @@ pub fn of_comparison(
         layout.space((spheres, WIDE), "The first run, coloured by how much the second differs", &[family(&WORLD)]);
     second.iter().for_each(|surface| layout.visualize(&surfaces.path, surface, &[]));
     let about = layout.view("TextDocument", "Legend", ABOUT.path, &[including(ABOUT.path)], &[]);
-    let left = layout.container(ContainerKind::Vertical, "Surfaces", vec![surfaces, about], &[3.4, 1.0]);
+    let left = layout.container(ContainerKind::Vertical, "Surfaces", vec![surfaces, about], &[2.6, 1.0]);
     let title = "log10 of the largest difference [radii]";
     // runs that differ do so more and more: lines rise from the left, where the viewer opens
     let plot = layout.time_series(title, "/", &[family(&LOG_DIFFERENCE)], Corner2D::RightBottom);

@@ -23,8 +23,8 @@ fn described(term: &TermSchema) -> String {
     format!("{} {}", colors::name(term.color), label.to_lowercase())
 }
 
-/// The accelerations at which arrows are as long as the largest radius, with the terms of which this is true, as they are
-/// `told`.
+/// The accelerations at which arrows are as long as the largest radius, with the terms of which this is true, each as
+/// `told` describes it.
 fn lengths(schema: &Schema, told: fn(&TermSchema) -> String, is_listed: impl Fn(&TermSchema) -> bool) -> String {
     let radius = schema.largest_radius();
     let mut lengths: Vec<(f64, Vec<String>)> = Vec::new();

@@ -570,8 +570,7 @@ impl Layout {
         let title = "Inside a step (choose the timeline stage, bottom left)";
         let view = self.scene_view((framing, NARROW), schema, title, settings);
         self.set_contents(&view.path, vec![family(&WORLD), including(MOVES.path), including(FURTHEST.path)]);
-        let about =
-            self.view("TextDocument", "What stages are", ABOUT_STAGES.path, &[including(ABOUT_STAGES.path)], &[]);
+        let about = self.view("TextDocument", "About stages", ABOUT_STAGES.path, &[including(ABOUT_STAGES.path)], &[]);
         let lines = self.lines("Stages", STAGES.path);
         let list = self.container(ContainerKind::Vertical, "Stages", vec![about, lines], &[1.4, 5.0]);
         self.container(ContainerKind::Horizontal, "Stages", vec![view, list], &[1.3, 1.0])
@@ -579,7 +578,7 @@ impl Layout {
 }
 
 /// The title of the plot of speeds.
-pub const SPEEDS: &str = "Steps per second, waits included; with --realtime, the lag [ms]";
+pub const SPEEDS: &str = "Steps per second, waits included; orange: lag of --realtime [ms]";
 
 /// The height of a window in rows of a ranking in its right column.
 const COLUMN: f32 = 27.0;

@@ -35,15 +35,13 @@ pub struct GroupPlots {
     of_surfaces: Vec<LineId>,
     /// The plot of the volumes of the bodies one by one, unless there are variants.
     of_bodies: Option<LineId>,
-    /// The volumes of all surfaces and of the bodies one by one in this frame, if both are known [scene unit³], and the least and
-    /// the largest ratio of the two so far.
+    /// The volumes of all surfaces and of the bodies one by one in this frame, if both are known [scene unit³].
     sums: Option<[f64; 2]>,
-    ratios: Option<[f64; 2]>,
-    /// The volume of all surfaces at first [scene unit³], and the least so far as a share of that.
-    first: Option<f64>,
     /// The volume of the bodies one by one at first [scene unit³].
     first_of_bodies: Option<f64>,
-    least: f64,
+    /// Where the volume of all surfaces has changed most so far: its ratio to that of the bodies one by one, and the
+    /// ratio of that to the first.
+    most_changed: Option<[f64; 2]>,
     /// Volume of each body at rest [scene unit³].
     at_rest: Vec<f64>,
     /// The volumes of the bodies one by one, if they are plotted [scene unit³]; reused.
@@ -115,10 +113,8 @@ impl GroupPlots {
             of_surfaces,
             of_bodies,
             sums: None,
-            ratios: None,
-            first: None,
             first_of_bodies: None,
-            least: 1.0,
+            most_changed: None,
             at_rest,
             volumes,
             ranking,
@@ -171,17 +167,13 @@ impl GroupPlots {
 }
 
 impl GroupPlots {
-    /// How merging changes the volume, and whether most of it is lost, in words.
+    /// How much the volume changes at most, and by what, in words.
     pub fn changed_volume(&self) -> Option<String> {
-        /// A body with less is crushed: the view from outside may not show that.
-        const CRUSHED: f64 = 0.6;
-
-        let ratios = self.ratios?.map(percent);
-        let fallen = (self.least < CRUSHED).then(|| format!("falls to {:.0} % of the start", 100.0 * self.least));
-        let is_changed = ratios.iter().any(|ratio| ratio != "+0.0");
-        let merging = is_changed.then(|| format!("overlaps and seams: {} to {} %", ratios[0], ratios[1]));
-        let all: Vec<String> = fallen.into_iter().chain(merging).collect();
-        (!all.is_empty()).then(|| all.join("; "))
+        let [merging, deformation] = self.most_changed?;
+        let [total, merging, deformation] = [merging * deformation, merging, deformation].map(percent);
+        let is_changed = [&total, &merging, &deformation].into_iter().any(|change| change != "+0.0");
+        is_changed
+            .then(|| format!("largest change {total} %: overlaps and seams {merging} %, deformation {deformation} %"))
     }
 
     fn log_volume(&mut self, view: FrameView<'_>, merged: &Merged, series: &mut Series, chunks: &mut Chunks) {
@@ -208,14 +200,12 @@ impl GroupPlots {
         if let Some(line) = self.of_bodies {
             series.log(chunks, line, sum, view.at);
             self.sums = (merged.overlapping == 0).then_some([sums[0], sum]);
-            if let Some([of_surfaces, _]) = self.sums {
-                self.least = self.least.min(of_surfaces / *self.first.get_or_insert(of_surfaces));
-            }
-            self.first_of_bodies.get_or_insert(sum);
-            let ratio = sums[0] / sum;
-            if merged.overlapping == 0 && ratio.is_finite() {
-                let [least, largest] = self.ratios.unwrap_or([ratio; 2]);
-                self.ratios = Some([least.min(ratio), largest.max(ratio)]);
+            let first = *self.first_of_bodies.get_or_insert(sum);
+            let ratios = [sums[0] / sum, sum / first];
+            let change = |[merging, deformation]: [f64; 2]| (merging * deformation - 1.0).abs();
+            let is_most = self.most_changed.is_none_or(|most| change(ratios) > change(most));
+            if merged.overlapping == 0 && change(ratios).is_finite() && is_most {
+                self.most_changed = Some(ratios);
             }
         }
         for (&line, sum) in self.of_surfaces.iter().zip(sums) {
@@ -269,7 +259,7 @@ impl GroupPlots {
             Row { label, color: SILVER, marks: vec![(Mark::Bar(volume / largest), color)] }
         }));
         // what all of it encloses, and how that has changed
-        let count = groups.len() + ranked_alone;
+        let count = groups.iter().map(|group| group.components).sum::<usize>() + ranked_alone;
         let all = self.sums.zip(self.first_of_bodies).filter(|_| !groups.is_empty());
         let all = all.map(|([of_surfaces, of_bodies], first)| {
             let all = if count > 1 { format!("all {count} surfaces") } else { "all".to_owned() };

@@ -168,28 +168,39 @@ impl Heat {
         let space = Labels::new(view);
         let clearance = seen.map_or(0.0, |of| space.clearance(of.position));
         let in_front = |place: DVec3| place.lerp(space.far(), clearance);
-        let mark = outside.filter(|largest| largest.displacement > 0.0).map(|outside| {
-            let hidden = of_all.filter(|of_all| of_all.displacement > outside.displacement);
+        let mark = outside.or(*of_all).filter(|largest| largest.displacement > 0.0).map(|largest| {
+            let hidden = of_all.filter(|of_all| outside.is_some_and(|of| of_all.displacement > of.displacement));
             let hidden = hidden.map(|hidden| format!("\ninside another body: {}", hidden.text(view)));
+            let place = if outside.is_some() { "on the surface" } else { "inside another body" };
             // the line to a vertex on the far side would seem to end on whatever hides it
             let (marked, front) = match seen {
-                Some(seen) if (seen.body, seen.vertex) == (outside.body, outside.vertex) => {
-                    (Some(outside), String::new())
+                Some(seen) if (seen.body, seen.vertex) == (largest.body, largest.vertex) => {
+                    (Some(largest), String::new())
                 }
                 Some(seen) => (Some(*seen), format!("largest in front: {}\n", seen.text(view))),
                 None => (None, String::new()),
             };
             let behind = if marked.is_none() { ", not in view" } else { "" };
-            let label =
-                format!("{front}largest on the surface: {}{behind}{}", outside.text(view), hidden.unwrap_or_default());
+            let label = format!("{front}largest {place}: {}{behind}{}", largest.text(view), hidden.unwrap_or_default());
             let height = f64::min(recent::label_height(view), view.top() + ABOVE * view.schema.largest_radius());
-            let below = marked.unwrap_or(outside).position;
+            let below = marked.unwrap_or(largest).position;
             let height = height.max(space.height_above(below, &label));
             let end = in_front(view.schema.raised(below, height));
             ([marked.map_or(end, |marked| marked.position), end], label)
         });
         let taken = mark.as_ref().map(|([place, end], label)| [(*place, String::new()), (*end, label.clone())]);
-        let front = seen.map(|of| in_front(of.position) - of.position);
+        let front = mark.as_ref().zip(*seen).map(|(([_, end], _), seen)| {
+            let front = in_front(seen.position) - seen.position;
+            let centre = view.frame.bodies[seen.body].centre;
+            // as little as keeps the line out of the body: from another camera, it has a bend there
+            let is_clear = |share: &f64| {
+                let from = seen.position + *share * front;
+                let (along, radius) = (*end - from, seen.position.distance(centre));
+                let nearest = ((centre - from).dot(along) / along.length_squared()).clamp(0.0, 1.0);
+                (from + nearest * along).distance(centre) >= radius * (1.0 - 1e-9)
+            };
+            [0.0, 0.125, 0.25, 0.5].into_iter().find(is_clear).unwrap_or(1.0) * front
+        });
         self.mark.log(mark, front, view.at, chunks);
         let largest = |body: usize| view.frame.bodies[body].max_displacement / view.schema.bodies[body].radius;
         let mut ranked: Vec<usize> = (0..view.schema.bodies.len()).collect();
@@ -481,7 +492,7 @@ impl Displacements {
             !hides(of.body) && !labels.before(of.body, of.position).any(hides) && is_outside(of)
         };
         self.seen = self.candidates.iter().take_while(|_| left.get() > 0).find(is_clear).copied();
-        (self.outside, self.of_all) = (outside.or(of_all), of_all);
+        (self.outside, self.of_all) = (outside, of_all);
         let rank = (SHARE * self.lengths.len() as f64) as usize;
         let usual = match self.lengths.get(rank) {
             Some(_) => f64::from(*self.lengths.select_nth_unstable_by(rank, f32::total_cmp).1),

@@ -4,6 +4,7 @@
 use super::{
     FrameView,
     labels::{Labels, Names},
+    pairs::told_q,
     ranking::is_ranked,
     recent::Recent,
 };
@@ -84,7 +85,8 @@ impl Lines {
         // the viewer labels the first lines, as many as there are labels; highlighted pairs have theirs there
         self.recent.forget_old();
         let recent: Vec<[usize; 2]> = self.recent.pairs().collect();
-        let label = |pair: &PairFrame| format!("{} q = {:.3}", view.schema.pair_name(pair.a, pair.b), pair.q);
+        let q = |pair: &PairFrame| told_q(view.schema, [pair.a, pair.b], pair.q, view.at.time);
+        let label = |pair: &PairFrame| format!("{} q = {}", view.schema.pair_name(pair.a, pair.b), q(pair));
         let middle = |a: usize, b: usize| 0.5 * (view.frame.bodies[a].centre + view.frame.bodies[b].centre);
         let mut labels_in_space = Labels::new(view);
         for point in &view.schema.points {

@@ -253,7 +253,12 @@ impl FrameNumbers {
 
     /// Logs the schema's scalars.
     pub fn log_scalars(&mut self, view: FrameView<'_>, series: &mut Series, chunks: &mut Chunks) {
+        // of a replay that begins later, the step before the first frame is unknown
+        let is_unknown = self.steps == 0 && view.at.step > 0;
         for (line, &of_state) in self.scalars.iter_mut().zip(&view.frame.scalars) {
+            if is_unknown && line.of != ScalarOf::State {
+                continue;
+            }
             let value = if line.of == ScalarOf::State { of_state } else { std::mem::take(&mut line.value) };
             series.log(chunks, line.id, value, view.at);
             line.last = value;

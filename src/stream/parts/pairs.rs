@@ -35,6 +35,14 @@ use crate::{
     },
 };
 
+/// The q of a pair with three decimals, or six if three equal those of a threshold.
+pub fn told_q(schema: &Schema, pair: [usize; 2], q: f64, time: f64) -> String {
+    let text = format!("{q:.3}");
+    let mut levels = (0..schema.thresholds.len()).filter_map(|threshold| schema.level(threshold, pair, time));
+    let is_same = levels.any(|level| level != q && format!("{level:.3}") == text);
+    if is_same { format!("{q:.6}") } else { text }
+}
+
 /// A q that changes less is not worth a line in a plot [–].
 const STILL: f64 = 1e-4;
 /// Colour of the lines about steps beyond the tolerance.

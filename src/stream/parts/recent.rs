@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 
 use glam::DVec3;
 
-use super::{FrameView, MAX_LABELS, callout, spheres};
+use super::{FrameView, MAX_LABELS, callout, pairs::told_q, spheres};
 use crate::{
     observe::{BodyFrame, PairEvent, Schema, schema::titled},
     sdk::{self, Ellipsoids3D, LineStrips3D, Mesh3D, Points3D},
@@ -170,7 +170,7 @@ impl Recent {
             event.centres = event.pair.map(|body| frame.bodies[body].centre);
             let radii = event.pair.map(|body| schema.bodies[body].radius);
             let q = event.centres[0].distance(event.centres[1]) / (radii[0] + radii[1]);
-            event.q = format!("; now q = {q:.3}");
+            event.q = format!("; now q = {}", told_q(schema, event.pair, q, at.time));
         }
         if let Some(alone) = self.alone.as_ref().filter(|alone| alone.pair.is_none() && self.age == 1) {
             alone.log_none(at, chunks);

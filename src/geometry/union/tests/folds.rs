@@ -189,8 +189,8 @@ fn no_vertex_or_centre_of_a_triangle_is_deeper_than_the_gap() {
     assert!(inside > 200, "{inside} points inside");
 }
 
-/// The deepest point of few large triangles may be anywhere on them, that of others is near the deepest sample: compared with
-/// a dense grid of points.
+/// The deepest point of few large triangles may be anywhere on them, that of others is near the deepest sample:
+/// compared with a dense grid of points.
 #[test]
 fn the_depth_of_boxes_and_balls_is_that_of_any_of_their_points() {
     const ACROSS: u32 = 60;
