@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use super::{Body, Scene};
+use super::{Body, Integrator, Scene};
 
 /// The largest number of bodies that are compared with each other.
 const MAX_BODIES: usize = 64;
@@ -63,6 +63,7 @@ impl Scene {
             .into_iter()
             .chain(beyond)
             .chain(late)
+            .chain(summary(self.unseen(), "entry"))
             .chain(of_pairs)
             .chain(of_bodies)
             .chain(self.placement_warning())
@@ -82,6 +83,25 @@ impl Scene {
             )
         };
         late.map(warning).collect()
+    }
+
+    /// Pushes and force points that are over between two steps of an integrator that samples forces at steps.
+    fn unseen(&self) -> Vec<String> {
+        if self.integrator == Integrator::Exponential {
+            return Vec::new();
+        }
+        let pushes =
+            self.pushes.iter().map(|of| (format!("the push on {}", self.bodies[of.body].name), of.start, of.end()));
+        let points = self.points.iter().map(|of| (format!("force point {}", of.name), of.start, of.end()));
+        let unseen =
+            pushes.chain(points).filter(|(_, start, end)| (start / self.dt * (1.0 - MARGIN)).ceil() * self.dt >= *end);
+        let warning = |(what, start, _): (String, f64, f64)| {
+            format!(
+                "{what} at t = {start} is over before the next step begins: it has no effect with {}; lower dt, or use exponential",
+                self.integrator
+            )
+        };
+        unseen.map(warning).collect()
     }
 
     /// A warning if bodies were moved out of planes, or will be thrown out by one.
@@ -169,6 +189,21 @@ mod tests {
         let found = late(1.2);
         assert!(found.len() == 1 && found[0].starts_with("the push on a begins at t = 1.2, "), "{found:?}");
         assert!(found[0].ends_with("(and one more entry like it)"), "{found:?}");
+    }
+
+    #[test]
+    fn a_push_between_two_steps_of_an_explicit_integrator_is_reported() {
+        let found = |integrator: &str, start: f64| {
+            let text = format!(
+                "duration = 2\ndt = 0.4\nintegrator = '{integrator}'\n[[body]]\nname = 'a'\nradius = 1.0\n\
+                 motion = {{ fixed = [0, 0, 0] }}\n[[push]]\nbody = 'a'\ndirection = [1, 0, 0]\nstrength = 1\nstart = {start}\n\
+                 duration = 0.2\n"
+            );
+            Scene::parse(&text, "push.toml").unwrap().warnings()
+        };
+        let warned = found("verlet", 0.5);
+        assert!(warned.len() == 1 && warned[0].contains("the push on a at t = 0.5 is over"), "{warned:?}");
+        assert_eq!([found("verlet", 0.7), found("verlet", 0.4), found("exponential", 0.5)], [[""; 0]; 3]);
     }
 
     /// The conditions of 3.2: the influence sphere encloses its body, which encloses their common centre.

@@ -713,7 +713,7 @@ fn a_closed_pipe_ends_the_run() {
 #[test]
 fn a_diverging_run_is_reported_and_saved_up_to_that_step() {
     let dir = scene_dir();
-    let options = ["--integrator", "euler", "--set", "dt=1", "--steps", "1000"];
+    let options = ["--integrator", "euler", "--set", "dt=1", "--set", "push[0].duration=2", "--steps", "1000"];
     let arguments = [&["run", "small.toml", "--save", "x.rrd"], &options[..]].concat();
     let error = run(&dir, &arguments).failed(1);
     assert!(error.contains("diverged at step ") && error.contains("x.rrd"), "{error}");

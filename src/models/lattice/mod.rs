@@ -29,6 +29,10 @@
 //! its amplification factor reaches −1. No mode of a lattice is faster than that of a single free cell (Irons' bound),
 //! √(30 k/m) for a cell of mass m: ω_max ≤ √8 c/h. Stretched springs raise it by at most 9/5, the ratio to Gershgorin's
 //! bound, which holds for any deformation under tension.
+//!
+//! # Surfaces
+//! A body is drawn with its mesh until it tears, then with the boundary of its cells, which protrude from the mesh: its volume
+//! and area rise at that instant.
 
 mod lanes;
 mod step;
