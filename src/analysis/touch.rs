@@ -682,7 +682,7 @@ mod tests {
             );
             let events: Vec<_> = found(&text, 1.0 / 60.0).into_iter().filter(SurfaceEvent::is_contact).collect();
             let [touch] = events[..] else { panic!("{motion}: {events:?}") };
-            assert!(touch.what == Finding::Touch && (touch.time - 1.0).abs() < 1e-3, "{motion}: {touch:?}");
+            assert!(touch.what == Finding::Touch && (touch.time - 1.0).abs() < PRECISION, "{motion}: {touch:?}");
         }
     }
 

@@ -452,18 +452,18 @@ fn free_bodies_with_cells_that_cannot_be_balanced_are_refused() {
         let model = model.name();
         let text = format!(
             "duration = 0.1\nmodel = \"{model}\"\n[{model}]\ncells = {cells}\n[[body]]\nname = \"a\"\nradius = 1\n\
-             shape = {{ mesh = \"pyramid.obj\" }}\nmotion = {{ {motion} = {{ from = [0, 0, 0] }} }}\n"
+             shape = {{ mesh = \"pyramid.obj\" }}\nmotion = {{ {motion} }}\n"
         );
-        std::fs::write(dir.file("a.toml"), text.replace("fixed = { from = [0, 0, 0] }", "fixed = [0, 0, 0]"))
-            .expect("disk space");
+        std::fs::write(dir.file("a.toml"), text).expect("disk space");
         Scene::load(&dir.file("a.toml")).expect("a valid scene").start()
     };
+    let (free, fixed) = ("free = { from = [0, 0, 0] }", "fixed = [0, 0, 0]");
     for model in [Model::Lattice, Model::Fem] {
-        let error = scene(model, 3, "free").err().expect("it is refused");
+        let error = scene(model, 3, free).err().expect("it is refused");
         let remedy = format!("use other `cells` in [{}]", model.name());
         assert!(error.contains("the cells of the free body \"a\"") && error.ends_with(&remedy), "{error}");
-        assert_eq!(scene(model, 6, "free").err(), None);
-        assert_eq!(scene(model, 3, "fixed").err(), None);
+        assert_eq!(scene(model, 6, free).err(), None);
+        assert_eq!(scene(model, 3, fixed).err(), None);
     }
 }
 

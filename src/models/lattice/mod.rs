@@ -31,8 +31,8 @@
 //! bound, which holds for any deformation under tension.
 //!
 //! # Surfaces
-//! A body is drawn with its mesh until it tears, then with the boundary of its cells, which protrude from the mesh: its volume
-//! and area rise at that instant.
+//! A body is drawn with its mesh until it tears, then with the boundary of its cells, which protrude from the mesh: its
+//! volume and area rise at that instant.
 
 mod lanes;
 mod step;

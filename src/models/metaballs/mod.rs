@@ -129,11 +129,15 @@ impl Metaballs {
         let [one, other] = pair.map(|body| path(&self.scene.bodies[body]).position(time));
         let [one_ball, other_ball] = pair.map(|body| self.ball(body, &self.centres));
         let distance = one.distance(other);
-        if distance <= one_ball.radius + other_ball.radius || distance >= one_ball.support() + other_ball.support() {
-            return distance <= one_ball.radius + other_ball.radius;
+        if distance <= one_ball.radius + other_ball.radius {
+            true
+        } else if distance >= one_ball.support() + other_ball.support() {
+            false
+        } else if time == self.world.time() {
+            self.are_one(pair, &self.centres)
+        } else {
+            self.are_one(pair, &self.centres_at(time))
         }
-        let is_now = time == self.world.time();
-        self.are_one(pair, &if is_now { self.centres.clone() } else { self.centres_at(time) })
     }
 
     /// Finds the pairs that joined or separated in the step that began at `start`.

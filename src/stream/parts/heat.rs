@@ -1,7 +1,8 @@
 //! The colours of displacements: a texture that the displacement view maps onto surfaces, and its colour scale.
 //!
-//! The place of a vertex in the texture is its displacement as a share of about the largest in front in the frame. What is
-//! larger on the far side, or a single spike, would leave the same colour to all others, and is beyond the end of the scale.
+//! The place of a vertex in the texture is its displacement as a share of about the largest on the sides that face the
+//! eye. What is larger on the far sides, or a single spike, would leave the same colour to all others, and is beyond
+//! the end of the scale.
 
 use std::{cell::Cell, sync::Arc};
 
